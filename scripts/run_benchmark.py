@@ -31,7 +31,7 @@ from benchmark.methods import METHODS, OURS, solved
 from benchmark.pictures import write_page
 from benchmark.score import Scores, ranked, reliability, score_row, score_submission
 from benchmark.submission import Key, Row, read_submission, write_submission
-from benchmark.tasks import FRAMES, KEPT, SEED, TASKS, Given, TaskName, chosen_worlds, digest, given_task, set_name
+from benchmark.tasks import FRAMES, KEPT, SEED, TASKS, Given, TaskName, digest, given_task, set_name, table
 from measure.processes import in_processes
 from measure.tables import Report, print_report
 
@@ -108,7 +108,7 @@ def _given(folder: Path, options: argparse.Namespace, number: int, task: TaskNam
     """Return a task of a world; None, after a line on stderr, if no motion is found."""
     counts: Any = {"session": options.session_frames, "recording": options.recording_frames}
     try:
-        return given_task(folder, task, chosen_worlds()[number], options.seed, counts)
+        return given_task(folder, task, table()[number], options.seed, counts)
     except InputError:
         raise
     except DvrkCmaesError as error:
@@ -222,7 +222,7 @@ def _tasks(options: argparse.Namespace) -> list[TaskName]:
 
 def _numbers(options: argparse.Namespace) -> list[int]:
     """Return the numbers of the worlds."""
-    every = [world.number for world in chosen_worlds()]
+    every = [world.number for world in table()]
     if options.numbers is None:
         return every[: options.worlds]
     _known("--numbers", options.numbers.split(","), {str(number): None for number in every})

@@ -61,8 +61,10 @@ ANCHORS: Final = (
         "lincoln",
         "github.com/imanlab/d-lfd at 80d08e7",
         "labs/lincoln",
-        ("images", "joints.csv", "camera.yaml", "shaft_by_stereo.csv"),
-        ("shaft by both eyes: python scripts/run_benchmark.py anchors OUT, of a folder of results of its left frames",),
+        ("by_hand/masks", "by_hand/ignore", "by_hand/joints.csv", "by_hand/camera.yaml", "shaft_by_stereo.csv"),
+        (
+            "shaft by both eyes: python scripts/run_benchmark.py anchors OUT, of dvrk-cmaes batch FOLDER/by_hand --out OUT",
+        ),
     ),
 )
 

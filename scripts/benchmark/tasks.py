@@ -12,6 +12,7 @@ import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Final, Literal
 
@@ -112,9 +113,10 @@ def set_name(seed: int) -> str:
     return f"seed{seed}" if seed < _LARGEST_TOLD else f"kept-{digest(str(seed))[:12]}"
 
 
-def chosen_worlds(count: int | None = None) -> list[World]:
-    """Return the first worlds of the table with the bundled instrument alone, by default all."""
-    return worlds([INSTRUMENT])[:count]
+@cache
+def table() -> tuple[World, ...]:
+    """Return the worlds of the table with the bundled instrument alone."""
+    return tuple(worlds([INSTRUMENT]))
 
 
 def given_task(
@@ -160,13 +162,13 @@ def _detected_markers(drawn: Folder, seed: int) -> str:
     world = drawn.world
     rng = np.random.default_rng([seed, world.number, 7, drawn.kind == "session"])
     noise = LEVELS[world.level].marker_px * float(np.sqrt(np.prod(world.size) / USUAL_PIXELS))
-    table, inside = read_marker_table(bundled_path("markers", "lnd.json")), picture(world)
+    known, inside = read_marker_table(bundled_path("markers", "lnd.json")), picture(world)
     times = frame_times(world, drawn.kind, drawn.frames)
     placed_at = [draw_motion(world, seed, place).placed(times) for place in range(world.tools)]
     rows = []
     for number, name in enumerate(drawn.names):
         tools = [each[number] for each in placed_at]
-        places = place_markers(tools[0].instrument, tools[0].joints, table)
+        places = place_markers(tools[0].instrument, tools[0].joints, known)
         points = apply(tools[0].camera_from_root, np.array([*places.values()]))
         _, depth = Scene(tools).hits((points / points[:, 2:]).astype(np.float32))
         seen = (depth > points[:, 2] - _BURIED) | (depth <= NEAREST)

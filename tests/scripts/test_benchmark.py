@@ -42,13 +42,13 @@ def made(tmp_path: Path) -> Callable[..., Given]:
     """A task whose truth is the same in each frame, or with changes by frame; its base is TRUE."""
 
     def make(task: TaskName, frames: int, **changes: Mapping[str, Any]) -> Given:
-        from benchmark.tasks import Given, chosen_worlds
+        from benchmark.tasks import Given, table
         from worlds.folders import Folder
 
         ends = apply(TRUE, load_instrument("lnd").ends(JOINTS)).tolist()
         truth = {"T_camera_roll_link": TRUE.tolist(), "joints": dict(zip(NAMES, JOINTS.tolist(), strict=True))}
         truth |= {"tips_camera_m": ends, "visible": 1.0, "overlap": 1.0}
-        world = replace(chosen_worlds()[4], number=4)
+        world = replace(table()[4], number=4)
         folder = Folder(tmp_path, world, "session" if task in ("frame", "base") else "recording", frames)
         golden = {name: truth | changes.get(f"f{name}", {}) for name in folder.names}
         (tmp_path / "golden.json").write_text(json.dumps({"camera_from_base": TRUE.tolist(), "frames": golden}))
@@ -272,9 +272,9 @@ def test_wrong_covariances_and_repeated_rows_are_refused(tmp_path: Path, matrix:
 
 
 def test_given_folders_have_no_truth(tmp_path: Path) -> None:
-    from benchmark.tasks import chosen_worlds, given_task, readings_of, set_name
+    from benchmark.tasks import given_task, readings_of, set_name, table
 
-    world, counts = chosen_worlds()[8], {"session": 1, "recording": 2}
+    world, counts = table()[8], {"session": 1, "recording": 2}
     given = given_task(tmp_path, "images", world, 5, counts)
     names = {path.name for path in given.given.path.iterdir()}
     assert names == {"images", "images.csv", "camera.yaml", "joints.csv", "session.toml", "boxes.csv"}
@@ -294,9 +294,9 @@ def test_given_folders_have_no_truth(tmp_path: Path) -> None:
 
 
 def test_markers_are_where_the_instrument_is(tmp_path: Path) -> None:
-    from benchmark.tasks import chosen_worlds, given_task
+    from benchmark.tasks import given_task, table
 
-    given = given_task(tmp_path, "frame", chosen_worlds()[8], 5, {"session": 2, "recording": 1})
+    given = given_task(tmp_path, "frame", table()[8], 5, {"session": 2, "recording": 1})
     seen = read_detections(given.given.path / "markers.csv")
     for name in given.frames:
         mask = cv2.dilate(read_mask(given.drawn.path / "masks" / f"{name}.png").astype(np.uint8), np.ones((5, 5)))
@@ -327,9 +327,9 @@ def test_run_scores_baselines_and_continues(tmp_path: Path, run_here: Callable[.
 
 def test_single_frame_is_estimated_as_a_row(tmp_path: Path) -> None:
     from benchmark.methods import solved
-    from benchmark.tasks import chosen_worlds, given_task
+    from benchmark.tasks import given_task, table
 
-    given = given_task(tmp_path, "frame", chosen_worlds()[8], 5, {"session": 1, "recording": 1})
+    given = given_task(tmp_path, "frame", table()[8], 5, {"session": 1, "recording": 1})
     (row,) = solved("estimate", given, tmp_path / "out").values()
     (frame,) = scores_of(given, [row]).frames
     assert frame.error_mm < 2
@@ -353,10 +353,10 @@ def test_seeds_are_kept_with_their_digests(tmp_path: Path, run_here: Callable[..
 
 def test_files_of_m3t_fit_together(tmp_path: Path) -> None:
     from benchmark.m3t import POSE_COLUMNS, read_poses, write_tracker
-    from benchmark.tasks import chosen_worlds, given_task
+    from benchmark.tasks import given_task, table
     from worlds.motion import instrument_of
 
-    given = given_task(tmp_path, "images", chosen_worlds()[8], 5, {"session": 1, "recording": 2})
+    given = given_task(tmp_path, "images", table()[8], 5, {"session": 1, "recording": 2})
     start, instrument = a_row("images", 0), instrument_of("lnd")
     path = write_tracker(tmp_path / "m3t", given, start)
     config = yaml.safe_load(path.read_text().partition("\n")[2])
@@ -409,9 +409,9 @@ def test_files_of_m3t_fit_together(tmp_path: Path) -> None:
 @pytest.mark.parametrize("lens", ["barrel", "rational"])
 def test_images_of_m3t_have_no_lens(lens: Any) -> None:
     from benchmark.m3t import undistorted
-    from benchmark.tasks import chosen_worlds
+    from benchmark.tasks import table
 
-    camera = replace(chosen_worlds()[8], size=(320, 240), lens=lens, focal=1.2).camera
+    camera = replace(table()[8], size=(320, 240), lens=lens, focal=1.2).camera
     point = np.array([0.02, -0.015, 0.1])
     image = np.zeros((240, 320, 3), np.uint8)
     u, v = camera.project(point[None])[0]
