@@ -62,9 +62,7 @@ ANCHORS: Final = (
         "github.com/imanlab/d-lfd at 80d08e7",
         "labs/lincoln",
         ("by_hand/masks", "by_hand/ignore", "by_hand/joints.csv", "by_hand/camera.yaml", "shaft_by_stereo.csv"),
-        (
-            "shaft by both eyes: python scripts/run_benchmark.py anchors OUT, of dvrk-cmaes batch FOLDER/by_hand --out OUT",
-        ),
+        ("shaft by both eyes: dvrk-cmaes batch FOLDER/by_hand --out OUT; python scripts/run_benchmark.py anchors OUT",),
     ),
 )
 

@@ -78,6 +78,7 @@ def _plot_time(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             place = (row["processor s a row"], row["error, mm"])
             axes.annotate(row["method"], place, xytext=(4, 4), textcoords="offset points", fontsize=7)
     axes.set(xlabel="processor time a row, s", ylabel="median error, mm")
+    axes.margins(x=0.15)
     axes.grid(visible=True, which="both", alpha=0.2)
     axes.legend(fontsize=7)
     write_figure(path, figure)

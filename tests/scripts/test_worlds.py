@@ -130,7 +130,7 @@ def test_two_tools_are_labels_of_a_session_of_two_arms(tmp_path: Path) -> None:
     assert border[60, 80] == 0
     assert (ignored[labels == 2] == 255).all()
     assert (ignored[(labels == 1)] == 0).all()
-    assert drawn.times()["0001"] - drawn.times()["0000"] == pytest.approx(1 / 30)
+    assert drawn.times()["0001"] - drawn.times()["0000"] == pytest.approx(1 / 30, abs=2e-6)
     assert set(drawn.nearest_readings(1001.61)) >= {"yaw", "pitch", "insertion", "roll", "jaw"}
 
 
