@@ -163,9 +163,12 @@ def refuse_rectified(where: str, kind: str, distortion: Distortion) -> None:
         )
 
 
-def one_camera(where: str, side: Side, name: object = None) -> tuple[str, ...]:
-    """Return the notes on using a file of one camera for a side; InputError for the left one where right is asked."""
-    if side == "left":
+def one_camera(where: str, side: Side, name: object = None, *, right: bool = False) -> tuple[str, ...]:
+    """Return the notes on using a file of one camera for a side; InputError for the left one where right is asked.
+
+    ``right`` tells that the file states a right eye's baseline, which counts more than its name.
+    """
+    if side == "left" or right:
         return ()
     if isinstance(name, str) and "left" in name.lower() and "right" not in name.lower():
         raise InputError(f"{where}: --side right: expected the right camera, got {shown(name)}")

@@ -18,6 +18,7 @@ from dvrk_cmaes.camera.fields import (
     Distortion,
     Intrinsics,
     Side,
+    as_number,
     has_field,
     one_camera,
     take_field,
@@ -56,6 +57,9 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
     height_name, height = take_field(where, document, _HEIGHT)
     size = take_length(where, width_name, width), take_length(where, height_name, height)
     _refuse_region(where, document, *size)
+    notes: tuple[str, ...] = ()
+    if not rectified and _is_zero(document, _RAW) and not _is_zero(document, _RECTIFIED):
+        rectified, notes = True, ("K is zero: the images are taken for rectified ones, with the camera of P",)
     name, entry = take_field(where, document, _RECTIFIED if rectified else _RAW)
     focal = take_matrix(where, name, entry, columns=4 if rectified else 3)
     model, distortion = ("plumb_bob", ()) if rectified else _distortion(where, document)
@@ -64,8 +68,22 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
         frame = document["header"].get("frame_id")
     form = "topic dump" if "width" in document else "calibration"
     images = f"rectified images ({name})" if rectified else f"raw images ({name} and distortion)"
-    notes = one_camera(where, side, frame)
+    notes = (*notes, *one_camera(where, side, frame, right=_is_right(document)))
     return Intrinsics(f"ROS camera_info {form}, {images}", size, *focal, model, distortion, notes)
+
+
+def _is_zero(document: Mapping[str, Any], names: tuple[str, ...]) -> bool:
+    """Whether a matrix is missing or has only zeros."""
+    entry = next((document[name] for name in names if document.get(name) is not None), [])
+    numbers = entry.get("data") if isinstance(entry, Mapping) else entry
+    return isinstance(numbers, list) and not any(as_number(number) != 0 for number in numbers)
+
+
+def _is_right(document: Mapping[str, Any]) -> bool:
+    """Whether P has the baseline of a right eye; the messages of both eyes name the left one's frame."""
+    entry = next((document[name] for name in _RECTIFIED if document.get(name) is not None), [])
+    numbers = entry.get("data") if isinstance(entry, Mapping) else entry
+    return isinstance(numbers, list) and len(numbers) == 12 and (as_number(numbers[3]) or 0.0) < 0
 
 
 def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:
@@ -73,7 +91,7 @@ def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:
     name, entry = take_field(where, document, _DISTORTION)
     coefficients = tuple(take_numbers(where, name, entry))
     given = document.get("distortion_model")
-    if given in (None, "") and not any(coefficients):
+    if given in (None, "", "none", "None") and not any(coefficients):
         return "plumb_bob", ()
     if not isinstance(given, str) or given not in _MODELS:
         names = ", ".join(nearest_first(given[:60], _MODELS) if isinstance(given, str) else _MODELS)

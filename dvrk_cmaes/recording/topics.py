@@ -62,6 +62,7 @@ def choose_topics(
     camera: bool = True,
     joints: bool = True,
     side: Side | None = None,
+    arm: str | None = None,
 ) -> Topics:
     """Choose the topics to read among those of a recording that have messages.
 
@@ -77,6 +78,8 @@ def choose_topics(
         Whether they are read from the recording.
     side
         The eye of a stereo endoscope whose name is in that of its images; None for one camera.
+    arm
+        The arm, whose name is a part of those of its topics, or which is one of a topic with the joints of several.
 
     Raises
     ------
@@ -94,15 +97,26 @@ def choose_topics(
         info = _one(path, types, requested_camera, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
     if not joints or requested.joints == NONE:
         return Topics(image, info, None, None)
+    return Topics(image, info, *_joint_topics(path, types, requested, arm))
+
+
+def _joint_topics(
+    path: Path, types: Mapping[str, str], requested: TopicRequest, arm: str | None
+) -> tuple[str, str | None]:
+    """Choose the topics of an arm's joints and its jaw, None for a jaw that is not read; errors as `choose_topics`."""
     states = [name for name, kind in types.items() if kind == JOINT_STATE]
     arms = [name for name in states if _ends(name, "measured_js", "state_joint_current") and not _is_jaw(name)]
-    arm = _one(path, types, requested.joints, "--joints-topic", (JOINT_STATE,), f"the arm's joints (or {NONE})", arms)
-    if requested.jaw == NONE:
-        return Topics(image, info, arm, None)
-    jaws = [name for name in states if name in _jaws_of(arm)]
-    if requested.jaw is None and not jaws:
-        return Topics(image, info, arm, None)
-    return Topics(image, info, arm, _one(path, types, requested.jaw, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws))
+    if arm is not None and len(arms) > 1:
+        arms = [name for name in arms if arm.lower() in name.lower().split("/")]
+    together = [name for name in states if _ends(name, "joint_states")]
+    option = "--joints-topic" if arm is not None else "--arm or --joints-topic"
+    found = _one(
+        path, types, requested.joints, option, (JOINT_STATE,), f"the arm's joints (or {NONE})", arms or together
+    )
+    jaws = [name for name in states if name in _jaws_of(found)]
+    if requested.jaw == NONE or (requested.jaw is None and not jaws):
+        return found, None
+    return found, _one(path, types, requested.jaw, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws)
 
 
 def _one(
