@@ -200,8 +200,13 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
             undetermined="the readings are too far apart in time to be interpolated, and no lag of whole rows is much "
             "better than none: give all rows of the recording",
         )
-    at_end = near.lags[best] in near.ends if near.ends else best in (0, len(near.lags) - 1)
-    if near.costs[best] > _NOWHERE or (at_end and near.costs[best] > _DISAGREE):
+    if near.ends:
+        at_end = min(abs(near.lags[best] - end) for end in near.ends) < _COARSE * step
+        nowhere = at_end or near.costs[best] > _DISAGREE
+    else:
+        at_end = best in (0, len(near.lags) - 1)
+        nowhere = near.costs[best] > _NOWHERE
+    if nowhere:
         return SearchedLag(
             undetermined=f"not told in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in it; "
             "it may lie beyond (take a first guess out by import --lag, or subtract it from the images' times)",

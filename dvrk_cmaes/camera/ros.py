@@ -58,7 +58,7 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
     size = take_length(where, width_name, width), take_length(where, height_name, height)
     _refuse_region(where, document, *size)
     notes: tuple[str, ...] = ()
-    if not rectified and _is_zero(document, _RAW) and not _is_zero(document, _RECTIFIED):
+    if not rectified and _is_zero(document, _RAW) and any(map(as_number, _numbers(document, _RECTIFIED))):
         rectified, notes = True, ("K is zero: the images are taken for rectified ones, with the camera of P",)
     name, entry = take_field(where, document, _RECTIFIED if rectified else _RAW)
     focal = take_matrix(where, name, entry, columns=4 if rectified else 3)
@@ -73,17 +73,22 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
 
 
 def _is_zero(document: Mapping[str, Any], names: tuple[str, ...]) -> bool:
-    """Whether a matrix is missing or has only zeros."""
-    entry = next((document[name] for name in names if document.get(name) is not None), [])
-    numbers = entry.get("data") if isinstance(entry, Mapping) else entry
-    return isinstance(numbers, list) and not any(as_number(number) != 0 for number in numbers)
+    """Whether a matrix is stated with only zeros."""
+    numbers = _numbers(document, names)
+    return bool(numbers) and not any(as_number(number) != 0 for number in numbers)
 
 
 def _is_right(document: Mapping[str, Any]) -> bool:
     """Whether P has the baseline of a right eye; the messages of both eyes name the left one's frame."""
-    entry = next((document[name] for name in _RECTIFIED if document.get(name) is not None), [])
+    numbers = _numbers(document, _RECTIFIED)
+    return len(numbers) == 12 and (as_number(numbers[3]) or 0.0) < 0
+
+
+def _numbers(document: Mapping[str, Any], names: tuple[str, ...]) -> list[Any]:
+    """Return the flat list of a matrix's values as they are stated; empty where there is none."""
+    entry = next((document[name] for name in names if document.get(name) is not None), None)
     numbers = entry.get("data") if isinstance(entry, Mapping) else entry
-    return isinstance(numbers, list) and len(numbers) == 12 and (as_number(numbers[3]) or 0.0) < 0
+    return numbers if isinstance(numbers, list) else []
 
 
 def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:

@@ -34,6 +34,7 @@ from dvrk_cmaes.cli.session_tools import alone_or_by_arm, read_calibration_of, s
 from dvrk_cmaes.cli.terminal import Line, frames_text, show, warn
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import listed
 
 if TYPE_CHECKING:
     from dvrk_cmaes.results.tracked import TrackResult
@@ -177,7 +178,7 @@ def track(
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
     from dvrk_cmaes.runs.track_folder import track_folder
-    from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask
+    from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask, with_increasing_times
     from dvrk_cmaes.runs.worker import hints_of
 
     seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
@@ -194,7 +195,10 @@ def track(
     settings: dict[str, TrackSettings] = {}
     for name, tool in tools.items():
         arm = source.read(tool, camera, recording, joints=files)
-        followed, used = used_session(arm.session, evidence)
+        timed, doubled = with_increasing_times(arm.session)
+        if doubled:
+            warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
+        followed, used = used_session(timed, evidence)
         arms[name] = replace(arm, session=with_first_mask(followed, first_mask))
         settings[name] = TrackSettings(
             method.resolve(),

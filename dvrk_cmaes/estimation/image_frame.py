@@ -19,7 +19,7 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
-from dvrk_cmaes.segment.field_of_view import outside_view
+from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first

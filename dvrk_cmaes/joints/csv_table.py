@@ -151,7 +151,9 @@ def _topic_table(
         values = {joint: cells[filled[place]] for joint, place in places.items()}
         found[f"message {count + 1}"] = JointRow(where, values, _timestamp(where, cells["timestamp"]))
     if not found:
-        raise InputError(f"{path}: expected a row for each message, got {'none with positions' if rows else 'a header only'}")
+        raise InputError(
+            f"{path}: expected a row for each message, got {'none with positions' if rows else 'a header only'}"
+        )
     notes = [] if any(name.startswith("name.") for name in header) else [IN_ORDER]
     if len(found) < len(rows):
         notes.append(without_positions(len(rows) - len(found)))

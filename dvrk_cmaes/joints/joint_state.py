@@ -28,7 +28,7 @@ def is_joint_state(text: str) -> bool:
 
 
 def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None = None) -> JointFile:
-    """Read all messages of a file; those without names and positions, as before an arm is up, are skipped.
+    """Read all messages of a file; those without positions, as before an arm is up, are skipped.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None
     for count, message in enumerate(yaml_documents(path, text, expected=EXPECTED)):
         where = f"{path}: message {count + 1}"
         values, stated = message.get("position"), message.get("name") or []
-        if not isinstance(values, list) or (stated and not values):
+        if not isinstance(values, list):
             raise InputError(f"{where}: position: expected a list of numbers, got {shown(values)}")
         if not values:
             skipped += 1

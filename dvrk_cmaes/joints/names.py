@@ -90,8 +90,10 @@ def joints_of_arm(where: str, stated: Sequence[str], names: Sequence[str], arm: 
             continue
         check_joint(where, joint, names)
         if joint in found:
-            raise InputError(f"{where}: {joint}: expected each joint once, got {listed([stated[found[joint]]])} and "
-                             f"{listed([stated[place]])}")
+            raise InputError(
+                f"{where}: {joint}: expected each joint once, got {listed([stated[found[joint]]])} and "
+                f"{listed([stated[place]])}"
+            )
         found[joint] = place
     return found
 

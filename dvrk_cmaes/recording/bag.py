@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _LONGEST_QOS = 100_000  # characters of a value in metadata.yaml, which may hold the QoS of many publishers
 _JUDGED = 50  # messages of images whose times tell whether a clock sets them
-_STORAGE = re.compile(r"""^\s*storage_identifier:\s*["']?\w""", re.MULTILINE)
+_BLANK_STORAGE = re.compile(r"""^\s*storage_identifier:\s*(?:""|''|~|null)?\s*$""", re.MULTILINE)
 _LARGEST_MESSAGE, _LARGEST_IMAGE = 2**20, 400_000_000  # bytes
 
 SUFFIXES_2 = (".mcap", ".db3")
@@ -166,7 +166,7 @@ def _files(path: Path) -> list[Path]:
     metadata = path / "metadata.yaml"
     if metadata.is_file():
         check_yaml(metadata, expected="metadata of a ROS 2 recording", longest=_LONGEST_QOS)
-        if _STORAGE.search(metadata.read_text(encoding="utf-8", errors="replace")):
+        if not _BLANK_STORAGE.search(metadata.read_text(encoding="utf-8", errors="replace")):
             return [path]
     files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES_2)
     if not files:

@@ -114,9 +114,9 @@ def _check_size(width: int, height: int, where: str) -> None:
 def joint_places(message: Any, where: str, arm: str | None = None) -> dict[str, int]:
     """Return the places of an arm's joints in a JointState, by joint; without names, as implied by their number.
 
-    A message without names and positions has none, as before an arm is up. Errors as of `joints_of_arm`.
+    A message without positions has none, as before an arm is up. Errors as of `joints_of_arm`.
     """
-    if not message.name and not len(message.position):
+    if not len(message.position):
         return {}
     if not message.name:
         return {name: place for place, name in enumerate(joints_by_count(f"{where}: position", len(message.position)))}

@@ -109,10 +109,8 @@ def _joint_topics(
     if arm is not None and len(arms) > 1:
         arms = [name for name in arms if arm.lower() in name.lower().split("/")]
     together = [name for name in states if _ends(name, "joint_states")]
-    option = "--joints-topic" if arm is not None else "--arm or --joints-topic"
-    found = _one(
-        path, types, requested.joints, option, (JOINT_STATE,), f"the arm's joints (or {NONE})", arms or together
-    )
+    what = f"the arm's joints (--arm, or {NONE})"
+    found = _one(path, types, requested.joints, "--joints-topic", (JOINT_STATE,), what, arms or together)
     jaws = [name for name in states if name in _jaws_of(found)]
     if requested.jaw == NONE or (requested.jaw is None and not jaws):
         return found, None

@@ -32,7 +32,7 @@ from dvrk_cmaes.runs.recorded import BLOCK, Prediction, predict, spread_of
 from dvrk_cmaes.runs.recorded_keyframes import Keyframe, RecordedFrames, solve_together
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.confidence import GUESS
-from dvrk_cmaes.segment.field_of_view import outside_view
+from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings

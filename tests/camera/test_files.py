@@ -138,7 +138,7 @@ def test_real_ros_calibrations_are_read(shared: Path, side: str) -> None:
 
 
 def test_cameras_of_real_sessions_are_vga_pinholes(shared: Path) -> None:
-    paths = sorted(shared.glob("frames/*/*/camera.yaml"))
+    paths = sorted(shared.glob("frames/real/*/camera.yaml"))
     assert paths
     for path in paths:
         camera = read_camera(path)
