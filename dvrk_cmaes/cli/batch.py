@@ -39,6 +39,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.frames.label import Label
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import BatchSummary
@@ -60,7 +61,7 @@ def batch(
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
     retry_failed: Annotated[Flag, Parameter(group=FOLDER)] = False,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    label: Annotated[int | None, Parameter(group=FOLDER)] = None,
+    label: Annotated[str | None, Parameter(group=FOLDER)] = None,
     only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     shard: Annotated[str | None, Parameter(group=FOLDER)] = None,
     merge: Annotated[Path | None, Parameter(group=FOLDER)] = None,
@@ -123,7 +124,8 @@ def batch(
     joints
         File of readings to use instead of the session's own. May be given several times.
     label
-        Value of the instrument in masks of labels, 0 to 255.
+        Part of masks of labels that is the instrument: a value (the index, in images with a palette), several such as
+        10,20,30, a colour such as '#00ff00', or any, for all values but 0.
     only
         Arm of a session.toml with several tools: estimate this one only; by default all of them. May be given several
         times.
@@ -176,15 +178,15 @@ def batch(
     check_range("--time-limit", time_limit, 0, _LONGEST_FRAME, "seconds")
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
-    if label is not None and not 0 <= label <= 255:
-        raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
     from dvrk_cmaes.cli.session_tools import read_calibration_of, session_tools, solve_crossing_tools
+    from dvrk_cmaes.frames.label import parse_label
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
 
+    wanted = None if label is None else parse_label("--label", label)
     part = None if shard is None else Shard.parse(shard)
     given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
@@ -198,7 +200,7 @@ def batch(
         name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session) for name, tool in tools.items()
     }
     for name, tool in tools.items():
-        arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
+        arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), wanted, prompts)
     for name, arm in arms.items():
         finished[name] = done = _run(
             arm,
@@ -261,7 +263,7 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
             warn(f"{name}: {text}" if name else text)
 
 
-def _with_masks_of(arm: ArmInSession, label: int | None, prompts: PromptOptions) -> ArmInSession:
+def _with_masks_of(arm: ArmInSession, label: Label | None, prompts: PromptOptions) -> ArmInSession:
     """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
     from dvrk_cmaes.frames.boxes import FramePrompts
 

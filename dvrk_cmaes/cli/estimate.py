@@ -55,7 +55,7 @@ def estimate(
     image_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
     ignore_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
     keypoints: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
-    label: Annotated[int | None, Parameter(group=FRAME)] = None,
+    label: Annotated[str | None, Parameter(group=FRAME)] = None,
     pick: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
@@ -117,9 +117,10 @@ def estimate(
     keypoints
         Pixels of the two jaw tips, u1,v1,u2,v2, in either order.
     label
-        Value of the instrument in a mask of labels, 0 to 255.
+        Part of a mask of labels that is the instrument: a value (the index, in an image with a palette), several such
+        as 10,20,30, a colour such as '#00ff00', or any, for all values but 0.
     pick
-        Pixel u,v on the instrument: use only the connected region of the mask at this pixel.
+        Pixel u,v on the instrument: use only the connected region of the mask, or of the label, at this pixel.
     model
         Segmentation of the image.
     prompts
@@ -142,10 +143,6 @@ def estimate(
     json
         Print only the result, as JSON, on stdout.
     """
-    if label is not None and pick is not None:
-        raise InputError("--label, --pick: expected one of the two, got both")
-    if label is not None and not 0 <= label <= 255:
-        raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     named = image if mask is None else mask
     if named is None:
         raise InputError("--mask: expected a mask, or an image to find it in (--image FILE), got neither")
@@ -156,15 +153,17 @@ def estimate(
     from dvrk_cmaes.cli.session_tools import read_calibration_of
     from dvrk_cmaes.frames.frame import FrameFiles, frame_size
     from dvrk_cmaes.frames.keypoints import parse_keypoints
+    from dvrk_cmaes.frames.label import parse_label
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import read_any_frame, run_frame
 
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
+    wanted = None if label is None else parse_label("--label", label)
     picked = None if pick is None else parse_pixel("pick", pick)
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
-    files = FrameFiles(name, mask, {}, image, ignore, tips, label, picked, moment)
+    files = FrameFiles(name, mask, {}, image, ignore, tips, wanted, picked, moment)
     if out is not None:
         from dvrk_cmaes.runs.ownership import check_frame_files, record_frame_files
 
@@ -174,7 +173,7 @@ def estimate(
     if mask_right is None and image_right is None:
         camera_file = camera.read(lambda: frame_size(files))
     else:
-        other = FrameFiles(files.name, mask_right, {}, image_right, ignore_right, None, label)
+        other = FrameFiles(files.name, mask_right, {}, image_right, ignore_right, None, wanted)
         files = replace(files, others={"right": other})
         camera_file = camera.read_rig(lambda: frame_size(files))
     data = read_any_frame(files, camera_file.rig)

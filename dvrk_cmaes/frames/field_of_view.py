@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 Bool = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 
+IGNORED = "the border around the picture is ignored"
+
 _BLACK = 11  # grey levels, brightness (largest channel) up to which a pixel is black
 _BLUR = 1.5  # px, standard deviation of the Gaussian that smooths the image
 _LEVEL = 6  # grey levels, largest difference of a border's pixel from its level, in each channel of a smoothed image

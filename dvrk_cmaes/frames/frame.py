@@ -19,7 +19,9 @@ from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts
+from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
+from dvrk_cmaes.frames.label import Label
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_by, seen_views
 from dvrk_cmaes.frames.video_frames import VideoFrame
 from dvrk_cmaes.io.files import read_bytes
@@ -32,15 +34,16 @@ _BESIDE = 2  # px beside another tool, where its outline and this one's cannot b
 
 @dataclass(frozen=True)
 class OtherTool:
-    """The mask of another tool in a frame, or its value in a mask of labels.
+    """The mask of another tool in a frame, or its ``label`` in a mask of labels, and the pixel that picks it there.
 
     Its pixels count neither way, as long as it is not known to be ``behind`` this tool: then they are background.
     """
 
     mask: Path
-    label: int | None = None
+    label: Label | None = None
     arm: str = ""
     behind: bool = False
+    pick: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,7 @@ class FrameFiles:
     image: Path | None = None
     ignore: Path | None = None
     keypoints: NDArray[np.float64] | None = None
-    label: int | None = None
+    label: Label | None = None
     pick: tuple[float, float] | None = None
     time: float | None = None
     prompts: FramePrompts | None = None
@@ -223,6 +226,10 @@ def _read_view(files: FrameFiles, view: View, *, blank: bool) -> tuple[SeenView,
             f"{image_path(files)}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
             f"got {_size(image.shape)}"
         )
+    border = None if image is None else outside_view(image)
+    if border is not None and border.any():
+        border = cv2.resize(border.astype(np.uint8), mask.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+        ignore, notes = border if ignore is None else ignore | border, (*notes, IGNORED)
     view = replace(view, camera=fitted)
     return seen_by(view, mask, ignore=ignore, image=image, keypoints=files.keypoints), (*files.notes, *notes)
 
@@ -285,7 +292,7 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> NDArray[np
     for tool in files.other_tools:
         if tool.behind:
             continue
-        there = read_mask(tool.mask, label=tool.label, blank=True)
+        there = read_mask(tool.mask, label=tool.label, pick=tool.pick, blank=True)
         if there.shape != shape[:2]:
             raise InputError(f"{tool.mask}: expected the {what}'s size {_size(shape)}, got {_size(there.shape)}")
         ignore = with_tool(ignore, there)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,8 +17,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named, parse_label, selected
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, read_header
+from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, palette_as_grey, read_header
 from dvrk_cmaes.io.quiet_stderr import native_messages
 
 _LARGEST = 400_000_000  # bytes
@@ -29,7 +31,7 @@ _LOST = re.compile(r"Corrupt JPEG data(?!: \d+ extraneous bytes)|Premature end o
 def read_mask(
     path: str | Path,
     *,
-    label: int | None = None,
+    label: LabelText | None = None,
     pick: tuple[float, float] | None = None,
     blank: bool = False,
 ) -> NDArray[np.bool_]:
@@ -38,9 +40,11 @@ def read_mask(
     Parameters
     ----------
     path
-        Grey image of 8 bits or of 1, or colour image with equal channels; values above 127 are instrument.
+        Grey image of 8 bits or of 1, or colour image with equal channels; values above 127 are instrument. Or JSON with
+        polygons or runs, as of `coco_mask`.
     label
-        For a mask of labels: the value, 0 to 255, of the instrument's pixels.
+        For a mask of labels: what selects the instrument's pixels, as in `label`. Of an image with a palette, the index
+        counts.
     pick
         A pixel (u, v): only its 8-connected component of the mask is returned.
     blank
@@ -56,21 +60,27 @@ def read_mask(
     InputError
         The file is not a valid mask; the message names the file and what was expected.
     """
-    grey = _read_grey(path, "a mask", values=label is not None)
     if label is None:
+        grey = _read_grey(path, "a mask")
         mask = grey > _THRESHOLD
         missing = f"expected pixels above {_THRESHOLD} on the instrument, got none (the largest value is {grey.max()}"
-        missing += "; is it a mask of labels?)" if 0 < grey.max() <= _THRESHOLD else ")"
+        missing += "; of labels, say which: --label 1, or --label any)" if 0 < grey.max() <= _THRESHOLD else ")"
     else:
-        mask = grey == label
-        values = [str(value) for value in np.unique(grey)]
-        missing = f"expected pixels of label {label}, got only {', '.join(values[:8])}{', ...' if values[8:] else ''}"
+        wanted = parse_label(f"{path}: label", label)
+        values = _read_labels(path, wanted)
+        mask = selected(values, wanted)
+        missing = f"expected pixels of label {', '.join(map(str, wanted))}, got only {named(values)}"
     if blank and (mask.all() or not mask.any()):
         return np.asarray(mask)
     if not mask.any():
         raise InputError(f"{path}: mask is empty: {missing}")
     if mask.all():
         raise InputError(f"{path}: mask is full: expected background around the instrument, got none")
+    if label is None and _is_inverted(mask):
+        raise InputError(
+            f"{path}: mask is inverted: expected pixels above {_THRESHOLD} on the instrument, got the whole edge of the "
+            f"image and {mask.mean():.0%} of it: --label 0 takes the pixels of value 0 for the instrument"
+        )
     return mask if pick is None else _component(path, mask, pick)
 
 
@@ -148,7 +158,7 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
     return data, header
 
 
-def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.uint8]:
+def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[Any]:
     """Decode an image with OpenCV's flags; InputError if it cannot be decoded."""
     try:
         with native_messages() as messages:
@@ -157,25 +167,49 @@ def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.
         pixels = None
     if pixels is None or any(_LOST.search(message) for message in messages):
         raise InputError(f"{path}: expected {what} (PNG or JPEG), got one that is damaged")
-    return np.asarray(pixels, np.uint8)
+    return np.asarray(pixels)
 
 
-def _read_grey(path: str | Path, what: str, *, values: bool = False) -> NDArray[np.uint8]:
-    """Read a grey image (H, W) of 8 bits or of 1, or one with equal channels.
+def _is_inverted(mask: NDArray[np.bool_]) -> bool:
+    """Whether a mask (H, W) has the whole edge of the image and most of its pixels, as no instrument has."""
+    return bool(mask[0].all() and mask[-1].all() and mask[:, 0].all() and mask[:, -1].all() and mask.mean() > 0.5)
 
-    With ``values``, palettes and single bits are refused.
-    """
+
+def _read_labels(path: str | Path, label: Label) -> NDArray[np.integer]:
+    """Read the values (H, W) of an image of labels, the indices of one with a palette, or colours (H, W, 3), BGR."""
+    what = "a mask of labels"
     data, header = _read_file(path, what)
-    if values and header.palette:
-        raise InputError(f"{path}: label: expected a mask of labels in plain grey, got one with a palette")
-    if header.bits != 8 and (header.bits, values) != (1, False):  # of one bit, OpenCV makes 0 and 255
+    if is_of_colours(label):
+        if len(label) > 1 and not all(isinstance(part, str) for part in label):
+            raise InputError(f"{path}: label: expected either colours or values, got {', '.join(map(str, label))}")
+        return _decode(path, data, what, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    pixels = _decode(path, palette_as_grey(data) if header.palette else data, what, cv2.IMREAD_UNCHANGED)
+    if pixels.ndim == 2:
+        return pixels // (255 // (2**header.bits - 1)) if header.bits < 8 else pixels  # decoded to the range of 8 bits
+    colours = pixels[:, :, : min(pixels.shape[2], 3)]
+    if (colours == colours[:, :, :1]).all():
+        return np.ascontiguousarray(colours[:, :, 0])
+    if ANY in label:
+        return colours
+    raise InputError(
+        f"{path}: label: expected a mask of labels in grey or with a palette, got colours: say which, such as "
+        f"--label '#00ff00' (there are {named(colours)})"
+    )
+
+
+def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
+    """Read a grey image (H, W) of 8 bits or of 1, or one with equal channels."""
+    data, header = _read_file(path, what)
+    if header.bits not in (1, 8):  # of one bit, OpenCV makes 0 and 255
         raise InputError(f"{path}: not 8-bit: expected {what} of 8 bits a pixel, got {header.bits} bits")
     pixels = _decode(path, data, what, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 2:
         return pixels
     grey = pixels[:, :, 0]
     if any(not np.array_equal(grey, pixels[:, :, k]) for k in range(1, min(pixels.shape[2], 3))):
-        raise InputError(f"{path}: expected {what} in grey, got a colour image")
+        kind = "an image with a palette" if header.palette else "a colour image"
+        hint = ", of labels by --label 1 or '#00ff00'" if what == "a mask" else ""
+        raise InputError(f"{path}: expected {what} in grey{hint}, got {kind}")
     if pixels.shape[2] == 4 and pixels[:, :, 3].min() < 255:
         raise InputError(f"{path}: expected {what} in grey, got an image with transparency")
     return np.ascontiguousarray(grey)
