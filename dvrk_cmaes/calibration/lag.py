@@ -176,7 +176,9 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
 
     def searched(low: float, high: float, step: float) -> _Searched:
         lags = step * np.arange(round(low / step), round(high / step) + 1)
-        return _Searched(lags, [_consensus_at(clock, model, modes, offset_std, Delay(lag)) for lag in lags])
+        return _Searched(
+            np.asarray(lags, np.float64), [_consensus_at(clock, model, modes, offset_std, Delay(lag)) for lag in lags]
+        )
 
     unit = clock.series.unit
     low, high = RANGE[unit]
@@ -208,8 +210,8 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
         nowhere = near.costs[best] > _NOWHERE
     if nowhere:
         return SearchedLag(
-            undetermined=f"not told in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in it; "
-            "it may lie beyond (take a first guess out by import --lag, or subtract it from the images' times)",
+            undetermined=f"not told in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in "
+            "it; it may lie beyond (take a first guess out by import --lag, or subtract it from the images' times)",
             curve=curve,
             nowhere=True,
         )
@@ -222,7 +224,7 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
 
 @dataclass(frozen=True, eq=False)
 class _Searched:
-    """What the frames agree on at each of some lags (L,); ``ends`` are those of a range of which the lags are a part."""
+    """What the frames agree on at some lags (L,); ``ends`` are those of a range of which the lags are a part."""
 
     lags: Float64
     agreed: Sequence[Consensus | None]

@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    DEFAULT_READING,
     DEFAULT_SEGMENT,
     FOLDER,
     METHOD,
@@ -29,9 +30,11 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
+    ReadingOptions,
     SegmentOptions,
     SessionOption,
     check_range,
+    joint_files,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show, warn
 from dvrk_cmaes.errors import InputError
@@ -71,6 +74,7 @@ def batch(
     lag: Annotated[str | None, Parameter(group=METHOD, allow_leading_hyphen=True)] = None,
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -122,7 +126,7 @@ def batch(
     retry_failed
         Estimate failed frames again.
     joints
-        File of readings to use instead of the session's own. May be given several times.
+        File of readings to use instead of the session's own, or none, to use none. May be given several times.
     label
         Part of masks of labels that is the instrument: a value (the index, in images with a palette), several such as
         10,20,30, a colour such as '#00ff00', or any, for all values but 0.
@@ -149,6 +153,8 @@ def batch(
         each frame from the pose that it predicts, and search globally only if that does not explain the mask.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
+    reading
+        How files of readings are read.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -200,7 +206,9 @@ def batch(
         name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session) for name, tool in tools.items()
     }
     for name, tool in tools.items():
-        arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), wanted, prompts)
+        arms[name] = _with_masks_of(
+            tool.read(session, camera, joints=joint_files(joints), reading=reading), wanted, prompts
+        )
     for name, arm in arms.items():
         finished[name] = done = _run(
             arm,

@@ -13,8 +13,10 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    DEFAULT_READING,
     DEFAULT_SEGMENT,
     FRAME,
+    NO_READINGS,
     OUTPUT,
     DoubtfulSessionOption,
     Flag,
@@ -22,6 +24,7 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
+    ReadingOptions,
     SegmentOptions,
     SessionOption,
     parse_pixel,
@@ -35,10 +38,9 @@ if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile
     from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.joints.reading import FrameReadings
+    from dvrk_cmaes.joints.reading import FrameReadings, ReadAs
 
 EXIT_CODES = {"ok": 0, "failed": 1, "doubtful": 3}
-NO_READINGS = "none"
 
 _Hyphens = Parameter(allow_leading_hyphen=True)
 
@@ -61,6 +63,8 @@ def estimate(
     prompts: PromptOptions = DEFAULT_PROMPTS,
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
+    only: Annotated[str | None, Parameter(group=FRAME)] = None,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: FrameCameraOptions,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -131,6 +135,10 @@ def estimate(
         frame's time less the lag; readings given as values are not changed.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
+    only
+        Arm, such as PSM1, whose joints are read of files with those of several.
+    reading
+        How files of readings are read.
     camera
         The camera.
     instrument
@@ -151,7 +159,7 @@ def estimate(
     if mask is not None and (prompts, model) != (DEFAULT_PROMPTS, DEFAULT_SEGMENT):
         raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
     from dvrk_cmaes.cli.session_tools import read_calibration_of
-    from dvrk_cmaes.frames.frame import FrameFiles, frame_size
+    from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.keypoints import parse_keypoints
     from dvrk_cmaes.frames.label import parse_label
     from dvrk_cmaes.io.atomic import json_text
@@ -163,7 +171,7 @@ def estimate(
     wanted = None if label is None else parse_label("--label", label)
     picked = None if pick is None else parse_pixel("pick", pick)
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
-    files = FrameFiles(name, mask, {}, image, ignore, tips, wanted, picked, moment)
+    files = FrameFiles(name, mask, {}, image, ignore, tips, wanted, picked, moment, crop=camera.fit.crop)
     if out is not None:
         from dvrk_cmaes.runs.ownership import check_frame_files, record_frame_files
 
@@ -171,16 +179,16 @@ def estimate(
         check_frame_files(out, [path(out, name) for path in kinds])
     camera_file: CameraFile | RigFile
     if mask_right is None and image_right is None:
-        camera_file = camera.read(lambda: frame_size(files))
+        camera_file = camera.read(files)
     else:
-        other = FrameFiles(files.name, mask_right, {}, image_right, ignore_right, None, wanted)
+        other = FrameFiles(files.name, mask_right, {}, image_right, ignore_right, None, wanted, crop=files.crop)
         files = replace(files, others={"right": other})
-        camera_file = camera.read_rig(lambda: frame_size(files))
+        camera_file = camera.read_rig(files)
     data = read_any_frame(files, camera_file.rig)
     body = instrument.load()
     known = read_calibration_of(calibration, doubtful=doubtful_session)
     lag = None if known is None else known.applied_lag
-    read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
+    read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag, reading.read_as(only))
     files = replace(files, readings=read.readings)
     data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
     run = run_frame(
@@ -192,7 +200,7 @@ def estimate(
         out=out,
         session=known,
         settings=model.resolve(),
-        hints=prompts.resolve(),
+        hints=prompts.resolve().within(files.crop),
     )
     if out is not None:
         record_frame_files(out, run.written)
@@ -215,7 +223,13 @@ def _moment(time: str | None, image: str) -> float | None:
 
 
 def _readings(
-    joints: Sequence[str], frame: str | None, image: str, time: str | None, known: Sequence[str], lag: Lag | None
+    joints: Sequence[str],
+    frame: str | None,
+    image: str,
+    time: str | None,
+    known: Sequence[str],
+    lag: Lag | None,
+    read_as: ReadAs,
 ) -> FrameReadings:
     """Read the readings of a frame; empty if ``--joints none`` is given."""
     from dvrk_cmaes.joints.reading import FrameReadings, read_frame_joints
@@ -224,4 +238,4 @@ def _readings(
     if tuple(joints) == (NO_READINGS,):
         return FrameReadings()
     moment = None if time is None else parse_time("--time", time)
-    return read_frame_joints(joints, frame=frame, image=image, time=moment, known=known, lag=lag)
+    return read_frame_joints(joints, frame=frame, image=image, time=moment, known=known, lag=lag, read_as=read_as)

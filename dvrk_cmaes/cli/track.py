@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    DEFAULT_READING,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
@@ -27,6 +28,7 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
+    ReadingOptions,
     SessionOption,
     check_range,
 )
@@ -71,6 +73,7 @@ def track(
     recording: VideoOptions = DEFAULT_VIDEO,
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -152,6 +155,8 @@ def track(
         it is used instead of the keyframes' solution. With --causal its base, offsets and lag are the start.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
+    reading
+        How files of readings are read.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -194,7 +199,7 @@ def track(
     arms: dict[str, ArmInSession] = {}
     settings: dict[str, TrackSettings] = {}
     for name, tool in tools.items():
-        arm = source.read(tool, camera, recording, joints=files)
+        arm = source.read(tool, camera, recording, joints=None if joints == "none" else files, reading=reading)
         timed, doubled = with_increasing_times(arm.session)
         if doubled:
             warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
@@ -210,7 +215,8 @@ def track(
             fps,
             causal,
             used,
-            (hints_of(followed.frames[0]) if prompts == DEFAULT_PROMPTS else None) or prompts.resolve(),
+            (hints_of(followed.frames[0]) if prompts == DEFAULT_PROMPTS else None)
+            or prompts.resolve().within(followed.frames[0].crop),
             workers,
         )
     with stopping_on_interrupt() as stop:

@@ -14,7 +14,7 @@ from dvrk_cmaes.cli.options import LATEST, check_range
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.cli.options import CameraOptions
+    from dvrk_cmaes.cli.options import CameraOptions, ReadingOptions
     from dvrk_cmaes.cli.session_tools import SessionTool
     from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
@@ -76,11 +76,11 @@ class Source:
         """
         from dvrk_cmaes.frames.session_video import own_video
         from dvrk_cmaes.frames.video_frames import SUFFIXES
-        from dvrk_cmaes.recording.bag import SUFFIXES as BAGS
+        from dvrk_cmaes.recording.bag import is_bag
 
         if path.suffix.lower() in SUFFIXES and not path.is_dir():
             return Source(path.parent, path)
-        if path.suffix.lower() in BAGS or (path / "metadata.yaml").exists():
+        if is_bag(path):
             return Source(_imported(path, out / _IMPORTED, camera, joints))
         if not path.is_dir():
             raise InputError(f"{path}: expected a session folder, a video or a ROS recording, got neither")
@@ -93,14 +93,16 @@ class Source:
         camera: CameraOptions,
         video: VideoOptions,
         *,
-        joints: Sequence[Path],
+        joints: Sequence[Path] | None,
+        reading: ReadingOptions,
     ) -> ArmInSession:
         """Read the session of a tool."""
         if self.video is None:
             if video != DEFAULT_VIDEO:
                 raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
-            return tool.read(self.folder, camera, joints=joints)
-        return tool.read(self.folder, camera, joints=joints, video=video.open(self.video, camera.side))
+            return tool.read(self.folder, camera, joints=joints, reading=reading)
+        opened = video.open(self.video, camera.side)
+        return tool.read(self.folder, camera, joints=joints, reading=reading, video=opened)
 
 
 def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:

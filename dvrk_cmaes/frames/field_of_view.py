@@ -37,9 +37,10 @@ def outside_view(image: Image) -> Bool:
     corners and 1 % of its pixels. The picture is the convex hull of the largest part of the other pixels, for it also
     contains a dark shaft that is connected to the border; the result is what is outside of it, widened by the edge's
     transition. A border that is not black must have a whole side of the image, or all corners, and the picture not much
-    of its level: an object before a plain background has no border. Otherwise, or if the image is all border, no pixel is outside.
+    of its level: an object before a plain background has no border. Otherwise, or if the image is all border, no pixel
+    is outside.
     """
-    smooth = cv2.GaussianBlur(image, (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
+    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE), np.uint8)
     inside = np.ones(image.shape[:2], np.bool_)
     for border, plain in _borders(smooth):
         picture = _picture(border)
@@ -54,7 +55,7 @@ def outside_view(image: Image) -> Bool:
 
 
 def _borders(smooth: Image) -> Iterator[tuple[Bool, bool]]:
-    """Yield the pixels (H, W) that are connected to corners and black, or of a corner's level, and whether of a level."""
+    """Yield the pixels (H, W) connected to corners that are black, or of a corner's level, and whether of a level."""
     height, width = smooth.shape[:2]
     corners = [(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)]
     levels = np.array([smooth[v, u] for u, v in corners], np.int16)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,13 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named, parse_label, selected
+from dvrk_cmaes.frames.coco_mask import read_coco_mask
+from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named, named_part, parse_label, selected
+from dvrk_cmaes.frames.label import EXPECTED as LABEL
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, palette_as_grey, read_header
 from dvrk_cmaes.io.quiet_stderr import native_messages
+from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 400_000_000  # bytes
 _THRESHOLD = 127
@@ -34,6 +38,7 @@ def read_mask(
     label: LabelText | None = None,
     pick: tuple[float, float] | None = None,
     blank: bool = False,
+    name: str | None = None,
 ) -> NDArray[np.bool_]:
     """Read an instrument mask.
 
@@ -49,6 +54,8 @@ def read_mask(
         A pixel (u, v): only its 8-connected component of the mask is returned.
     blank
         Accept a mask that is empty or full, as in images of a recording in which the instrument is not in view.
+    name
+        Name of the frame, for a file with the masks of many.
 
     Returns
     -------
@@ -60,7 +67,11 @@ def read_mask(
     InputError
         The file is not a valid mask; the message names the file and what was expected.
     """
-    if label is None:
+    if Path(path).suffix.lower() == ".json":
+        kinds = None if label is None else frozenset([label] if isinstance(label, str) else map(str, _parts(label)))
+        mask = read_coco_mask(Path(path), name, kinds)
+        missing = "expected annotations of the instrument, got none"
+    elif label is None:
         grey = _read_grey(path, "a mask")
         mask = grey > _THRESHOLD
         missing = f"expected pixels above {_THRESHOLD} on the instrument, got none (the largest value is {grey.max()}"
@@ -76,10 +87,10 @@ def read_mask(
         raise InputError(f"{path}: mask is empty: {missing}")
     if mask.all():
         raise InputError(f"{path}: mask is full: expected background around the instrument, got none")
-    if label is None and _is_inverted(mask):
+    if label is None and not mask.all() and _is_inverted(mask):
         raise InputError(
-            f"{path}: mask is inverted: expected pixels above {_THRESHOLD} on the instrument, got the whole edge of the "
-            f"image and {mask.mean():.0%} of it: --label 0 takes the pixels of value 0 for the instrument"
+            f"{path}: mask is inverted: expected pixels above {_THRESHOLD} on the instrument, got the whole edge of "
+            f"the image and {mask.mean():.0%} of it: --label 0 takes the pixels of value 0 for the instrument"
         )
     return mask if pick is None else _component(path, mask, pick)
 
@@ -170,6 +181,11 @@ def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[Any
     return np.asarray(pixels)
 
 
+def _parts(label: LabelText) -> Sequence[int | str]:
+    """Return the parts of a label."""
+    return [label] if isinstance(label, int | str) else label
+
+
 def _is_inverted(mask: NDArray[np.bool_]) -> bool:
     """Whether a mask (H, W) has the whole edge of the image and most of its pixels, as no instrument has."""
     return bool(mask[0].all() and mask[-1].all() and mask[:, 0].all() and mask[:, -1].all() and mask.mean() > 0.5)
@@ -178,6 +194,9 @@ def _is_inverted(mask: NDArray[np.bool_]) -> bool:
 def _read_labels(path: str | Path, label: Label) -> NDArray[np.integer]:
     """Read the values (H, W) of an image of labels, the indices of one with a palette, or colours (H, W, 3), BGR."""
     what = "a mask of labels"
+    name = named_part(label)
+    if name is not None:
+        raise InputError(f"{path}: label: expected {LABEL}, got {shown(name)} (names are those of categories in JSON)")
     data, header = _read_file(path, what)
     if is_of_colours(label):
         if len(label) > 1 and not all(isinstance(part, str) for part in label):

@@ -1,7 +1,7 @@
 """Labels that select an instrument's pixels in a mask: values, colours, or everything but the background.
 
 A label is written as a number (``1``), several (``10,20,30``, the parts of one instrument), a colour (``#00ff00``), or
-``any``, for all values but zero.
+``any``, for all values but zero. In masks as JSON, it is the number or the name of a category.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
 Label = tuple[int | str, ...]
-"""Values, colours ``#rrggbb`` and ``any``, each of which selects pixels."""
+"""Values, colours ``#rrggbb``, ``any`` and names of categories, each of which selects pixels."""
 
 LabelText = int | str | Sequence[int | str]
 """A label as it is given: a number, a text, or a list of these."""
@@ -25,6 +25,7 @@ ANY = "any"
 EXPECTED = "a value of a mask, 0 to 65535, several (10,20,30), a colour (#00ff00), or any for all but 0"
 
 _COLOUR = re.compile(r"#[0-9a-f]{6}")
+_NAME = re.compile(r"[A-Za-z_][\w .-]*")  # of a category of COCO's
 _LARGEST = 65535
 _MOST_NAMED = 8
 
@@ -47,12 +48,19 @@ def _parsed(where: str, part: object) -> int | str:
         return text
     if text.isascii() and text.isdigit() and int(text) <= _LARGEST:
         return int(text)
+    if _NAME.fullmatch(str(part).strip()):
+        return str(part).strip()
     raise InputError(f"{where}: expected {EXPECTED}, got {shown(part)}")
 
 
 def is_of_colours(label: Label) -> bool:
     """Whether a label has a colour."""
-    return any(isinstance(part, str) and part != ANY for part in label)
+    return any(isinstance(part, str) and part.startswith("#") for part in label)
+
+
+def named_part(label: Label) -> str | None:
+    """Return the first part that is the name of a category, which only JSON has; None without one."""
+    return next((part for part in label if isinstance(part, str) and part != ANY and not part.startswith("#")), None)
 
 
 def selected(values: NDArray[np.integer], label: Label) -> NDArray[np.bool_]:

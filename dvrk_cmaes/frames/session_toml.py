@@ -30,7 +30,9 @@ from typing import Final, Literal
 from msgspec import Struct
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.frames.frame import Window
 from dvrk_cmaes.frames.label import Label, parse_label
+from dvrk_cmaes.frames.picture_fit import PictureFit, parse_crop
 from dvrk_cmaes.io.toml_file import read_toml
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.paths import check_frame_name
@@ -41,12 +43,22 @@ _EXPECTED = {str: "text in quotes", dict: "a table", tuple: "a list of tables"}
 
 @dataclass(frozen=True)
 class CameraEntry:
-    """Camera files of a session: ``file`` of one camera or both eyes, or ``left`` and ``right``."""
+    """Camera files of a session: ``file`` of one camera or both eyes, or ``left`` and ``right``.
+
+    ``crop`` and ``stretch`` tell how the pictures fit them, as in `PictureFit`.
+    """
 
     file: Path | None = None
     left: Path | None = None
     right: Path | None = None
     rectified: bool = False
+    crop: Window | None = None
+    stretch: bool = False
+
+    @property
+    def fit(self) -> PictureFit:
+        """How the pictures fit the camera files."""
+        return PictureFit(self.crop, self.stretch)
 
 
 @dataclass(frozen=True)
@@ -92,6 +104,8 @@ class _Camera(Struct, forbid_unknown_fields=True, frozen=True):
     left: str | None = None
     right: str | None = None
     rectified: bool = False
+    crop: tuple[int, int, int, int] | None = None
+    stretch: bool = False
 
 
 class _Tool(Struct, forbid_unknown_fields=True, frozen=True):
@@ -130,7 +144,14 @@ def read_session_toml(folder: str | Path) -> SessionEntries | None:
     _check_keys(path, document)
     read = convert_document(str(path), document, _Document, _EXPECTED)
     own = read.camera
-    camera = CameraEntry(_within(root, own.file), _within(root, own.left), _within(root, own.right), own.rectified)
+    camera = CameraEntry(
+        _within(root, own.file),
+        _within(root, own.left),
+        _within(root, own.right),
+        own.rectified,
+        None if own.crop is None else parse_crop(f"{path}: camera.crop", own.crop),
+        own.stretch,
+    )
     tools = tuple(_tool(root, tool) for tool in read.tool)
     _check_tools(path, tools)
     return SessionEntries(path, camera, tools)
@@ -154,6 +175,8 @@ def _entries(table: CameraEntry | ToolEntry) -> Iterator[str]:
             yield f"{name} = {value}"
         elif isinstance(value, str | Path):
             yield f"{name} = {_quoted(value)}"
+        elif name == "label" and isinstance(value, tuple) and len(value) == 1:
+            yield f"{name} = {json.dumps(value[0])}"
         elif isinstance(value, tuple) and value:
             yield f"{name} = {json.dumps(value, ensure_ascii=False)}"
 

@@ -5,8 +5,8 @@ Four formats are read:
 - joints.csv of a session: columns ``frame`` (text: "0026" is not "26"), ``time`` in seconds, or both, and any joints.
 - a topic written by jhu-dvrk's data_collection: comment lines ``# Topic:`` and ``# Type:``, then the columns
   ``timestamp`` (ns) and a message's fields, ``name.0 ...`` and ``position.0 ...``.
-- a table with a column of times (``time``, ``timestamp``, ``time_ms``) or no labels at all, and columns of joints, which
-  may have ROS prefixes. Without a header, the columns are named by the user.
+- a table with a column of times (``time``, ``timestamp``, ``time_ms``) or no labels at all, and columns of joints,
+  which may have ROS prefixes. Without a header, the columns are named by the user.
 - a table with the columns ``measured_q1`` to ``measured_q6``, without the jaw. Its columns ``measured_x, y, z`` are a
   point of the arm, not the tip, and are not used.
 """
@@ -71,12 +71,12 @@ def read_joint_csv(
 def _joint_table(
     path: str, header: list[str], rows: Rows, names: Sequence[str], arm: str | None, *, numbered: bool
 ) -> JointFile:
-    """Read the rows of a joints.csv, or of another table of joints, with frames, times, or, if ``numbered``, neither."""
+    """Read a joints.csv, or another table of joints: with frames, times, or, if ``numbered``, neither."""
     time = time_column(path, header)
     if "frame" not in header and time is None and not numbered:
         raise InputError(
-            f"{path}: header: expected a column frame or time and columns of joints, got {listed(header)} (rows that are "
-            "only counted are read with --columns and the names of the columns)"
+            f"{path}: header: expected a column frame or time and columns of joints, got {listed(header)} (rows that "
+            "are only counted are read with --columns and the names of the columns)"
         )
     joints = [name for name in header if name not in ("frame", time, "-")]
     places = joints_of_arm(f"{path}: header", joints, names, arm)

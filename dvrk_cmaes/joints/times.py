@@ -1,7 +1,7 @@
 """Parsing of times to whole nanoseconds, and of the times of a session's images.
 
-A column of times is in seconds, or in the unit at the end of its name (``time_ms``). Times since 1970 in ms, us or ns are
-recognised by their magnitude, which a time in seconds reaches only in 3,000 years.
+A column of times is in seconds, or in the unit at the end of its name (``time_ms``). Times since 1970 in ms, us or ns
+are recognised by their magnitude, which a time in seconds reaches only in 3,000 years.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.frames.session_folder import is_session_layout
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.yaml_file import check_yaml
@@ -36,6 +37,15 @@ _LARGEST_MESSAGE, _LARGEST_IMAGE = 2**20, 400_000_000  # bytes
 SUFFIXES_2 = (".mcap", ".db3")
 SUFFIXES = (".bag", *SUFFIXES_2)
 """Suffixes of ROS recordings; a recording may also be a folder."""
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a ROS recording: a file with its suffix, or a folder with such files that is no session."""
+    if not path.is_dir():
+        return path.suffix.lower() in SUFFIXES
+    if is_session_layout(path):
+        return False
+    return (path / "metadata.yaml").exists() or any(file.suffix in SUFFIXES_2 for file in path.iterdir())
 
 
 @contextmanager
@@ -170,9 +180,8 @@ def _files(path: Path) -> list[Path]:
             return [path]
     files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES_2)
     if not files:
-        raise InputError(
-            f"{path}: expected a ROS 2 recording with a .mcap or .db3 file, got {listed(sorted(os.listdir(path))) or 'none'}"
-        )
+        there = listed(sorted(os.listdir(path))) or "none"
+        raise InputError(f"{path}: expected a ROS 2 recording with a .mcap or .db3 file, got {there}")
     return files
 
 

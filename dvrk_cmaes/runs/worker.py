@@ -165,7 +165,7 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result
 def hints_of(files: FrameFiles) -> Hints | None:
     """Return the prompts of a frame for its segmentation; None without any."""
     prompts = files.prompts
-    return None if prompts is None else Hints(prompts.box, prompts.points, prompts.not_points)
+    return None if prompts is None else Hints(prompts.box, prompts.points, prompts.not_points).within(files.crop)
 
 
 def _outcome(

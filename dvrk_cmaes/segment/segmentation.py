@@ -65,6 +65,15 @@ class Hints:
         """Return plain values, for JSON."""
         return encoded_fields(self, "box", "points", "not_points")
 
+    def within(self, crop: tuple[int, int, int, int] | None) -> Hints:
+        """Return the prompts in pixels of a part of the image: left, top, width and height, px; None for all of it."""
+        if crop is None:
+            return self
+        left, top, *_ = crop
+        box = self.box and (self.box[0] - left, self.box[1] - top, self.box[2] - left, self.box[3] - top)
+        points, not_points = ([(u - left, v - top) for u, v in each] for each in (self.points, self.not_points))
+        return Hints(box, points, not_points)
+
 
 def check_background(background: NDArray[np.uint8]) -> None:
     """Raise InputError for a background that is not (h, w, 3) uint8."""
