@@ -34,7 +34,6 @@ from dvrk_cmaes.cli.options import (
     SegmentOptions,
     SessionOption,
     check_range,
-    joint_files,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show, warn
 from dvrk_cmaes.errors import InputError
@@ -206,9 +205,7 @@ def batch(
         name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session) for name, tool in tools.items()
     }
     for name, tool in tools.items():
-        arms[name] = _with_masks_of(
-            tool.read(session, camera, joints=joint_files(joints), reading=reading), wanted, prompts
-        )
+        arms[name] = _with_masks_of(tool.read(session, camera, joints=joints, reading=reading), wanted, prompts)
     for name, arm in arms.items():
         finished[name] = done = _run(
             arm,

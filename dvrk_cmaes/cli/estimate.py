@@ -27,6 +27,7 @@ from dvrk_cmaes.cli.options import (
     ReadingOptions,
     SegmentOptions,
     SessionOption,
+    joint_files,
     parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import show, warn
@@ -237,5 +238,11 @@ def _readings(
 
     if tuple(joints) == (NO_READINGS,):
         return FrameReadings()
+    from dvrk_cmaes.joints.reading import is_written_out
+
+    texts = [text for text in joints if is_written_out(text)]
+    files = joint_files([Path(text) for text in joints if text not in texts], read_as.arm) or ()
     moment = None if time is None else parse_time("--time", time)
-    return read_frame_joints(joints, frame=frame, image=image, time=moment, known=known, lag=lag, read_as=read_as)
+    return read_frame_joints(
+        [*texts, *files], frame=frame, image=image, time=moment, known=known, lag=lag, read_as=read_as
+    )

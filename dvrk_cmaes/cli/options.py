@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.frames.session_video import SessionVideo
-    from dvrk_cmaes.joints.rows import ReadAs
+    from dvrk_cmaes.joints.rows import JointFile, ReadAs
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
@@ -119,7 +119,7 @@ class CameraOptions:
         folder: Path,
         *,
         known: Iterable[str],
-        joints: Sequence[Path] | None = (),
+        joints: Sequence[Path | JointFile] | None = (),
         reading: ReadingOptions,
         entries: SessionEntries | None,
         tool: ToolEntry,
@@ -210,9 +210,13 @@ class ReadingOptions:
         return ReadAs(arm or None, named, offset, self.frame_step)
 
 
-def joint_files(given: Sequence[Path]) -> Sequence[Path] | None:
-    """Return the files that --joints names, or None for none."""
-    return None if tuple(given) == (Path(NO_READINGS),) else given
+def joint_files(given: Sequence[Path], arm: str | None = None) -> Sequence[Path | JointFile] | None:
+    """Return the files that --joints names, or None for none; the readings of an arm in a ROS recording are read."""
+    if not given or tuple(given) == (Path(NO_READINGS),):
+        return None if given else ()
+    from dvrk_cmaes.recording.bag import is_bag, read_bag_joints
+
+    return [read_bag_joints(path, arm) if path.exists() and is_bag(path) else path for path in given]
 
 
 @Parameter(name="*", group=INSTRUMENT)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions
+from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
 from dvrk_cmaes.cli.terminal import warn
 from dvrk_cmaes.errors import InputError
 
@@ -67,17 +67,18 @@ class SessionTool:
         from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
         body = self.options.load()
+        files = None if joints is None else joint_files(joints, self.tool.arm or None)
         session = camera.read_session(
             folder,
             known=body.instrument.joint_names,
-            joints=joints,
+            joints=files,
             reading=reading,
             entries=self.entries,
             tool=self.tool,
             video=video,
         )
-        for note in session.notes:
-            if note.startswith((COUNTS_DIFFER, NO_READINGS)) and joints is not None:
+        for note in session.notes if files is not None else ():
+            if note.startswith((COUNTS_DIFFER, NO_READINGS)):
                 warn(f"{folder}: {note}")
         return ArmInSession(session, body, self.options.kinematics)
 

@@ -356,8 +356,8 @@ def _meeting(
         if not common:
             raise InputError(
                 f"{file.path}: none of {len(labels)} rows ({listed(labels, 2)}) has a frame's name "
-                f"({listed(frames, 2)}): say which row frame 0 has (--frame-offset), and how many rows a frame is "
-                "from the next (--frame-step, 1 by default), or give the times of images (images.csv) and rows (a column time)"
+                f"({listed(frames, 2)}): say which row frame 0 has (--frame-offset), and how many rows a frame is from "
+                "the next one (--frame-step), or give the times of images (images.csv) and rows (a column time)"
             )
         numbers = [number_of(name) for name in frames]
         counted = numbers in (list(range(len(frames))), list(range(1, len(frames) + 1)))

@@ -188,7 +188,7 @@ def frame_readings(
 
 
 def read_frame_joints(
-    sources: Sequence[str | Path],
+    sources: Sequence[str | Path | JointFile],
     *,
     frame: str | None,
     image: str,
@@ -202,7 +202,7 @@ def read_frame_joints(
     Parameters
     ----------
     sources
-        Texts or paths as for ``read_joints``; each joint must be in one of them only.
+        Texts or paths as for ``read_joints``, or files; each joint must be in one of them only.
     frame
         The frame's name, or None; if it is given, the sources must have its row.
     image
@@ -224,7 +224,10 @@ def read_frame_joints(
         As for ``frame_readings``; the frame has no row; there are no readings at its time less the lag.
     """
     name = image if frame is None else frame
-    files = [read_joint_file(source, known=known, read_as=read_as) for source in sources]
+    files = [
+        source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
+        for source in sources
+    ]
     if read_as.offset is not None:
         files = [
             file if file.labels == "message" else file.by_number([name], read_as.offset, read_as.step) for file in files

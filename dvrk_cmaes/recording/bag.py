@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,14 +19,15 @@ from dvrk_cmaes.frames.session_folder import is_session_layout
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.yaml_file import check_yaml
-from dvrk_cmaes.joints.interpolation import TimedReadings
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import IN_ORDER, without_positions
+from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import image_file, joint_places, joint_values, stamp
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
-from dvrk_cmaes.recording.topics import TopicRequest, Topics, choose_topics
+from dvrk_cmaes.recording.topics import IMAGES, NONE, TopicRequest, Topics, choose_topics
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -55,9 +58,9 @@ def open_bag(
     *,
     recorded_times: bool = False,
     camera: Path | None = None,
-    joints: Path | PoseTable | None = None,
+    joints: Path | PoseTable | JointFile | None = None,
     side: Side | None = None,
-    arm: str | None = None,
+    arms: Sequence[str] = (),
 ) -> Iterator[Recording]:
     """Open a ROS recording; readings and camera are read at once, images during iteration.
 
@@ -71,11 +74,12 @@ def open_bag(
         Use the times at which messages were recorded instead of those in their headers. This is also done, with a note,
         if the headers of a topic have no times, or times that do not advance.
     camera, joints
-        A camera file, and a file of time-stamped readings, to use instead of the recording's topics.
+        A camera file, and a file of time-stamped readings, to use instead of the recording's topics. A recording
+        without images needs no camera.
     side
         The eye of a stereo endoscope, which is a word in the name of its images' topic; None for one camera.
-    arm
-        The arm whose topics are read, or whose joints of topics with those of several; None for the only one.
+    arms
+        The arms whose topics are read, or whose joints of topics with those of several; none for the only one.
 
     Raises
     ------
@@ -84,7 +88,7 @@ def open_bag(
     """
     with _open(path) as reader:
         with _errors_as_input_errors(path):
-            recording = _recording(reader, path, requested, recorded_times, camera, joints, side, arm)
+            recording = _recording(reader, path, requested, recorded_times, camera, joints, side, arms)
         yield recording  # outside the inner context: errors of the caller are not damage of the recording
 
 
@@ -94,39 +98,108 @@ def _recording(
     requested: TopicRequest,
     recorded_times: bool,
     camera: Path | None,
-    joints: Path | PoseTable | None,
+    joints: Path | PoseTable | JointFile | None,
     side: Side | None,
-    arm: str | None,
+    arms: Sequence[str],
 ) -> Recording:
     """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""
-    topics = choose_topics(
-        path, _types(reader), requested, camera=camera is None, joints=joints is None, side=side, arm=arm
-    )
-    notes = [f"images: {topics.image}"]
-    if "_rect" in topics.image:
-        notes.append(f"{topics.image}: by their name these images are rectified: then say --rectified to estimate")
-    lens, changes = _camera(reader, path, topics) if camera is None else (read_camera_bytes(camera), "")
-    notes.append(f"camera: {camera or topics.camera}{changes}")
-    read = [_Readings.of(reader, path, name, arm) for name in (topics.joints, topics.jaw) if name is not None]
-    first = [stamp(message) for _, message in islice(_messages(reader, path, topics.image), _JUDGED)]
-    stamps = {topics.image: first, **{own.topic: own.stamps for own in read}}
+    types = _types(reader)
+    has_images = requested.image is not None or any(kind in IMAGES for kind in types.values())
+    chosen = {
+        arm: choose_topics(
+            path,
+            types,
+            requested,
+            images=has_images,
+            camera=camera is None,
+            joints=joints is None,
+            side=side,
+            arm=arm or None,
+        )
+        for arm in arms or ("",)
+    }
+    topics = next(iter(chosen.values()))
+    read = {
+        arm: [_Readings.of(reader, path, name, arm or None) for name in (own.joints, own.jaw) if name is not None]
+        for arm, own in chosen.items()
+    }
+    stamps = {own.topic: own.stamps for of_arm in read.values() for own in of_arm}
+    notes: list[str] = []
+    lens = b""
+    if topics.image is None:
+        notes.append("images: none, readings only")
+    else:
+        notes.append(f"images: {topics.image}")
+        if "_rect" in topics.image:
+            notes.append(f"{topics.image}: by their name these images are rectified: then say --rectified")
+        lens, changes = _camera(reader, path, topics) if camera is None else (read_camera_bytes(camera), "")
+        notes.append(f"camera: {camera or topics.camera}{changes}")
+        stamps |= {topics.image: [stamp(m) for _, m in islice(_messages(reader, path, topics.image), _JUDGED)]}
     faults = [f"{name} {fault}" for name, each in stamps.items() if (fault := _fault(each))]
     if faults and not recorded_times:
         notes.append(f"times: those of recording, for the headers on {', and on '.join(faults)}")
     else:
         notes.append(f"times: {'those of recording' if recorded_times else 'those of the headers'}")
     by_recording = recorded_times or bool(faults)
-    readings = [own.series(recorded_times=by_recording) for own in read]
+    series = {arm: [own.series(recorded_times=by_recording) for own in of_arm] for arm, of_arm in read.items()}
     if joints is not None:
-        readings += read_timed_joints(joints)
-    notes += [f"{' '.join(series.joints)}: {series.source}" for series in readings]
-    notes += [f"{own.topic}: {note}" for own in read for note in own.notes]
-    if topics.joints is not None and not any("jaw" in series.joints for series in readings):
-        notes.append("jaw: not read")
-    total = sum(connection.msgcount for connection in reader.connections if connection.topic == topics.image)
+        series = {arm: [*own, *read_timed_joints(joints, arm or None)] for arm, own in series.items()}
+    for arm, of_arm in series.items():
+        name = f"{arm}: " if len(series) > 1 else ""
+        notes += [f"{name}{' '.join(own.joints)}: {own.source}" for own in of_arm]
+        notes += [f"{own.topic}: {note}" for own in read[arm] for note in own.notes]
+        if of_arm and not any("jaw" in own.joints for own in of_arm):
+            notes.append(f"{name}jaw: not read")
+    images = iter(()) if topics.image is None else _images(reader, path, topics.image, by_recording)
     return Recording(
-        path, _images(reader, path, topics.image, by_recording), total, lens, tuple(readings), tuple(notes)
+        path,
+        images,
+        sum(connection.msgcount for connection in reader.connections if connection.topic == topics.image),
+        lens,
+        tuple(own for of_arm in series.values() for own in of_arm),
+        tuple(notes),
+        arms={arm: tuple(own) for arm, own in series.items()} if len(series) > 1 else {},
+        has_images=has_images,
     )
+
+
+def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
+    """Read the readings of an arm in a ROS recording as a file of readings with times; errors as `open_bag`."""
+    with open_bag(path, TopicRequest(image=NONE), arms=() if arm is None else (arm,)) as recording:
+        rows = {
+            f"message {k + 1} of {series.source}": JointRow(
+                f"{path}: {series.source}: message {k + 1}",
+                dict(zip(series.joints, ("" if math.isnan(value) else value for value in row), strict=True)),
+                int(time),
+            )
+            for series in recording.readings
+            for k, (time, row) in enumerate(zip(series.times, series.values.tolist(), strict=True))
+        }
+    return JointFile(str(path), "ROS recording", rows, "message", recording.notes)
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """A topic of a ROS recording: its name and type, the number of its messages, and these by second."""
+
+    name: str
+    kind: str
+    count: int
+    rate: float
+
+
+def list_topics(path: Path) -> tuple[float, list[TopicSummary]]:
+    """Return the duration of a ROS recording, s, and its topics by name; errors as `open_bag`."""
+    with _open(path) as reader, _errors_as_input_errors(path):
+        seconds = max(reader.end_time - reader.start_time, 0) / NANOSECONDS
+        counts: Counter[tuple[str, str]] = Counter()
+        for connection in reader.connections:
+            counts[connection.topic, connection.msgtype.replace("/msg/", "/")] += connection.msgcount
+        topics = [
+            TopicSummary(name, kind, count, (count - 1) / seconds if count > 1 and seconds else 0.0)
+            for (name, kind), count in sorted(counts.items())
+        ]
+    return seconds, topics
 
 
 def _types(reader: AnyReader) -> dict[str, str]:
@@ -213,6 +286,7 @@ def _messages(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[int, 
 def _camera(reader: AnyReader, path: Path, topics: Topics) -> tuple[bytes, str]:
     """Return the camera file of the first CameraInfo message, and a note if later messages differ."""
     assert topics.camera is not None
+    assert topics.image is not None
     name = topics.image.strip("/").replace("/", "_")
     first: bytes | None = None
     others = 0

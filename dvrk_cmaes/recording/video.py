@@ -14,6 +14,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import open_capture
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.messages import encode_png
 from dvrk_cmaes.recording.pose_table import PoseTable
@@ -25,7 +26,7 @@ _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or
 
 @contextmanager
 def open_video(
-    path: Path, *, camera: Path | None, joints: Path | PoseTable | None, start: float = 0.0
+    path: Path, *, camera: Path | None, joints: Path | PoseTable | JointFile | None, start: float = 0.0
 ) -> Iterator[Recording]:
     """Open a video; images are decoded during iteration.
 

@@ -59,7 +59,7 @@ def test_paths_are_relative_to_the_session(tmp_path: Path) -> None:
 
 def test_written_entries_are_read_back(tmp_path: Path) -> None:
     camera = CameraEntry(left=Path("left.yaml"), right=Path("right.yaml"), rectified=True)
-    tool = ToolEntry("PSM1", "si", 'a "b".urdf', {"dvrk_model": Path("/x y")}, "wrist", Path("t.json"), 3)
+    tool = ToolEntry("PSM1", "si", 'a "b".urdf', {"dvrk_model": Path("/x y")}, "wrist", Path("t.json"), (3,))
     text = session_toml(camera, [tool, replace(tool, arm="PSM2", label=None, masks=Path("m"), joints=Path("j.csv"))])
     entries = described(tmp_path, text)
     assert (entries.camera.left, entries.camera.rectified) == (tmp_path / "left.yaml", True)
