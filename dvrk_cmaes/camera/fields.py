@@ -179,6 +179,7 @@ def unknown_layout(where: str, document: Mapping[str, Any]) -> InputError:
     """Return the error for a file of unknown format."""
     return InputError(
         f"{where}: expected a camera file: ROS camera_info (camera_matrix and projection_matrix, K and P, or k and p), "
-        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0) or plain (intrinsic), "
+        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0), plain (intrinsic), or fx, fy, cx, cy "
+        "(BOP), EndoVis' and MATLAB's; "
         f"got the fields {listed(document) or '(none)'}"
     )

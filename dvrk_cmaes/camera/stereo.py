@@ -172,7 +172,8 @@ def _metres(where: str, name: str, translation: Float64, *, millimetres: bool) -
         unit = "m or mm" if millimetres else "m"
         hint = "" if millimetres or not _NEAREST <= distance / 1e3 <= _FARTHEST else " (is it in millimetres?)"
         raise InputError(
-            f"{where}: {name}: expected {_NEAREST:g} to {_FARTHEST:g} m between the cameras, got {distance:g} {unit}{hint}"
+            f"{where}: {name}: expected {_NEAREST:g} to {_FARTHEST:g} m between the cameras, got {distance:g} {unit}"
+            f"{hint}"
         )
     notes = [] if metres == distance else [f"the eyes are {distance:.3g} apart: taken for millimetres"]
     if metres > _OF_AN_ENDOSCOPE:

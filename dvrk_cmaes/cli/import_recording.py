@@ -221,9 +221,8 @@ def import_recording(
         )
     for source in summary.readings:
         if source.without:
-            warn(
-                f"{source.source}: {source.without} of {source.frames + source.without} frames have no readings within {tolerance:g} s"
-            )
+            total = source.frames + source.without
+            warn(f"{source.source}: {source.without} of {total} frames have no readings within {tolerance:g} s")
     for text in (*summary.warnings, *([said] if said else [])):
         warn(text)
     if json:

@@ -17,6 +17,7 @@ from dvrk_cmaes.joints.joint_state import is_joint_state
 _EXPECTED = "a file or folder to look at"
 _KNOWN = "a camera file, joint readings, a mask, an image, a URDF, a mesh, or a JSON document of a known kind"
 _NUMPY = b"\x93NUMPY"
+MAT_FILE = b"MATLAB "
 _IMAGE_STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
 _TEXTS = (".md", ".rst", ".html", ".log")
 _START = 65536  # bytes read to recognise the format
@@ -61,6 +62,8 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
         from dvrk_cmaes.inspection.pictures import inspect_image
 
         return inspect_image(file)
+    if start.startswith(MAT_FILE):
+        return _inspect_camera(file, settings)
     if start.startswith(_NUMPY):
         from dvrk_cmaes.inspection.tables import inspect_joints, inspect_tracker_array
 
@@ -90,7 +93,7 @@ def _inspect_text(path: Path, start: bytes, options: Options) -> Finding:
 
         return inspect_joints(path)
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    header = {name.strip() for name in lines[0].split(",")} if lines else set()
+    header = {name.strip() for name in re.split(r"[,;\t]", lines[0])} if lines else set()
     if len(header) > 1 and ":" not in lines[0]:
         return _inspect_table(path, header)
     return _inspect_camera(path, options)
