@@ -27,6 +27,9 @@ OFF_CENTRE = 0.15
 UNUSUAL = 0.3
 """As `OFF_CENTRE`, but worth a warning: rectified cameras of real endoscopes are off by up to a quarter."""
 
+_LEAST_FOCAL = 0.1
+"""Least focal length, as a share of the image's longer side: a view of 157 deg."""
+
 _OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
 
 
@@ -50,7 +53,16 @@ class Intrinsics:
     notes: tuple[str, ...] = ()
 
     def camera(self, where: str | Path, size: Size) -> Camera:
-        """Return the camera for images of a size, px; an InputError begins with ``where``."""
+        """Return the camera for images of a size, px; an InputError begins with ``where``.
+
+        A focal length of a few units is one in millimetres, and refused.
+        """
+        for name, focal in (("fx", self.fx), ("fy", self.fy)):
+            if focal < _LEAST_FOCAL * max(size):
+                raise InputError(
+                    f"{where}: {name}: expected a focal length in pixels, got {focal:g} for images of {size[0]} x "
+                    f"{size[1]} px: this looks like millimetres (pixels = millimetres / pitch of the sensor's pixels)"
+                )
         try:
             return Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion, self.model)
         except InputError as error:

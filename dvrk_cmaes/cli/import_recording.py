@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.cli.options import AUTO, LATEST, MOST_SKIPPED, OUTPUT, Flag, check_range, joint_files
+from dvrk_cmaes.cli.options import AUTO, LATEST, MOST_SKIPPED, OUTPUT, Flag, LayoutOption, check_range, joint_files
 from dvrk_cmaes.cli.terminal import Line, show, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import Side
+    from dvrk_cmaes.frames.frame import Window
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.rows import JointFile
     from dvrk_cmaes.recording.pose_table import PoseTable
@@ -112,6 +113,9 @@ def import_recording(
     camera: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     joints: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     video_start: Annotated[float, Parameter(group=VIDEO)] = 0.0,
+    layout: Annotated[LayoutOption, Parameter(group=VIDEO)] = None,
+    crop: Annotated[str | None, Parameter(group=VIDEO)] = None,
+    interlaced: Annotated[Literal["top", "bottom"] | None, Parameter(group=VIDEO)] = None,
     side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None,
     arm: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     episode: Annotated[int, Parameter(group=FOLDER)] = 0,
@@ -145,8 +149,8 @@ def import_recording(
     recording
         ROS 1 .bag file, ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads. Or the folder of a
         clip in SurgSync's raw layout or of a packed episode (timestamp.parquet), a folder of SurgPose
-        (regular/left_video.mp4, api_jp_data.yaml), a LeRobot data set (meta/info.json), or one with the videos of a
-        stereo endoscope (left.mp4 and right.mp4).
+        (regular/left_video.mp4, api_jp_data.yaml), a LeRobot data set (meta/info.json), one with the videos of a stereo
+        endoscope (left.mp4 and right.mp4), or one of pictures.
     out
         Session folder to write; it must be new or empty unless --overwrite is given.
     every
@@ -171,6 +175,13 @@ def import_recording(
         replaces their own.
     video_start
         Time of the first image of a video, or of stereo videos, on the clock of the readings, in seconds.
+    layout
+        Where the eyes are in the pictures of a stereo video, or of a folder of pictures; --side chooses one or both. By
+        default found from the size of the camera's images. A squeezed picture has both eyes in the size of one.
+    crop
+        x,y,w,h: the part of the pictures of a video, or of a folder of pictures, that is the camera's, in pixels.
+    interlaced
+        The pictures of the video are interlaced: make an image of each field, the top or the bottom one first.
     side
         Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
         in the name of the images' topic.
@@ -198,6 +209,7 @@ def import_recording(
         raise InputError(f"--video-start: expected a finite number of seconds, got {video_start:g}")
     check_range("--video-start", video_start, -LATEST, LATEST, "seconds")
     check_range("--episode", episode, 0, MOST_EPISODES)
+    from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 
@@ -210,6 +222,7 @@ def import_recording(
         side,
         arm,
         episode,
+        (layout, interlaced, None if crop is None else parse_crop("--crop", crop)),
     ) as opened:
         summary = write_session(
             replace(_with_progress(opened), rectified=topics.rectified),
@@ -291,10 +304,11 @@ def _opened(
     side: Literal["left", "right", "both"] | None,
     arms: Sequence[str],
     episode: int,
+    of_video: tuple[LayoutOption, Literal["top", "bottom"] | None, Window | None],
 ) -> AbstractContextManager[Recording]:
     """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.frames.session_folder import is_session_layout
-    from dvrk_cmaes.recording.bag import SUFFIXES, open_bag
+    from dvrk_cmaes.recording.bag import SUFFIXES, is_bag, open_bag
     from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
     from dvrk_cmaes.recording.pose_table import PoseTable
@@ -303,7 +317,7 @@ def _opened(
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
     from dvrk_cmaes.recording.surgsync_packed import is_packed, open_packed
     from dvrk_cmaes.recording.topics import TopicRequest
-    from dvrk_cmaes.recording.video import open_video
+    from dvrk_cmaes.recording.video import Pictures, open_pictures, open_video
 
     arm = arms[0] if arms else None
     if path.is_dir() and is_lerobot(path):
@@ -320,17 +334,17 @@ def _opened(
     stereo = surgpose or clip or (path.is_dir() and has_stereo_videos(path))
     if not stereo and path.is_dir() and is_session_layout(path):
         raise InputError(f"{path}: expected a recording, got a session folder (masks or images): no import is needed")
-    bag = not stereo and (path.is_dir() or path.suffix.lower() in SUFFIXES)
+    bag = not stereo and is_bag(path)
+    pictures = not stereo and not bag and path.is_dir()
     if arm is not None and not (clip or surgpose or bag):
         raise InputError(f"{path}: --arm: expected a ROS recording, a clip of SurgSync or a folder of SurgPose")
     if len(arms) > 1 and not bag:
         raise InputError(f"{path}: --arm: expected one arm, but of a ROS recording, got {', '.join(arms)}")
-    of_ros = bag and (path.is_file() or (path / "metadata.yaml").exists())
-    if side not in (None, "left") and not (stereo or of_ros):
+    if of_video != (None, None, None) and (stereo or bag or (pictures and of_video[1])):
         raise InputError(
-            f"{path}: --side: expected a ROS recording, a SurgSync clip, or a folder with left and right videos"
+            f"{path}: --layout, --crop, --interlaced: expected a video, or with the first two a folder of pictures"
         )
-    if side == "both" and camera is not None:
+    if side == "both" and camera is not None and (stereo or bag):
         raise InputError("--camera: expected none with --side both, whose cameras are those of the recording")
     if not bag and topics != _DEFAULT_TOPICS:
         raise InputError(f"{path}: topics were asked for; expected a ROS recording ({', '.join(SUFFIXES)} or a folder)")
@@ -345,6 +359,11 @@ def _opened(
             return open_surgsync(path, side=eye, arm=arm, camera=camera, joints=joints)
         if stereo:
             return open_stereo_videos(path, side=eye, camera=camera, joints=joints, start=video_start)
+        if not bag:
+            shown = Pictures(of_video[0], eye, of_video[1], of_video[2])
+            if pictures:
+                return open_pictures(path, camera=camera, joints=joints, pictures=shown)
+            return open_video(path, camera=camera, joints=joints, start=video_start, pictures=shown)
         own = TopicRequest(
             topics.image_topic, topics.camera_topic, topics.joints_topic, topics.jaw_topic, topics.image_topic_right
         )
@@ -361,9 +380,7 @@ def _opened(
 
     if side == "both":
         return both_eyes(of_eye)
-    if stereo or bag:
-        return of_eye(side or "left", named=side is not None)
-    return open_video(path, camera=camera, joints=joints, start=video_start)
+    return of_eye(side or "left", named=side is not None)
 
 
 def _with_progress(recording: Recording) -> Recording:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.cli.options import LATEST, check_range
+from dvrk_cmaes.cli.options import LATEST, LayoutOption, check_range
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,12 +33,12 @@ class VideoOptions:
     ----------
     layout
         Where the eyes are in the picture of a stereo video; --side chooses one. By default found from the size of the
-        camera's images.
+        camera's images. A squeezed picture has both eyes in the size of one.
     video_start
         Time of the video's first image on the clock of the readings, in seconds, if these have no column frame.
     """
 
-    layout: Literal["mono", "side-by-side", "top-bottom"] | None = None
+    layout: LayoutOption = None
     video_start: float = 0.0
 
     def open(self, path: Path, side: Literal["left", "right"]) -> SessionVideo:

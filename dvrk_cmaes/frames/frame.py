@@ -281,7 +281,7 @@ def mask_of(files: FrameFiles, path: Path, *, blank: bool = False) -> NDArray[np
 def image_of(files: FrameFiles) -> NDArray[np.uint8] | None:
     """Read the image (H, W, 3), BGR, of a view of a frame; None if it has none."""
     if files.image is None:
-        return None if files.video is None else files.video.image()
+        return None if files.video is None else _cropped(files, files.video.image(), files.video.video.path)
     return _cropped(files, read_image(files.image), files.image)
 
 
@@ -348,7 +348,7 @@ def frame_size(files: FrameFiles) -> Size:
     """
     path = files.mask or files.image
     if path is None and files.video is not None:
-        return files.video.window[2:]
+        return files.video.window.size if files.crop is None else files.crop[2:]
     if files.crop is not None:
         return files.crop[2:]
     if path is None:

@@ -256,6 +256,9 @@ def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:
     if recording.right is None:
         write_bytes(folder / "camera.yaml", recording.camera)
         return CameraEntry(file=Path("camera.yaml"), rectified=recording.rectified)
+    if recording.camera == recording.right.camera:  # a file of both eyes
+        write_bytes(folder / "camera.yaml", recording.camera)
+        return CameraEntry(file=Path("camera.yaml"), rectified=recording.rectified)
     write_bytes(folder / "left.yaml", recording.camera)
     write_bytes(folder / "right.yaml", recording.right.camera)
     return CameraEntry(left=Path("left.yaml"), right=Path("right.yaml"), rectified=recording.rectified)
