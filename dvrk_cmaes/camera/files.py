@@ -34,7 +34,7 @@ from dvrk_cmaes.io.yaml_file import read_yaml_mapping
 
 __all__ = ["CameraFile", "Side", "Size", "read_camera", "read_camera_file", "read_document", "read_intrinsics"]
 
-_EXPECTED = "a camera file (YAML, XML, JSON, MATLAB's .mat or EndoVis' .txt)"
+_EXPECTED = "a camera file (YAML or XML)"
 _LARGEST = 1_000_000  # bytes
 
 _KINDS = (
@@ -161,7 +161,8 @@ def _unwrapped(document: dict[str, Any]) -> dict[str, Any]:
     if any(is_kind(document) for is_kind, _ in _KINDS) or _is_pair(document):
         return document
     inside = [value for value in document.values() if isinstance(value, dict)]
-    return _unwrapped(inside[0]) if len(inside) == 1 else document
+    found = _unwrapped(inside[0]) if len(inside) == 1 else document
+    return found if is_camera(found) or _is_pair(found) else document
 
 
 def _is_pair(document: Mapping[str, Any]) -> bool:

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import DEFAULT_CAMERA, INSTRUMENT, OUTPUT, CameraOptions, Flag, split_packages
+from dvrk_cmaes.cli.options import (
+    DEFAULT_CAMERA,
+    DEFAULT_READING,
+    INSTRUMENT,
+    OUTPUT,
+    CameraOptions,
+    Flag,
+    ReadingOptions,
+    split_packages,
+)
 from dvrk_cmaes.cli.terminal import Line, print_error, show
 from dvrk_cmaes.errors import InputError
 
@@ -20,6 +29,7 @@ def inspect(
     /,
     *,
     camera: CameraOptions = DEFAULT_CAMERA,
+    reading: ReadingOptions = DEFAULT_READING,
     package_path: Annotated[tuple[str, ...], Parameter(group=INSTRUMENT, negative=(), show_default=False)] = (),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -43,6 +53,8 @@ def inspect(
         Files or folders of any kind.
     camera
         How camera files are read; the camera of a folder of frames in the published layout.
+    reading
+        How files of readings are read.
     package_path
         NAME=DIR: folder of the ROS package NAME, for package://NAME/... paths in a URDF. May be given several times.
     json
@@ -51,7 +63,7 @@ def inspect(
     from dvrk_cmaes.inspection import Options, inspect_path
     from dvrk_cmaes.io.atomic import json_text
 
-    options = Options(camera.rectified, camera.side, split_packages(package_path), camera.camera)
+    options = Options(camera.rectified, camera.side, split_packages(package_path), camera.camera, reading.read_as())
     code = 0
     documents = []
     for number, file in enumerate(files):

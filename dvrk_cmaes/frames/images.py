@@ -28,6 +28,7 @@ from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 400_000_000  # bytes
 _THRESHOLD = 127
+_MOST_OF_EDGE, _MOST_OF_IMAGE = 0.7, 0.6  # shares in a mask from which on it is taken for an inverted one
 # libjpeg's words for data that it had to make up; other bytes before a marker are skipped without a loss
 _LOST = re.compile(r"Corrupt JPEG data(?!: \d+ extraneous bytes)|Premature end of JPEG")
 
@@ -89,8 +90,8 @@ def read_mask(
         raise InputError(f"{path}: mask is full: expected background around the instrument, got none")
     if label is None and not mask.all() and _is_inverted(mask):
         raise InputError(
-            f"{path}: mask is inverted: expected pixels above {_THRESHOLD} on the instrument, got the whole edge of "
-            f"the image and {mask.mean():.0%} of it: --label 0 takes the pixels of value 0 for the instrument"
+            f"{path}: mask is inverted: expected pixels above {_THRESHOLD} on the instrument, got most of the edge and "
+            f"{mask.mean():.0%} of the image: --label 0 takes the pixels of value 0 for the instrument"
         )
     return mask if pick is None else _component(path, mask, pick)
 
@@ -187,8 +188,9 @@ def _parts(label: LabelText) -> Sequence[int | str]:
 
 
 def _is_inverted(mask: NDArray[np.bool_]) -> bool:
-    """Whether a mask (H, W) has the whole edge of the image and most of its pixels, as no instrument has."""
-    return bool(mask[0].all() and mask[-1].all() and mask[:, 0].all() and mask[:, -1].all() and mask.mean() > 0.5)
+    """Whether a mask (H, W) has most of the image's edge and of its pixels, as no instrument has."""
+    edge = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+    return bool(edge.mean() > _MOST_OF_EDGE and mask.mean() > _MOST_OF_IMAGE)
 
 
 def _read_labels(path: str | Path, label: Label) -> NDArray[np.integer]:

@@ -51,6 +51,10 @@ NO_READINGS = "readings: none"
 
 _MANY = 2  # times as many rows as frames that are the first of them
 _VIEWS = ("left", "right")
+_CAMERAS = (
+    *(f"camera.{suffix}" for suffix in ("yaml", "yml", "xml", "json", "mat", "txt")),
+    *("camera_info.yaml", "camera_calibration.txt", "calibration.yaml"),
+)
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_current)\.(csv|ya?ml|txt)", re.IGNORECASE)
 
@@ -218,7 +222,7 @@ def read_session(
         lens = fit.lens(_read_eyes(root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
     else:
-        path = camera or root / "camera.yaml"
+        path = camera or _camera_file(root)
         lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
         frames = frames if video is None else video.fitted(frames, lens.camera)
         lens = fit.lens(lens, frames[0])
@@ -239,7 +243,12 @@ def _read_eyes(root: Path, left: Path | None, right: Path | None, rectified: boo
     if left is None and right is None and os.path.lexists(root / "left.yaml"):
         left, right = root / "left.yaml", root / "right.yaml"
     first = frame if frame.mask or frame.image else frame.others[_VIEWS[1]]
-    return read_rig(left or root / "camera.yaml", right, rectified=rectified, size=lambda: frame_size(first))
+    return read_rig(left or _camera_file(root), right, rectified=rectified, size=lambda: frame_size(first))
+
+
+def _camera_file(root: Path) -> Path:
+    """Return the camera file of a session: camera.yaml, or else another of a usual name."""
+    return next((root / name for name in _CAMERAS if os.path.lexists(root / name)), root / _CAMERAS[0])
 
 
 def _is_stereo(root: Path, masks: Path) -> bool:

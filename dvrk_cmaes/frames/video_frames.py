@@ -137,8 +137,8 @@ def eye_window(
 ) -> EyeWindow:
     """Return the part of a picture of a ``size`` (width, height), px, that is one eye's.
 
-    ``layout`` is found from the aspect of the camera's images if it is None; without a camera it is ``mono``. A ``crop``
-    counts in its place.
+    ``layout`` is found from the aspect of the camera's images if it is None; without a camera it is ``mono``. A
+    ``crop`` counts in its place.
 
     Raises
     ------

@@ -35,7 +35,8 @@ _JUDGED = 30  # frames of which some show combs if the video is interlaced
 class Pictures:
     """What the pictures of a video are: of one eye or both, of both fields or whole.
 
-    ``layout``, ``side`` and ``crop`` are as in `eye_window`. ``first_field`` is the one that comes first in interlaced pictures.
+    ``layout``, ``side`` and ``crop`` are as in `eye_window`. ``first_field`` is the one that comes first in
+    interlaced pictures.
     """
 
     layout: Layout | None = None

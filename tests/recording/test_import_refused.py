@@ -69,12 +69,6 @@ def with_image(message: Message) -> list[Message]:
     ("messages", "arguments", "expected"),
     [
         (
-            without("Image"),
-            (),
-            "--image-topic: expected a topic of images (sensor_msgs/Image or sensor_msgs/CompressedImage), "
-            "got /PSM1/jaw/measured_js, /PSM1/measured_js, /left/camera_info",
-        ),
-        (
             [*good(2), image(BEGIN, pixels(0), topic="/right/image_raw")],
             (),
             "--image-topic: expected one topic of images, got several: /left/image_raw, /right/image_raw",
@@ -245,7 +239,7 @@ def test_other_files_are_refused(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "camera.yaml").write_text(CAMERA)
     (tmp_path / "table.csv").write_text(TABLE)
     beside = ("--camera", "camera.yaml", "--joints", "table.csv")
-    assert refused("folder") == ("folder: expected a ROS 2 recording with a .mcap or .db3 file, got none")
+    assert refused("folder") == ("folder: expected pictures (PNG or JPEG), or a recording, got none")
     assert refused("away.bag") == "away.bag: no such file; expected a ROS recording"
     assert "loop.bag: not readable (Too many levels of symbolic links)" in refused("loop.bag")
     assert refused("away.mp4", *beside).startswith("away.mp4: no such file; expected a video that OpenCV reads, or a")
