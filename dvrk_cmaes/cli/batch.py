@@ -34,6 +34,7 @@ from dvrk_cmaes.cli.options import (
     SegmentOptions,
     SessionOption,
     check_range,
+    parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show, warn
 from dvrk_cmaes.errors import InputError
@@ -64,6 +65,7 @@ def batch(
     retry_failed: Annotated[Flag, Parameter(group=FOLDER)] = False,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     label: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    pick: Annotated[str | None, Parameter(group=FOLDER, allow_leading_hyphen=True)] = None,
     only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     shard: Annotated[str | None, Parameter(group=FOLDER)] = None,
     merge: Annotated[Path | None, Parameter(group=FOLDER)] = None,
@@ -128,7 +130,9 @@ def batch(
         File of readings to use instead of the session's own, or none, to use none. May be given several times.
     label
         Part of masks of labels that is the instrument: a value (the index, in images with a palette), several such as
-        10,20,30, a colour such as '#00ff00', or any, for all values but 0.
+        10,20,30, a colour such as '#00ff00', or any, for all values but 0. They are in masks or else in labels.
+    pick
+        Pixel u,v on the instrument in all frames: use only the connected region of the mask, or of the label, there.
     only
         Arm of a session.toml with several tools: estimate this one only; by default all of them. May be given several
         times.
@@ -192,6 +196,7 @@ def batch(
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
 
     wanted = None if label is None else parse_label("--label", label)
+    picked = None if pick is None else parse_pixel("pick", pick)
     part = None if shard is None else Shard.parse(shard)
     given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
@@ -205,7 +210,8 @@ def batch(
         name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session) for name, tool in tools.items()
     }
     for name, tool in tools.items():
-        arms[name] = _with_masks_of(tool.read(session, camera, joints=joints, reading=reading), wanted, prompts)
+        arm = tool.read(session, camera, joints=joints, reading=reading, labelled=wanted is not None)
+        arms[name] = _with_masks_of(arm, wanted, picked, prompts)
     for name, arm in arms.items():
         finished[name] = done = _run(
             arm,
@@ -268,13 +274,17 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
             warn(f"{name}: {text}" if name else text)
 
 
-def _with_masks_of(arm: ArmInSession, label: Label | None, prompts: PromptOptions) -> ArmInSession:
+def _with_masks_of(
+    arm: ArmInSession, label: Label | None, pick: tuple[float, float] | None, prompts: PromptOptions
+) -> ArmInSession:
     """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
     from dvrk_cmaes.frames.boxes import FramePrompts
 
     session = arm.session
     if label is not None:
-        session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
+        session = replace(session, frames=tuple(files.changed(label=label) for files in session.frames))
+    if pick is not None:
+        session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
     if prompts != DEFAULT_PROMPTS:
         hints = prompts.resolve()
         session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))

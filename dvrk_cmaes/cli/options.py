@@ -125,17 +125,20 @@ class CameraOptions:
         entries: SessionEntries | None,
         tool: ToolEntry,
         video: SessionVideo | None = None,
+        labelled: bool = False,
     ) -> Session:
         """Read a session folder with this camera; ``known``, ``joints`` and ``video`` as in `frames.session_folder`.
 
         ``entries`` are those of its session.toml, which count where the command line says nothing; the frames are those
-        of ``tool``. ``reading`` tells how its readings are read.
+        of ``tool``. Masks of labels, as those of a session that is ``labelled``, may be in the folder labels.
+        ``reading`` tells how its readings are read.
         """
         from dvrk_cmaes.frames.session_folder import read_session
         from dvrk_cmaes.frames.session_toml import CameraEntry
         from dvrk_cmaes.frames.tool_frames import frames_of_tool
 
         said = CameraEntry() if entries is None or self.camera is not None else entries.camera
+        labels = folder / ("labels" if labelled or tool.label is not None else "masks")
         own = () if tool.joints is None else (tool.joints,)
         session = read_session(
             folder,
@@ -147,7 +150,7 @@ class CameraOptions:
             joints=joints if joints is None else joints or own,
             read_as=reading.read_as(tool.arm, tool.columns),
             fit=self.fit if self.crop or self.stretch else said.fit,
-            masks=tool.masks,
+            masks=tool.masks or (labels if labels.is_dir() and not (folder / "masks").exists() else None),
             video=video,
         )
         return frames_of_tool(session, entries, tool.arm) if entries is not None and entries.tools else session

@@ -58,6 +58,7 @@ class SessionTool:
         joints: Sequence[Path] | None = (),
         reading: ReadingOptions = DEFAULT_READING,
         video: SessionVideo | None = None,
+        labelled: bool = False,
     ) -> ArmInSession:
         """Load the instrument, and read the session with the masks and readings of the tool.
 
@@ -76,6 +77,7 @@ class SessionTool:
             entries=self.entries,
             tool=self.tool,
             video=video,
+            labelled=labelled,
         )
         for note in session.notes if files is not None else ():
             if note.startswith((COUNTS_DIFFER, NO_READINGS)):
