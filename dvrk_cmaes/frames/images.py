@@ -149,7 +149,10 @@ def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tu
         return camera, None
     sizes = f"{width} x {height}", f"{camera.width} x {camera.height}"
     if abs(width * camera.height / (height * camera.width) - 1) > 0.005:
-        raise InputError(f"{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]}")
+        raise InputError(
+            f"{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]} "
+            "(--crop x,y,w,h for a part of the picture, --stretch for one that was resized unevenly)"
+        )
     note = f"the {what} is {sizes[0]}, the calibration {sizes[1]}: intrinsics rescaled by {width / camera.width:.4g}"
     return camera.scaled(width, height), note
 

@@ -74,7 +74,8 @@ def segment_classic(
     )
     enlarged = cv2.resize(rough.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     prompts = draw_prompts(image.shape, 1.0, box, points, not_points).with_outside(outside_view(image))
-    return refine_outline(image, np.asarray(enlarged), prompts)
+    found = refine_outline(image, np.asarray(enlarged), prompts)
+    return found if prompts.outside is None else replace(found, mask=found.mask & ~prompts.outside)
 
 
 def refine_outline(

@@ -261,5 +261,6 @@ def test_mask_of_other_aspect_is_refused() -> None:
         with pytest.raises(InputError) as caught:
             match_size(VGA, shape)
         assert str(caught.value) == (
-            f"mask: expected the calibration's size 640 x 480, or one of that aspect, got {shape[1]} x {shape[0]}"
+            f"mask: expected the calibration's size 640 x 480, or one of that aspect, got {shape[1]} x {shape[0]} "
+            "(--crop x,y,w,h for a part of the picture, --stretch for one that was resized unevenly)"
         )
