@@ -187,16 +187,17 @@ def batch(
     check_range("--time-limit", time_limit, 0, _LONGEST_FRAME, "seconds")
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
+    from dvrk_cmaes.frames.label import parse_label
+
+    wanted = None if label is None else parse_label("--label", label)
+    picked = None if pick is None else parse_pixel("pick", pick)
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
     from dvrk_cmaes.cli.session_tools import read_calibration_of, session_tools, solve_crossing_tools
-    from dvrk_cmaes.frames.label import parse_label
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
 
-    wanted = None if label is None else parse_label("--label", label)
-    picked = None if pick is None else parse_pixel("pick", pick)
     part = None if shard is None else Shard.parse(shard)
     given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)

@@ -166,6 +166,7 @@ def estimate(
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import read_any_frame, run_frame
+    from dvrk_cmaes.segment.segmentation import hints_within
 
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
@@ -201,7 +202,7 @@ def estimate(
         out=out,
         session=known,
         settings=model.resolve(),
-        hints=prompts.resolve().within(files.crop),
+        hints=hints_within(prompts.resolve(), files.crop),
     )
     if out is not None:
         record_frame_files(out, run.written)

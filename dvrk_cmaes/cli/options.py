@@ -133,14 +133,14 @@ class CameraOptions:
         of ``tool``. Masks of labels, as those of a session that is ``labelled``, may be in the folder labels.
         ``reading`` tells how its readings are read.
         """
-        from dvrk_cmaes.frames.session_folder import read_session
+        from dvrk_cmaes.frames.session_folder import read_session_as
         from dvrk_cmaes.frames.session_toml import CameraEntry
         from dvrk_cmaes.frames.tool_frames import frames_of_tool
 
         said = CameraEntry() if entries is None or self.camera is not None else entries.camera
         labels = folder / ("labels" if labelled or tool.label is not None else "masks")
         own = () if tool.joints is None else (tool.joints,)
-        session = read_session(
+        session = read_session_as(
             folder,
             camera=self.camera or said.file or said.left,
             camera_right=self.camera_right or said.right,

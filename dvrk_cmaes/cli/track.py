@@ -185,6 +185,7 @@ def track(
     from dvrk_cmaes.runs.track_folder import track_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask, with_increasing_times
     from dvrk_cmaes.runs.worker import hints_of
+    from dvrk_cmaes.segment.segmentation import hints_within
 
     seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
     target = out or (session if session.is_dir() else session.parent) / "tracks"
@@ -216,7 +217,7 @@ def track(
             causal,
             used,
             (hints_of(followed.frames[0]) if prompts == DEFAULT_PROMPTS else None)
-            or prompts.resolve().within(followed.frames[0].crop),
+            or hints_within(prompts.resolve(), followed.frames[0].crop),
             workers,
         )
     with stopping_on_interrupt() as stop:

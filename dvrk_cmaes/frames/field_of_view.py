@@ -51,7 +51,8 @@ def outside_view(image: Image) -> Bool:
             inside &= picture
     if inside.all():
         return ~inside
-    return np.asarray(cv2.dilate((~inside).astype(np.uint8), np.ones((2 * _RIM + 1,) * 2, np.uint8)) > 0)
+    outside = np.asarray(cv2.dilate((~inside).astype(np.uint8), np.ones((2 * _RIM + 1,) * 2, np.uint8)) > 0)
+    return np.zeros_like(outside) if outside.all() else outside
 
 
 def _borders(smooth: Image) -> Iterator[tuple[Bool, bool]]:

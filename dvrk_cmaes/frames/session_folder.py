@@ -149,9 +149,7 @@ def read_session(
     rectified: bool = False,
     side: Side = "left",
     known: Iterable[str] = (),
-    joints: Sequence[Path | JointFile] | None = (),
-    read_as: ReadAs = BY_THEMSELVES,
-    fit: PictureFit = WHOLE,
+    joints: Sequence[Path] = (),
     masks: Path | None = None,
     video: SessionVideo | None = None,
     tolerance: int = TIME_TOLERANCE,
@@ -177,11 +175,7 @@ def read_session(
     known
         Names of the instrument's joints, as in ``read_joints``.
     joints
-        Files of readings; by default those in the session folder, which may have none. None to use no readings.
-    read_as
-        How these are read where they do not tell it themselves.
-    fit
-        How the pictures fit the camera file.
+        Files of readings; by default those in the session folder, which may have none.
     masks
         Folder of the masks; ``masks`` in the session folder by default.
     video
@@ -194,6 +188,40 @@ def read_session(
     InputError
         A file is missing or not valid (the message names it), there are no frames, two files have one frame's name, or
         no frame can be used.
+    """
+    return read_session_as(
+        folder,
+        camera=camera,
+        camera_right=camera_right,
+        rectified=rectified,
+        side=side,
+        known=known,
+        joints=joints,
+        masks=masks,
+        video=video,
+        tolerance=tolerance,
+    )
+
+
+def read_session_as(
+    folder: str | Path,
+    *,
+    camera: Path | None = None,
+    camera_right: Path | None = None,
+    rectified: bool = False,
+    side: Side = "left",
+    known: Iterable[str] = (),
+    joints: Sequence[Path | JointFile] | None = (),
+    read_as: ReadAs = BY_THEMSELVES,
+    fit: PictureFit = WHOLE,
+    masks: Path | None = None,
+    video: SessionVideo | None = None,
+    tolerance: int = TIME_TOLERANCE,
+) -> Session:
+    """Read a session as `read_session`, of files that do not tell all of it.
+
+    ``joints`` may be files that were read already, or None to use no readings; ``read_as`` tells how the others are
+    read, and ``fit`` how the pictures fit the camera file.
     """
     check_type("folder", folder, PATH, "the path of a session folder")
     root = Path(folder)

@@ -65,14 +65,15 @@ class Hints:
         """Return plain values, for JSON."""
         return encoded_fields(self, "box", "points", "not_points")
 
-    def within(self, crop: tuple[int, int, int, int] | None) -> Hints:
-        """Return the prompts in pixels of a part of the image: left, top, width and height, px; None for all of it."""
-        if crop is None:
-            return self
-        left, top, *_ = crop
-        box = self.box and (self.box[0] - left, self.box[1] - top, self.box[2] - left, self.box[3] - top)
-        points, not_points = ([(u - left, v - top) for u, v in each] for each in (self.points, self.not_points))
-        return Hints(box, points, not_points)
+
+def hints_within(hints: Hints, crop: tuple[int, int, int, int] | None) -> Hints:
+    """Return prompts in pixels of a part of the image: left, top, width and height, px; None for all of it."""
+    if crop is None:
+        return hints
+    left, top, *_ = crop
+    box = hints.box and (hints.box[0] - left, hints.box[1] - top, hints.box[2] - left, hints.box[3] - top)
+    points, not_points = ([(u - left, v - top) for u, v in each] for each in (hints.points, hints.not_points))
+    return Hints(box, points, not_points)
 
 
 def check_background(background: NDArray[np.uint8]) -> None:
