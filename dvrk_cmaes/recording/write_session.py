@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.io.atomic import write_bytes, write_text
@@ -167,7 +168,12 @@ def write_session(
             arm = name or _arm_of(readings)
             if arm is not None:
                 tools.append(ToolEntry(arm, label=(number + 1,), joints=Path(file)) if name else ToolEntry(arm))
-            read_session(folder, joints=[folder / file])  # raises InputError if the folder is not a valid session
+            # raises InputError if the folder is not a valid session
+            session = read_session(folder, joints=[folder / file])
+        try:
+            match_size(session.camera, size[::-1], "image")
+        except InputError as error:
+            warnings = (*warnings, f"the images do not fit the camera: {error}")
         write_text(folder / SESSION_FILE, session_toml(cameras, tools))
     seconds = 0.0 if lag is None else lag.in_unit("s")
     drift = f", drifting by {lag.drift:+.3g} s a second" if lag is not None and lag.drift else ""
