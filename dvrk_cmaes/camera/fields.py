@@ -27,6 +27,7 @@ OFF_CENTRE = 0.15
 UNUSUAL = 0.3
 """As `OFF_CENTRE`, but worth a warning: rectified cameras of real endoscopes are off by up to a quarter."""
 
+_LARGEST = 1e6  # px, of a focal length or a principal point
 _LEAST_FOCAL = 0.1
 """Least focal length, as a share of the image's longer side: a view of 157 deg."""
 
@@ -57,6 +58,9 @@ class Intrinsics:
 
         A focal length of a few units is one in millimetres, and refused.
         """
+        for name, value in (("fx", self.fx), ("fy", self.fy), ("cx", self.cx), ("cy", self.cy)):
+            if abs(value) > _LARGEST:
+                raise InputError(f"{where}: {name}: expected at most {_LARGEST:g} px, got {value:g}")
         for name, focal in (("fx", self.fx), ("fy", self.fy)):
             if focal < _LEAST_FOCAL * max(size):
                 raise InputError(

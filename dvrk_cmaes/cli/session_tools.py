@@ -64,7 +64,7 @@ class SessionTool:
 
         Arguments as in `CameraOptions.read_session`.
         """
-        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, NO_READINGS
+        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER
         from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
         body = self.options.load()
@@ -79,8 +79,8 @@ class SessionTool:
             video=video,
             labelled=labelled,
         )
-        for note in session.notes if files is not None else ():
-            if note.startswith((COUNTS_DIFFER, NO_READINGS)):
+        for note in session.notes:
+            if note.startswith(COUNTS_DIFFER):
                 warn(f"{folder}: {note}")
         return ArmInSession(session, body, self.options.kinematics)
 

@@ -49,6 +49,7 @@ COUNTS_DIFFER = "rows and frames differ in number"
 
 NO_READINGS = "readings: none"
 
+_COUNTED = 3  # frames from which on their numbers may be those of every N-th image
 _MANY = 2  # times as many rows as frames that are the first of them
 _VIEWS = ("left", "right")
 _CAMERAS = (
@@ -390,7 +391,7 @@ def _meeting(
             continue
         labels = list(file.rows)
         common = [name for name in frames if _has_row(file, name)]
-        if not common:
+        if not common and len(frames) > 1:  # a single frame may lack readings
             raise InputError(
                 f"{file.path}: none of {len(labels)} rows ({listed(labels, 2)}) has a frame's name "
                 f"({listed(frames, 2)}): say which row frame 0 has (--frame-offset), and how many rows a frame is from "
@@ -398,7 +399,7 @@ def _meeting(
             )
         numbers = [number_of(name) for name in frames]
         counted = numbers in (list(range(len(frames))), list(range(1, len(frames) + 1)))
-        if counted and len(common) == len(frames) > 1 and len(labels) >= _MANY * len(frames):
+        if counted and len(common) == len(frames) >= _COUNTED and len(labels) >= _MANY * len(frames):
             remarks.append(
                 f"{COUNTS_DIFFER}: {len(frames)} frames have the names of the first of {len(labels)} rows of "
                 f"{Path(file.path).name}; if they are every N-th image, say --frame-offset 0 --frame-step N"

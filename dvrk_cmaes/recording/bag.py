@@ -247,7 +247,7 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     metadata = path / "metadata.yaml"
-    if metadata.is_file():
+    if os.path.lexists(metadata):
         check_yaml(metadata, expected="metadata of a ROS 2 recording", longest=_LONGEST_QOS)
         if not _BLANK_STORAGE.search(metadata.read_text(encoding="utf-8", errors="replace")):
             return [path]
