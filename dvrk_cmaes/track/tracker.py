@@ -403,8 +403,7 @@ class Tracker:
         if known is None:
             return result
         known.offer(time, self._readings.buffer.at(time), seen, self._sight)
-        told = self._best is not None and self._best.anchor.based
-        return known.unconfirmed(result, self._readings.buffer, told=told)
+        return known.unconfirmed(result, self._readings.buffer)
 
     def smoothed(self) -> list[TrackResult]:
         """Return the results of all images given all images; status and reasons stay as they were.
