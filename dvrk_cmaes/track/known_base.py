@@ -254,10 +254,13 @@ class KnownBase:
         self._own, self._agreeing, self._confirms = False, None, None
 
     def offer(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> bool:
-        """Keep an image as a keyframe, if it is worth that; returns whether it is."""
+        """Keep an image as a keyframe, if it is worth that; returns whether it is.
+
+        Where readings are too sparse for the motion, they do not tell what the image shows.
+        """
         names = (*OUTER_JOINTS, *self._body.instrument.joint_names)
         masks = self._masks(seen)
-        if not masks or reading.still:
+        if not masks or reading.still or (reading.sparse is not None and reading.sparse.reason):
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
         readings = {name: value for name, value in values if not np.isnan(value)}

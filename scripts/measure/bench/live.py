@@ -204,7 +204,7 @@ def serve(pipe: Any, sending: Sending) -> None:
     time.sleep(0.5)
     elapsed = time.perf_counter() - started - 0.5
     received = server.received.get(POSE, [])
-    ages = np.array([1e3 * (moment - sent[_key(fields)]) for moment, fields in received])
+    ages = np.array([1e3 * (moment - sent[_key(fields)]) for moment, fields in received] or [np.nan])
     pipe.send(
         {
             "seconds": round(elapsed, 2),
@@ -236,7 +236,7 @@ def _trust(
         return {}
     found = {_key(fields): fields["pose"] for _, fields in poses}
     counts = Counter(ok_wrong_mode=0, ok_before_base=0, in_view_after_base=0, ok_in_view_after_base=0)
-    first: float | None = None
+    first, reasons = None, Counter[str]()
     for _, fields in statuses:
         (status,) = fields["status"]
         values = {one["key"]: one["value"] for one in status["values"]}
@@ -248,6 +248,7 @@ def _trust(
         ok, state = status["message"] == "ok", values.get("calibration", UNKNOWN)
         known = UNKNOWN not in state
         first = moment if known and first is None else first
+        reasons[status["message"] + " " + values["reasons"].split(":")[0]] += 1
         counts["ok_before_base"] += ok and not known
         in_view = known and truth.visible >= _IN_VIEW
         counts["in_view_after_base"] += in_view
@@ -257,7 +258,7 @@ def _trust(
             turned = rotation_angle(pose.as_matrix(), truth.camera_from_root)
             counts["ok_wrong_mode"] += bool(np.degrees(turned) > RIGHT_MODE_DEG)
     share = counts["ok_in_view_after_base"] / max(counts["in_view_after_base"], 1)
-    return {**counts, "ok_after_base_%": round(100 * share, 1), "base_known_after_s": first}
+    return {**counts, "ok_after_base_%": round(100 * share, 1), "base_known_after_s": first, "statuses": dict(reasons)}
 
 
 def _messages(session: Session, sending: Sending) -> Iterator[Sent]:
