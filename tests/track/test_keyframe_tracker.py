@@ -73,6 +73,25 @@ def test_no_pose_is_ok_before_the_base_is_known_whatever_is_read(world: MovingWo
     assert results[-1].reasons[0].startswith("base not known yet: 0 keyframes")
 
 
+@pytest.mark.parametrize(("speed", "sparse"), [(1, False), (8, True)])
+def test_readings_that_are_too_sparse_for_the_motion_are_a_reason(
+    world: MovingWorld, speed: int, *, sparse: bool
+) -> None:
+    """Every fourth image has readings, which come 50 ms late; the arm's own motion is slow, and a swing is added."""
+    tracker = Tracker(world.camera, world.body, config=CONFIG, keyframes=True)
+    results = []
+    for k in range(24):
+        if k % 4 == 0 and k:
+            swing = 0.2 * np.sin(speed * (world.time(k) - 0.05)) if sparse else 0.0
+            tracker.add_readings(
+                world.time(k) - 0.05, world.readings[k - 1] | {"yaw": world.readings[k]["yaw"] + swing}
+            )
+        results.append(tracker.step(world.time(k), world.masks[k]))
+    assert any("readings too sparse: every 133 ms" in " ".join(one.reasons) for one in results) == sparse
+    later = [one for one in tracker.problem().keyframes if one.time > 0.4]  # than the third readings, which first tell
+    assert bool(later) != sparse
+
+
 @pytest.fixture(scope="module")
 def solved(world: MovingWorld) -> tuple[Tracker, dict[int, Solution], list[TrackResult]]:
     """A tracker that has used its solutions up to that of 12 keyframes, these, and the results until then."""
