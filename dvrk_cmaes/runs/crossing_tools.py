@@ -21,6 +21,7 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.tool_frames import with_start
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Place, Result
@@ -60,7 +61,7 @@ def solve_crossing(
     pages are written anew where a frame was solved again. Errors as `run_batch`.
     """
     stop, progress = stop or threading.Event(), progress or BatchProgress()
-    names = sorted({name for batch in batches.values() for name in batch.results})
+    names = sorted({name for batch in batches.values() for name in batch.results}, key=natural)
     places = {name: _places_in_frame(name, batches) for name in names}
     asked = {
         arm: [

@@ -275,8 +275,8 @@ def test_message_outside_protocol_is_reported_in_one_line(live: Live, text: str,
         (JOINTS, {"header": stamp(1), "name": ["jaw"], "position": [90]}, f"{JOINTS}: jaw: expected radians"),
         (
             JOINTS,
-            {"header": stamp(1), "name": ["jaw"], "position": []},
-            f"{JOINTS}: position: expected 1 numbers, got 0",
+            {"header": stamp(1), "name": ["jaw"], "position": [0.1, 0.2]},
+            f"{JOINTS}: position: expected 1 numbers, one for each name, got 2",
         ),
         (
             JOINTS,
