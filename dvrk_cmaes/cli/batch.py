@@ -180,7 +180,8 @@ def batch(
         raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
-    from dvrk_cmaes.cli.session_tools import read_calibration_of, session_tools, solve_crossing_tools
+    from dvrk_cmaes.cli.session_tools import output_folder, read_calibration_of, session_tools, solve_crossing_tools
+    from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
@@ -189,59 +190,62 @@ def batch(
     given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
     tools = session_tools(session, instrument, only)
-    results = session / "results" if out is None else out
-    if len(tools) > 1 and calibration is not None and not calibration.is_dir():
-        raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
-    arms: dict[str, ArmInSession] = {}
-    finished: dict[str, BatchSummary] = {}
-    calibrations = {
-        name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session) for name, tool in tools.items()
-    }
-    for name, tool in tools.items():
-        arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
-    for name, arm in arms.items():
-        finished[name] = done = _run(
-            arm,
-            results / name,
-            settings,
-            scheduler=scheduler,
-            segment=segment.resolve(),
-            pattern=frames,
-            shard=part,
-            resume=resume,
-            retry_failed=retry_failed,
-            workers=workers,
-            time_limit=time_limit,
-            lag=given,
-            find_lag=lag == AUTO,
-            calibration=calibrations[name],
-        )
-        if done.interrupted:
-            break
-    exchanged: list[str] = []
-    if len(finished) > 1 and not done.interrupted:
-        if part is None:
-            of_arms = {name: summary.results for name, summary in finished.items()}
-            exchanged = exchanged_in_results(arms, of_arms, settings)
-            for text in exchanged:
-                warn(text)
-        if not exchanged:
-            finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
-    _report_all(finished, json, part)
-    stopped = next((summary for summary in finished.values() if summary.interrupted), None)
-    if stopped is not None:
-        again = "the same command" if resume else "the same command without --overwrite"
-        left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
-        if not stopped.counts["missing"]:
-            left = "frames in which tools cross are left"
-        print_error(f"interrupted: {left}; {again} goes on from here")
-        return _INTERRUPTED
-    if len(finished) > 1 and part is None:
-        page = write_arms(results, arms)
-        if not json:
-            show([Line(f"all arms: {page}")])
-    doubtful = any(summary.counts["doubtful"] or summary.counts["failed"] for summary in finished.values())
-    return _DOUBTFUL if exchanged or doubtful else 0
+    with output_folder(out, session, "results") as results:
+        if len(tools) > 1 and calibration is not None and not calibration.is_dir():
+            raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
+        check_output_folder(results, "batch")
+        arms: dict[str, ArmInSession] = {}
+        finished: dict[str, BatchSummary] = {}
+        calibrations = {
+            name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session)
+            for name, tool in tools.items()
+        }
+        for name, tool in tools.items():
+            arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
+        for name, arm in arms.items():
+            finished[name] = done = _run(
+                arm,
+                results / name,
+                settings,
+                scheduler=scheduler,
+                segment=segment.resolve(),
+                pattern=frames,
+                shard=part,
+                resume=resume,
+                retry_failed=retry_failed,
+                workers=workers,
+                time_limit=time_limit,
+                lag=given,
+                find_lag=lag == AUTO,
+                calibration=calibrations[name],
+            )
+            if done.interrupted:
+                break
+        exchanged: list[str] = []
+        if len(finished) > 1 and not done.interrupted:
+            if part is None:
+                of_arms = {name: summary.results for name, summary in finished.items()}
+                exchanged = exchanged_in_results(arms, of_arms, settings)
+                for text in exchanged:
+                    warn(text)
+            if not exchanged:
+                finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
+        _report_all(finished, json, part)
+        stopped = next((summary for summary in finished.values() if summary.interrupted), None)
+        if stopped is not None:
+            again = "the same command" if resume else "the same command without --overwrite"
+            left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
+            if not stopped.counts["missing"]:
+                left = "frames in which tools cross are left"
+            print_error(f"interrupted: {left}; {again} goes on from here")
+            return _INTERRUPTED
+        if len(finished) > 1 and part is None:
+            with output(results, "batch"):
+                page = write_arms(results, arms)
+            if not json:
+                show([Line(f"all arms: {page}")])
+        doubtful = any(summary.counts["doubtful"] or summary.counts["failed"] for summary in finished.values())
+        return _DOUBTFUL if exchanged or doubtful else 0
 
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None) -> None:

@@ -166,10 +166,10 @@ def estimate(
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
     files = FrameFiles(name, mask, {}, image, ignore, tips, label, picked, moment)
     if out is not None:
-        from dvrk_cmaes.runs.ownership import check_frame_files, record_frame_files
+        from dvrk_cmaes.io.output import check_output_folder
 
         kinds = (result_path, overlay_path, *(() if mask is not None else (mask_path,)))
-        check_frame_files(out, [path(out, name) for path in kinds])
+        check_output_folder(out, "estimate", names=[path(Path(), name).as_posix() for path in kinds], owns=False)
     camera_file: CameraFile | RigFile
     if mask_right is None and image_right is None:
         camera_file = camera.read(lambda: frame_size(files))
@@ -195,8 +195,6 @@ def estimate(
         settings=model.resolve(),
         hints=prompts.resolve(),
     )
-    if out is not None:
-        record_frame_files(out, run.written)
     for text in run.result.warnings:
         warn(text)
     if json:

@@ -120,11 +120,9 @@ def segment(
 
     from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.atomic_folder import replaced_folder
+    from dvrk_cmaes.io.output import check_output_folder, whole_folder
     from dvrk_cmaes.results.paths import check_output
     from dvrk_cmaes.runs.backgrounds import learned_backgrounds
-    from dvrk_cmaes.runs.output import locked
-    from dvrk_cmaes.runs.ownership import check_owned, record_masks
 
     hints = prompts.resolve()
     cv2.setNumThreads(threads)
@@ -137,8 +135,8 @@ def segment(
         note(f"images{where}: the instrument is told from a background learned from all of them")
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
-    check_owned(out, "segment", replaces=True)
-    with locked(out), replaced_folder(out, kept=("masks", "overlays", "scores")) as beside:
+    check_output_folder(out, "segment", whole=True, replaces=True)
+    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as beside:
         outcomes = []
         for frame, path in images.items():
             try:
@@ -147,8 +145,6 @@ def segment(
                 if single:
                     raise
                 outcomes.append(ImageOutcome(frame, None, {}, problem=str(error)))
-        record_masks(beside, "segment")
-        check_owned(out, "segment", replaces=True)  # masks may have been corrected meanwhile
     outcomes = [outcome.moved(beside, out) for outcome in outcomes]
     if json:
         document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -73,6 +73,18 @@ class SessionTool:
             video=video,
         )
         return ArmInSession(session, body, self.options.kinematics)
+
+
+@contextmanager
+def output_folder(out: Path | None, inside: Path, name: str) -> Iterator[Path]:
+    """Yield the folder to write to, which is opened: OUT, or a folder of a name inside another one by default.
+
+    A folder that the user did not name must have no links, and no files but those that earlier runs have written.
+    """
+    from dvrk_cmaes.io.output import base
+
+    with base(inside if out is None else out, strict=out is None):
+        yield inside / name if out is None else out
 
 
 def session_tools(folder: Path, options: InstrumentOptions, only: Sequence[str] = ()) -> dict[str, SessionTool]:

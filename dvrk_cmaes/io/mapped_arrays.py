@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.io.output import write_bytes
 
 _MARK: Final = b"DVRKARR1"
 _START: Final = struct.Struct("<8sQQQ")  # mark, length and checksum of all that follows, length of the header

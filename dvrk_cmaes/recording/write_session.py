@@ -22,9 +22,9 @@ import numpy as np
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
-from dvrk_cmaes.io.atomic import write_bytes, write_text
-from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.output import whole_folder, write_bytes
 from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
@@ -139,7 +139,7 @@ def write_session(
     """
     names: list[str] = []
     times: list[int] = []
-    with whole_folder(out, command="import", sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
+    with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         counter = _ImageCounter(recording.images)
         pairing = None if recording.right is None else Pairing(recording.right.images)
         size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times, pairing)

@@ -21,6 +21,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.io.output import Output, base, output
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
@@ -39,17 +40,16 @@ from dvrk_cmaes.runs.manifest import (
     write_manifest,
 )
 from dvrk_cmaes.runs.output import (
+    COMMAND,
     POSES,
+    TABLES,
     complete_results,
     has_results,
-    locked,
-    refuse_occupied_places,
     refuse_strange_results,
     remove_results,
-    remove_temporary_files,
+    results_of,
     write_outcome,
 )
-from dvrk_cmaes.runs.ownership import check_owned, record_masks
 from dvrk_cmaes.runs.processes import Processes, WorkerDied, run_in_processes, usable_cores
 from dvrk_cmaes.runs.summary import RunTiming, summarize
 from dvrk_cmaes.runs.worker import (
@@ -181,17 +181,15 @@ def run_batch(
     frames = chosen if shard is None else shard.part(chosen)
     check_names(folder, chosen)
     home = Path(os.path.abspath(session.folder))
-    check_owned(folder, "batch", replaces=not resume)
     masks = with_backgrounds(segment or SegmentSettings(), session.frames, session.rig.names)
     setup = BatchSetup(instrument, session.rig, settings, arm, home, masks, calibration)
     started = time.monotonic()
-    with locked(folder):
-        refuse_occupied_places(folder)
+    with base(out), output(folder, COMMAND, replaces=not resume) as own:
         if not resume:
-            remove_results(folder)
-        remove_temporary_files(folder)
+            remove_results(folder, own)
         todo, kept = _prepare(
             folder,
+            own,
             None if shard is None else out,
             setup,
             frames,
@@ -208,7 +206,6 @@ def run_batch(
         seconds = time.monotonic() - started
         timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
         finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
-        record_masks(folder, "batch")
     document, interrupted = finished.summary or {}, stop.is_set() and ran < len(todo)
     counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)
@@ -264,6 +261,7 @@ def _manifest(folder: Path) -> Manifest:
 
 def _prepare(
     folder: Path,
+    own: Output,
     merged: Path | None,
     setup: BatchSetup,
     frames: Sequence[FrameFiles],
@@ -279,6 +277,7 @@ def _prepare(
     """
     if merged is None and shards_folder(folder).is_dir():
         raise InputError(f"{folder}: it has shards that are not merged; run dvrk-cmaes batch --merge {folder} first")
+    own.refuse(TABLES)
     digests = dict.fromkeys(others) | {files.name: frame_digests(files) for files in frames}
     manifest = manifest_of(setup, digests)
     kept: dict[str, Status] = {}
@@ -294,8 +293,11 @@ def _prepare(
         kept |= there
         if place == folder:
             manifest = with_frames(old, digests)
+    todo = [files for files in frames if files.name not in kept]
+    views = setup.rig.names
+    own.refuse(results_of([files.name for files in todo], views if len(views) > 1 else ("",)))
     write_manifest(folder, manifest)
-    return [files for files in frames if files.name not in kept], [kept[f.name] for f in frames if f.name in kept]
+    return todo, [kept[files.name] for files in frames if files.name in kept]
 
 
 def outcomes(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dvrk_cmaes.runs.ownership import check_owned
 from helpers.commands import run_command
 
 from dvrk_cmaes.errors import InputError
@@ -17,7 +18,6 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.manifest import check_same_session
-from dvrk_cmaes.runs.ownership import check_owned
 
 DEMO = bundled_path() / "demo"
 COMMANDS = ("batch", "calibrate", "segment", "track")

@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from dvrk_cmaes.io.written_files import read_written
 from helpers.batch_sessions import QUICK
 from helpers.commands import Ran, run_command
 from helpers.drawn_tools import draw_tool
@@ -18,7 +19,6 @@ from helpers.drawn_tools import draw_tool
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.io.written_files import read_written
 from dvrk_cmaes.runs.output import locked
 
 cli_segment = import_module("dvrk_cmaes.cli.segment")

@@ -15,7 +15,8 @@ import pytest
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.io import atomic
-from dvrk_cmaes.io.atomic import write_bytes, write_image, write_json, write_text, written_beside
+from dvrk_cmaes.io.atomic import write_image, write_json, write_text
+from dvrk_cmaes.io.output import write_bytes, written_beside
 
 
 def names(folder: Path) -> list[str]:

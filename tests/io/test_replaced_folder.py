@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from dvrk_cmaes.io.atomic_folder import replaced_folder
 
 from dvrk_cmaes.io import atomic_folder
-from dvrk_cmaes.io.atomic_folder import replaced_folder
 
 
 @pytest.fixture

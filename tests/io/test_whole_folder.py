@@ -10,7 +10,7 @@ import pytest
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io import atomic_folder
-from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.output import whole_folder
 
 
 def write(out: Path, text: str, *, command: str = "synth") -> None:
@@ -68,7 +68,7 @@ def test_folder_of_another_command_stays_as_it_is(out: Path) -> None:
 
 def test_file_that_is_added_while_the_new_folder_is_written_is_kept(out: Path) -> None:
     def overwrite() -> None:
-        with whole_folder(out, command="synth", sign="camera.yaml", overwrite=True) as beside:
+        with whole_folder(out, "synth", overwrite=True) as beside:
             (beside / "camera.yaml").write_text("second")
             add_mask(out)
 
@@ -100,8 +100,8 @@ def test_folder_that_a_killed_run_left_is_removed_by_the_next_one(tmp_path: Path
 
 def test_folder_that_a_live_run_fills_is_not_removed_by_another_one(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with whole_folder(out, command="synth", sign="camera.yaml") as beside:
-        with pytest.raises(InputError, match="half"), whole_folder(out, command="synth", sign="camera.yaml"):
+    with whole_folder(out, "synth") as beside:
+        with pytest.raises(InputError, match="half"), whole_folder(out, "synth"):
             raise InputError("half")
         assert beside.is_dir()
         (beside / "camera.yaml").write_text("first")
