@@ -196,7 +196,7 @@ def _calibrate_arm(
     session, model = arm.session, arm.body.instrument
     count = workers or usable_cores()
     used = worker_processes(model, count) if results is None else instrument_processes(model, count, session.frames)
-    with output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)), used as processes:
+    with output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)) as own, used as processes:
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
@@ -235,6 +235,7 @@ def _calibrate_arm(
             segment=segment,
             workers=count,
             processes=processes,
+            opened=own,
             progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
         )
 

@@ -63,7 +63,7 @@ def _flocked(folder: Folder, wait: float) -> Callable[[], None] | None:
         else:
             there = folder.status(LOCK)
             if there is not None and there.st_ino == os.fstat(opened).st_ino:
-                return lambda: os.close(opened)
+                return lambda: _released(folder, opened)
             os.close(opened)  # the one who had it before has removed the file
             continue
         _wait(folder, end, "wait for it")
@@ -92,6 +92,13 @@ def _held(folder: Folder, wait: float) -> Callable[[], None]:
                     file=sys.stderr,
                 )
         return lambda: _removed(folder)
+
+
+def _released(folder: Folder, opened: int) -> None:
+    """Remove the file of the lock, and give it back; those who have it open see that it is gone."""
+    with contextlib.suppress(OSError):
+        folder.remove(LOCK)
+    os.close(opened)
 
 
 def _removed(folder: Folder) -> None:

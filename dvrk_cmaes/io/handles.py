@@ -44,7 +44,7 @@ class Folder:
         Raises
         ------
         InputError
-            It is a link in the folder above.
+            There is a link, or a file, in the folder above.
         """
         self.path = path
         self._handle: int | None = None
@@ -55,7 +55,10 @@ class Folder:
             if above is None:
                 self._handle = os.open(path, flags)
             else:
-                self._handle = os.open(path.name, flags | os.O_NOFOLLOW, dir_fd=above._handle)
+                try:
+                    self._handle = os.open(path.name, flags | os.O_NOFOLLOW, dir_fd=above._handle)
+                except NotADirectoryError:
+                    raise InputError(f"{path}: expected a folder to write to, but a file is there") from None
         elif not path.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
 

@@ -156,11 +156,7 @@ class Output(_Place):
                 raise InputError(
                     f"{self.path}: {foreign[0]} was not written by `{self.command}`; choose another --out, or move it"
                 )
-        for name in self.files if replaces else ():
-            if self.is_changed(name):
-                raise InputError(
-                    f"{self.path}: {name} was changed since it was written; choose another --out, or move it"
-                )
+        self.refuse(self.files if replaces else ())
 
     def refuse(self, names: Iterable[str]) -> None:
         """Raise `InputError` if a file of these names is there that the command did not write, or changed since."""
@@ -171,13 +167,10 @@ class Output(_Place):
     def is_changed(self, name: str) -> bool:
         """Return whether a file of the list is there with another content; a link is another content."""
         try:
-            with self._reached(name) as (folder, last):
-                there = folder.status(last) is not None
-                return there and self.files[name] not in (_ANY, folder.digest(last))
-        except FileNotFoundError:
-            return False
+            self.refuse((name,))
         except (OSError, InputError):
             return True
+        return False
 
     @contextlib.contextmanager
     def _reached(self, name: str, *, make: bool = False) -> Iterator[tuple[Folder, str]]:
@@ -193,9 +186,11 @@ class Output(_Place):
         folder.refuse_link(last)
         if stat.S_ISDIR(found.st_mode):
             raise InputError(f"{self.path / name}: expected a file, or none yet, but a folder is there")
-        if name not in self.files or self.files[name] not in (_ANY, folder.digest(last)):
+        own = self.files.get(name)
+        if own is None or (own not in (_ANY, folder.digest(last)) and not _is_cut(folder.read(last) or b"")):
             raise InputError(
-                f"{self.path}: {name} was not written by `{self.command}`, or changed since; choose another --out"
+                f"{self.path}: {name} was not written by `{self.command}`, or changed since; choose another --out, or "
+                "move it"
             )
         return True
 
@@ -242,6 +237,8 @@ class Output(_Place):
             self.note(name, digest)
             source.rename(last, target, last)
             other.note(name, None)
+        if "/" in name:
+            other.remove_empty(name.rpartition("/")[0])
 
     def note_all(self) -> None:
         """Note the files in the folder that are not noted, but for those of lists below."""
@@ -270,7 +267,7 @@ class Output(_Place):
         self.listed = True
 
     def close(self) -> None:
-        """Write the list; if nothing is in it, it is removed, and the file of the lock, too."""
+        """Write the list, or remove it if nothing is in it."""
         if self.files:
             if self._journal is not None or not self.listed:
                 self.write_list()
@@ -278,7 +275,7 @@ class Output(_Place):
         if self._journal is not None:
             self._journal.close()
             self._journal = None
-        for name in (RECORD, JOURNAL, LOCK):
+        for name in (RECORD, JOURNAL):
             if self.folder.status(name) is not None:
                 self.folder.remove(name)
 
@@ -320,6 +317,12 @@ def _read_list(folder: Folder, path: Path) -> Written | None:
             if digest in digests:
                 record.files[name] = digest
     return record
+
+
+def _is_cut(data: bytes) -> bool:
+    """Whether a file was cut off, as by a power cut: an empty one, or a document without its end."""
+    text = data.strip(b"\0 \n")
+    return not text or (text.startswith(b"{") and not text.endswith(b"}"))
 
 
 def _is_inside(name: str) -> bool:
@@ -584,6 +587,7 @@ def whole_folder(
     overwrite: bool = False,
     kept: Sequence[str] = (),
     source: str | Path | None = None,
+    opened_before: Output | None = None,
 ) -> Iterator[Path]:
     """Yield a temporary folder, which takes the place of the target at the end, or is removed after an error.
 
@@ -601,6 +605,8 @@ def whole_folder(
         Subfolders of the earlier folder that are in the new one from the start.
     source
         A file or folder that is read meanwhile; it must not lie in the target.
+    opened_before
+        The target, if it is open already, by the same arguments.
 
     Raises
     ------
@@ -616,12 +622,11 @@ def whole_folder(
         if source is not None and real in ((read := Path(os.path.realpath(source))), *read.parents):
             raise InputError(f"{path}: expected a folder apart from {source}, got one that holds it")
         with contextlib.ExitStack() as opened:
-            place, names = _nearest(path)
-            if isinstance(place, Output) and not names:
-                out = place
-            else:
-                if not overwrite:
-                    _refuse_filled(path)
+            if not overwrite:
+                _refuse_filled(path)
+            place = _nearest(path.parent)[0]
+            out = opened_before
+            if out is None:
                 out = opened.enter_context(output(path, command, whole=True, replaces=overwrite, kept=kept))
             # its own name, below the folder that holds it: what is typed may be a link to it
             target = path if place is not None else real

@@ -186,6 +186,7 @@ def run_batch(
     started = time.monotonic()
     with base(out), output(folder, COMMAND, replaces=not resume) as own:
         if not resume:
+            own.refuse((*TABLES, *results_of([files.name for files in frames], session.rig.names)))
             remove_results(folder, own)
         todo, kept = _prepare(
             folder,
@@ -294,8 +295,7 @@ def _prepare(
         if place == folder:
             manifest = with_frames(old, digests)
     todo = [files for files in frames if files.name not in kept]
-    views = setup.rig.names
-    own.refuse(results_of([files.name for files in todo], views if len(views) > 1 else ("",)))
+    own.refuse(results_of([files.name for files in todo], setup.rig.names))
     write_manifest(folder, manifest)
     return todo, [kept[files.name] for files in frames if files.name in kept]
 

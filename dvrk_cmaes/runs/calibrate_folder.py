@@ -31,7 +31,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image, write_json
-from dvrk_cmaes.io.output import changed_files, whole_folder, write_bytes
+from dvrk_cmaes.io.output import Output, changed_files, whole_folder, write_bytes
 from dvrk_cmaes.results.folder import ALONE, SESSION
 from dvrk_cmaes.results.paths import (
     check_output,
@@ -70,13 +70,15 @@ def calibrate_folder(
     workers: int,
     processes: Processes | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
+    opened: Output | None = None,
 ) -> SolvedSession:
     """Calibrate a session folder from its frames' own results, and write everything to a folder.
 
     ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
     are taken from there; with ``segment``, how they were found there, they are found again around the silhouettes that
     the session expects. ``processes`` are those of `instrument_processes` or `worker_processes`, to use instead of
-    new ones, up to ``workers``. All files are written to a folder beside, which takes the place of an earlier one when
+    new ones, up to ``workers``; ``opened`` is the folder, if it is open already. All files are written to a folder
+    beside, which takes the place of an earlier one when
     it is whole.
 
     Raises
@@ -126,7 +128,7 @@ def calibrate_folder(
             for name, left_out in solved.leave_one_out.items()
         ]
         pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
-        with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,)) as beside:
+        with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,), opened_before=opened) as beside:
             for path in masks.rglob("*.png"):
                 write_bytes(beside / path.relative_to(masks), path.read_bytes())
             _write(solved, pictures, session, instrument, beside, arm, config, alone)

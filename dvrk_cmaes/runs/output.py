@@ -25,8 +25,8 @@ TABLES: Final = (MANIFEST, POSES, SUMMARY, PAGE)
 
 
 def results_of(frames: Iterable[str], views: Iterable[str]) -> list[str]:
-    """Return the paths, in the folder, of all files that frames may have."""
-    here = Path()
+    """Return the paths, in the folder, of all files that frames with views of some names may have."""
+    here, names = Path(), list(views)
     return [
         path.as_posix()
         for frame in frames
@@ -34,7 +34,7 @@ def results_of(frames: Iterable[str], views: Iterable[str]) -> list[str]:
             result_path(here, frame),
             overlay_path(here, frame),
             layers_path(here, frame),
-            *(mask_path(here, frame, view) for view in views),
+            *(mask_path(here, frame, view) for view in (names if len(names) > 1 else ("",))),
         )
     ]
 

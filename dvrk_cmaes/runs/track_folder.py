@@ -173,7 +173,7 @@ def track_folder(
         notice(f"warning: {text}")
     check_writable(out)
     with base(out), output(out, "track", replaces=not resume) as own:
-        own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION, CHECKPOINT, KEYFRAMES, KEYFRAMES_BY_IMAGES))
+        own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION, CHECKPOINT))
         manifest = _manifest(session, frames, body, settings)
         old = read_manifest(out)
         if old is not None and resume:

@@ -19,9 +19,9 @@ from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.io.output import output
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs.batch import BatchSummary, finish, run_batch
-from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.silhouette import Body
 
 Batch = Callable[..., BatchSummary]
@@ -62,7 +62,7 @@ def test_batch_writes_results_overlays_tables_and_page(batch: Batch, tmp_path: P
     done = batch(make_session(tmp_path / "session", names))
     out = tmp_path / "out"
     assert sorted(comparable(out)) == sorted(
-        [".lock", "poses.csv", "report.html", "run.json", "summary.json"]
+        ["poses.csv", "report.html", "run.json", "summary.json"]
         + [f"frames/{name}.json" for name in names]
         + [f"layers/{name}.json" for name in names]
         + [f"overlays/{name}.jpg" for name in names]
@@ -250,7 +250,7 @@ def test_file_in_the_place_of_a_folder_is_refused_first(batch: Batch, two: Path,
 def test_damaged_summary_is_replaced(batch: Batch, two: Path, tmp_path: Path) -> None:
     batch(two)
     whole = comparable(tmp_path / "out")
-    (tmp_path / "out" / "summary.json").write_bytes(b"\xff")
+    (tmp_path / "out" / "summary.json").write_bytes(b'{"cut')
     assert batch(two).ran == 0
     assert comparable(tmp_path / "out") == whole
 
@@ -280,9 +280,9 @@ def test_unwritable_names_and_folders_are_refused_first(batch: Batch, tmp_path: 
 @pytest.mark.usefixtures("estimates_shared")
 def test_second_batch_in_same_folder_is_refused(batch: Batch, two: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with locked(out), pytest.raises(DvrkCmaesError) as caught:
+    with output(out, "batch"), pytest.raises(DvrkCmaesError) as caught:
         batch(two)
-    assert str(caught.value) == f"{out}: another batch is writing there; wait for it, or choose another --out"
+    assert str(caught.value) == f"{out}: another command is writing there; wait for it, or choose another --out"
     assert batch(two).ran == 2
 
 
