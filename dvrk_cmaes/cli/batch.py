@@ -196,12 +196,12 @@ def batch(
         check_output_folder(results, "batch")
         arms: dict[str, ArmInSession] = {}
         finished: dict[str, BatchSummary] = {}
-        calibrations = {
-            name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session)
-            for name, tool in tools.items()
-        }
+        calibrations: dict[str, SessionCalibration | None] = {}
         for name, tool in tools.items():
             arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
+            calibrations[name] = read_calibration_of(
+                calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
+            )
         for name, arm in arms.items():
             finished[name] = done = _run(
                 arm,

@@ -179,7 +179,7 @@ def estimate(
         camera_file = camera.read_rig(lambda: frame_size(files))
     data = read_any_frame(files, camera_file.rig)
     body = instrument.load()
-    known = read_calibration_of(calibration, doubtful=doubtful_session)
+    known = read_calibration_of(calibration, body, instrument.arm, doubtful=doubtful_session)
     lag = None if known is None else known.applied_lag
     read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
     files = replace(files, readings=read.readings)

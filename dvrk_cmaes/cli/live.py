@@ -163,7 +163,7 @@ def live(
         names,
         body,
         instrument.kinematics,
-        read_calibration_of(calibration, doubtful=doubtful_session),
+        read_calibration_of(calibration, body, instrument.arm, doubtful=doubtful_session),
         method.resolve(),
         lag,
         None if camera is None else read_camera(camera, rectified=rectified),

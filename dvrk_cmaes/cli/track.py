@@ -200,7 +200,7 @@ def track(
             settings[name] = TrackSettings(
                 method.resolve(),
                 arm.kinematics,
-                read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session),
+                read_calibration_of(calibration, arm.body, instrument.arm, tool.tool.arm, doubtful=doubtful_session),
                 seconds,
                 every,
                 joints != "none",

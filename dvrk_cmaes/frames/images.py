@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -153,6 +154,7 @@ def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.
     The decoders print nothing: OpenCV's own JPEG decoder would print what it had to make up, and only gets those in the
     colours of print, and PNG files without the chunks that do not change their pixels.
     """
+    pixels: Any
     try:
         pixels = _decode_jpeg(data, flags) if data.startswith(b"\xff\xd8") else None
         if pixels is None:
@@ -164,7 +166,7 @@ def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.
     return np.asarray(pixels, np.uint8)
 
 
-def _decode_jpeg(data: bytes, flags: int) -> NDArray[np.uint8] | None:
+def _decode_jpeg(data: bytes, flags: int) -> Any:
     """Decode a JPEG as OpenCV does, to the last bit; None for one in colours of print, ValueError if it is damaged."""
     height, width, colours, _ = simplejpeg.decode_jpeg_header(data)
     wanted = "GRAY" if flags == cv2.IMREAD_UNCHANGED and colours == "Gray" else "BGR"
