@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 _MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit
-_INCOMPLETE, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
+_FAILED, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
 
 
 def batch(
@@ -83,8 +83,8 @@ def batch(
     estimated gets a failed result with its reason, and the command continues with the other frames. Of several arms, a
     tool that is clearly in front of another one is solved again, with that one as background.
 
-    Exit codes: 0 all ok, 1 the work could not be done, or frames are missing in --merge, 2 wrong usage or input,
-    3 finished, but a frame is doubtful or failed, 130 interrupted.
+    Exit codes: 0 all ok, 1 the work could not be done, every frame failed, or frames are missing in --merge, 2 wrong
+    usage or input, 3 finished, but a frame is doubtful or failed, 130 interrupted.
 
     Example:
 
@@ -244,8 +244,15 @@ def batch(
                 page = write_arms(results, arms)
             if not json:
                 show([Line(f"all arms: {page}")])
-        doubtful = any(summary.counts["doubtful"] or summary.counts["failed"] for summary in finished.values())
-        return _DOUBTFUL if exchanged or doubtful else 0
+        code = _exit_code([summary.counts for summary in finished.values()])
+        return _DOUBTFUL if exchanged and code == 0 else code
+
+
+def _exit_code(counts: Sequence[Mapping[str, int]]) -> int:
+    """Return the exit code for the numbers of frames, by arm: 1 if all failed, 3 if a frame is doubtful or failed."""
+    if 0 < sum(arm["frames"] for arm in counts) == sum(arm["failed"] for arm in counts):
+        return _FAILED
+    return _DOUBTFUL if any(arm["doubtful"] or arm["failed"] for arm in counts) else 0
 
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None) -> None:
@@ -348,8 +355,8 @@ def _merge(out: Path, json: bool) -> int:
     counts = document["counts"]
     if counts["missing"]:
         print_error(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")
-        return _INCOMPLETE
-    return _DOUBTFUL if counts["doubtful"] or counts["failed"] else 0
+        return _FAILED
+    return _exit_code([counts])
 
 
 def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Iterator[Line]:

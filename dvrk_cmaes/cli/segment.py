@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.segment import Segmentation
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 
-_DOUBTFUL = 3
+_FAILED, _DOUBTFUL = 1, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +89,8 @@ def segment(
     `estimate` and `batch` find masks in images themselves, and more accurately, because they use the instrument's
     shape. Of a stereo session, the images of both eyes are segmented, into OUT/masks/left and OUT/masks/right.
 
-    Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 a mask is a guess (its confidence is low), or no mask was
-    found in an image of a folder.
+    Exit codes: 0 ok, 1 failed, as is a folder without any mask found, 2 wrong usage or input, 3 a mask is a guess (its
+    confidence is low), or no mask was found in some images of a folder.
 
     Example:
 
@@ -151,6 +151,8 @@ def segment(
         print(json_text(document), end="")
     else:
         show(line for outcome in outcomes for line in _lines(outcome))
+    if all(outcome.status == "failed" for outcome in outcomes):
+        return _FAILED
     return 0 if all(outcome.status == "ok" for outcome in outcomes) else _DOUBTFUL
 
 

@@ -282,6 +282,8 @@ class Output(_Place):
 
 def _read_list(folder: Folder, path: Path) -> Written | None:
     """Read the list of a folder, with what was noted since it was written; None if there is none."""
+    for name in (RECORD, JOURNAL):
+        folder.refuse_link(name)
     found = [folder.status(name) for name in (RECORD, JOURNAL)]
     if found == [None, None]:
         return None

@@ -6,7 +6,7 @@ import functools
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,7 +31,9 @@ from dvrk_cmaes.runs.base_agreement import compare_bases
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
 from dvrk_cmaes.runs.manifest import (
+    FrameParts,
     Manifest,
+    any_difference,
     check_same_frames,
     check_same_settings,
     manifest_of,
@@ -286,8 +288,17 @@ def _prepare(
         old = read_manifest(place)
         if old is None:
             continue
-        check_same_settings(place, old, manifest)
-        there = {name: s for name, s in complete_results(place).items() if not (retry_failed and s == "failed")}
+        found = complete_results(place)
+        if not _only_failures(place, found):  # these need not be of the same settings: they are replaced then
+            check_same_settings(place, old, manifest)
+        elif any_difference(old, manifest):
+            old, found = manifest, {}
+        again = {name for name, status in found.items() if status == "failed" and _is_changed(name, old, digests)}
+        there = {
+            name: status
+            for name, status in found.items()
+            if name not in again and not (retry_failed and status == "failed")
+        }
         check_same_frames(place, old, digests, done=there, session=session)
         if place == folder:
             refuse_strange_results(folder, others, session)
@@ -298,6 +309,17 @@ def _prepare(
     own.refuse(results_of([files.name for files in todo], setup.rig.names))
     write_manifest(folder, manifest)
     return todo, [kept[files.name] for files in frames if files.name in kept]
+
+
+def _only_failures(place: Path, found: Mapping[str, Status]) -> bool:
+    """Whether all results in a folder, of which there are some, are failures."""
+    return bool(found) and {*found.values()} == {"failed"} and len(found) == len([*place.glob("frames/*.json")])
+
+
+def _is_changed(name: str, old: Manifest, digests: FrameParts) -> bool:
+    """Whether the files of a frame are others now."""
+    now = digests.get(name)
+    return now is not None and old["frames"].get(name) != now
 
 
 def outcomes(

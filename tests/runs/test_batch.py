@@ -183,16 +183,36 @@ def test_resume_with_changed_files_is_refused(batch: Batch, two: Path, tmp_path:
 
 
 @pytest.mark.usefixtures("estimates_shared")
-def test_failed_frames_are_repeated_on_request(batch: Batch, two: Path, tmp_path: Path) -> None:
+def test_failed_frames_are_repeated_on_request_or_when_their_files_have_changed(
+    batch: Batch, two: Path, tmp_path: Path
+) -> None:
     mask = two / "masks" / "0002.png"
     sound = mask.read_bytes()
     batch(two, "sound")
     mask.write_bytes(b"nonsense")
     assert batch(two).counts["failed"] == 1
+    assert batch(two).ran == 0
+    done = batch(two, retry_failed=True)
+    assert (done.ran, done.counts["failed"]) == (1, 1)
     mask.write_bytes(sound)
-    assert "0002 (mask)" in refusal(batch, two)
-    assert batch(two, retry_failed=True).counts["failed"] == 0
+    done = batch(two)
+    assert (done.ran, done.counts["failed"]) == (1, 0)
     assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
+
+
+@pytest.mark.usefixtures("estimates_shared")
+def test_settings_may_change_while_all_frames_have_failed(batch: Batch, two: Path, tmp_path: Path) -> None:
+    batch(two, "sound", arm="si")
+    masks = {path: path.read_bytes() for path in (two / "masks").iterdir()}
+    for path in masks:
+        path.write_bytes(b"nonsense")
+    assert batch(two).counts["failed"] == 2
+    for path, data in masks.items():
+        path.write_bytes(data)
+    done = batch(two, arm="si")
+    assert (done.ran, done.counts["failed"]) == (2, 0)
+    assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
+    assert "arm: si -> classic" in refusal(batch, two)
 
 
 @pytest.mark.usefixtures("estimates_shared")
