@@ -23,7 +23,8 @@ BY_HANDLE: Final = {os.open, os.mkdir, os.rename, os.stat, os.unlink} <= os.supp
 # errors that do not depend on the path; EFBIG: the limit on the size of files (ulimit -f)
 _MACHINE_AT_FAULT: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 _EXCHANGE: Final = 2  # of renameat2(2)
-_NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_NO_LINK |= getattr(os, "O_NONBLOCK", 0)  # a pipe is not waited for
 
 
 def not_written(path: str | Path, error: OSError | ValueError, what: str) -> DvrkCmaesError:

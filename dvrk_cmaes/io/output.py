@@ -187,7 +187,8 @@ class Output(_Place):
         if stat.S_ISDIR(found.st_mode):
             raise InputError(f"{self.path / name}: expected a file, or none yet, but a folder is there")
         own = self.files.get(name)
-        if own is None or (own not in (_ANY, folder.digest(last)) and not _is_cut(folder.read(last) or b"")):
+        regular = stat.S_ISREG(found.st_mode)
+        if not regular or own is None or (own not in (_ANY, folder.digest(last)) and not _is_cut(folder.read(last))):
             raise InputError(
                 f"{self.path}: {name} was not written by `{self.command}`, or changed since; choose another --out, or "
                 "move it"
@@ -321,9 +322,9 @@ def _read_list(folder: Folder, path: Path) -> Written | None:
     return record
 
 
-def _is_cut(data: bytes) -> bool:
+def _is_cut(data: bytes | None) -> bool:
     """Whether a file was cut off, as by a power cut: an empty one, or a document without its end."""
-    text = data.strip(b"\0 \n")
+    text = (data or b"").strip(b"\0 \n")
     return not text or (text.startswith(b"{") and not text.endswith(b"}"))
 
 
@@ -571,11 +572,14 @@ def appended(path: Path, begin: bytes) -> Iterator[IO[bytes]]:
 
     In an output folder, an earlier file is replaced if it is the command's.
     """
-    write_bytes(path, begin)
     with _target(path) as (folder, out, name):
         if out is not None:
+            out._admit(folder, name, path.name)
             out.note(name, _ANY)
-        with open(folder.open(path.name, os.O_WRONLY | os.O_APPEND), "ab", buffering=0) as file:
+        beside = _temporary()
+        with open(folder.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL), "wb", buffering=0) as file:
+            file.write(begin)
+            folder.rename(beside, folder, path.name)
             yield file
         if out is not None:
             out.note(name, folder.digest(path.name) or _ANY)
