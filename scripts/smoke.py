@@ -38,6 +38,8 @@ _CAMERA: Final = "--camera session/camera.yaml"
 _CONFIG: Final = "--config quick.toml"
 COMMANDS: Final = (
     "--version",
+    "help",
+    "demo --out demo",
     "inspect session",
     "inspect session/camera.yaml",
     f"estimate --mask session/masks/0000.png {_CAMERA} --joints session/joints.csv {_CONFIG} --out one",
