@@ -39,11 +39,14 @@ $(VENV)/.python:
 	$(PYTHON) -m venv $(VENV)
 	@touch $@
 
-$(VENV)/.package: $(VENV)/.python pyproject.toml
+# the kernel is compiled when the package is installed
+KERNEL := dvrk_cmaes/kernel/CMakeLists.txt $(wildcard dvrk_cmaes/kernel/*.?pp)
+
+$(VENV)/.package: $(VENV)/.python pyproject.toml $(KERNEL)
 	$(PIP) --editable .
 	@touch $@
 
 # with the package, which need not be installed by itself before
-$(VENV)/.tools: $(VENV)/.python pyproject.toml
+$(VENV)/.tools: $(VENV)/.python pyproject.toml $(KERNEL)
 	$(PIP) --editable '.[test,lint,make]'
 	@touch $(VENV)/.package $@

@@ -125,12 +125,13 @@ class LookAtRange:
     """Limits of LookAt candidates.
 
     The root's z axis points away from the camera, so the magnitudes of the angles alpha and gamma are at most ``tilt``,
-    rad, below 90 degrees. The angle beta about the shaft is unlimited. The distance is between ``near`` and ``far``, m.
+    rad, below 90 degrees. The angle beta about the shaft is unlimited. The distance is between ``near`` and ``far``, m;
+    it does not limit candidates on the shaft's edges, which tell the distance themselves.
     """
 
     tilt: float = math.radians(80)
-    near: float = 0.05
-    far: float = 0.22
+    near: float = 0.04
+    far: float = 0.4
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,7 @@ class RefineConfig:
         Difference of the negative log-likelihood from the best pose beyond which a pose does not continue, if its
         outline alone is worse than the best outline by a third of that too.
     half_size_modes
-        Number of best modes that are refined at half the image size.
+        Number of best modes that are refined at half the image size, or at about 400 px where that is larger.
     modes, full_steps
         Number of best modes that are refined at full image size, and largest number of iterations there before the
         contour's noise is estimated. The last iterations follow.

@@ -1,7 +1,7 @@
 """Print in one line what is missing to install the package: Python's version, venv, a C++ compiler, Python's headers.
 
-One dependency, scikit-fmm, has no wheels for Linux and is compiled, by Meson. conda-forge has it built. The script runs
-on any Python 3 without packages.
+The package's kernel is compiled by CMake, which comes as a wheel, and one dependency, scikit-fmm, which has no wheels
+for Linux, by Meson. The script runs on any Python 3 without packages.
 """
 
 import os
@@ -11,7 +11,7 @@ import sysconfig
 
 OLDEST = (3, 11)
 COMPILERS = {"CC": ("cc", "gcc", "clang"), "CXX": ("c++", "g++", "clang++")}
-"""Programs that Meson tries for C and C++, unless the variable of the environment names one."""
+"""Programs that CMake and Meson try for C and C++, unless the variable of the environment names one."""
 
 
 def missing() -> "list[str]":
@@ -26,7 +26,7 @@ def missing() -> "list[str]":
     except ImportError:
         found.append("Python's venv (Debian: apt install python3-venv)")
     if not all(_compiler_found(variable) for variable in COMPILERS):
-        found.append("a C++ compiler for scikit-fmm (Debian: apt install g++; conda-forge has scikit-fmm built)")
+        found.append("a C++ compiler (Debian: apt install g++)")
     if not os.path.exists(os.path.join(sysconfig.get_paths()["include"], "Python.h")):
         found.append("Python's headers (Debian: apt install python3-dev)")
     return found

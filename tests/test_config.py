@@ -118,7 +118,7 @@ def test_defaults_are_valid() -> None:
         ({"search": {"width_px": 1}}, "search.width_px: expected a number from 10 to 10000, got 1"),
         ({"seed": 2**63 - 1}, "seed: expected a number from 1e-09 to 4294967295, got 9223372036854775807"),
         ({"lookat": {"tilt": 1.6}}, "lookat.tilt: expected less than pi/2"),
-        ({"lookat": {"near": 0.3}}, "lookat.near: expected less than lookat.far"),
+        ({"lookat": {"near": 0.5}}, "lookat.near: expected less than lookat.far"),
     ],
 )
 def test_invalid_settings_are_refused(values: dict[str, object], expected: str) -> None:

@@ -27,12 +27,12 @@ LAYERS = (
     ("export", "frames", "silhouette", "evidence"),
     ("joints", "results", "instrument", "camera"),
     ("io",),
-    ("errors", "config", "geometry"),
+    ("errors", "config", "geometry", "_kernel"),
 )
 """The packages and modules of dvrk_cmaes and the folder scripts, from the top layer to the lowest."""
 
 LAYER = {node: number for number, nodes in enumerate(LAYERS) for node in nodes}
-MOST_NODES = 30
+MOST_NODES = 31
 MOST_LOOSE_MODULES = 7
 
 
@@ -52,14 +52,15 @@ class Import(NamedTuple):
 
 def files_of_nodes() -> dict[Path, str]:
     """Map each Python file of dvrk_cmaes and scripts to its node: its package, root module or "scripts"."""
-    files = {path: path.relative_to(PACKAGE).parts[0].removesuffix(".py") for path in PACKAGE.rglob("*.py")}
+    sources = [*PACKAGE.rglob("*.py"), *PACKAGE.glob("*.pyi")]
+    files = {path: path.relative_to(PACKAGE).parts[0].partition(".")[0] for path in sources}
     return files | dict.fromkeys(SCRIPTS.rglob("*.py"), "scripts")
 
 
 def is_module(parts: list[str]) -> bool:
     """Whether a dotted name is that of a module or package in this checkout."""
     path = ROOT.joinpath(*parts)
-    return path.is_dir() or path.with_suffix(".py").is_file()
+    return path.is_dir() or path.with_suffix(".py").is_file() or path.with_suffix(".pyi").is_file()
 
 
 def imported_modules(statement: ast.AST, file: Path) -> Iterator[str]:

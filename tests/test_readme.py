@@ -219,7 +219,7 @@ def test_github_forms_and_workflow_are_valid_yaml() -> None:
 
 def test_documents_are_in_source_distribution() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    included = settings["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+    included = settings["tool"]["scikit-build"]["sdist"]["include"]
     needed = {path.relative_to(ROOT).parts[0] for path in DOCUMENTS} | {"CITATION.cff", ".pre-commit-config.yaml"}
     assert needed <= set(included)
 

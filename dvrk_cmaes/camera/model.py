@@ -99,10 +99,10 @@ class Camera:
         return float("inf") if self._lens is None else self._lens.radius
 
     def scaled(self, width: int, height: int) -> Camera:
-        """Return the camera of the image resized to another size, in pixels, of the same aspect ratio.
+        """Return the camera of the image resized to another size, in pixels.
 
-        Pixels are areas, and corners of the image are mapped to corners: cx' + 0.5 = (cx + 0.5) s. The aspect ratios
-        may differ by 0.5 % or by the rounding of a size to whole pixels; InputError otherwise.
+        Pixels are areas, and corners of the image are mapped to corners: cx' + 0.5 = (cx + 0.5) s. The scales s of
+        width and height may differ, as they do where a size is rounded to whole pixels.
 
         Parameters
         ----------
@@ -114,11 +114,6 @@ class Camera:
         if width <= 0 or height <= 0:
             raise InputError(f"image size: expected positive sizes in pixels, got {width} x {height}")
         sx, sy = width / self.width, height / self.height
-        off = abs(width - self.width * sy)
-        if off > 0.005 * width and off > 0.5 and abs(height - self.height * sx) > 0.5:
-            raise InputError(
-                f"image size: expected the aspect of {self.width} x {self.height}, the camera's, got {width} x {height}"
-            )
         return Camera(
             width,
             height,

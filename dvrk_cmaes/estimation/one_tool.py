@@ -173,6 +173,7 @@ def estimate_views(
         reasons=found.reasons,
         instrument=model.name,
         root_link=model.root_link,
+        shaft_radius=model.shaft_radius,
         camera_from_root=found.at.pose,
         joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,

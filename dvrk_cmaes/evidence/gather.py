@@ -15,6 +15,7 @@ from dvrk_cmaes.evidence.jaw_tips import find_tips
 from dvrk_cmaes.evidence.shaft_edges import Contour, ShaftEdges, find_contour, find_shaft_edges
 from dvrk_cmaes.instrument import Instrument
 
+Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 
@@ -39,6 +40,26 @@ class Evidence:
     tips: Float64 | None
     tips_given: bool
     unused: tuple[str, ...] = field(default=())
+
+    @cached_property
+    def _at_sizes(self) -> dict[tuple[int, int], tuple[Float32, Float32]]:
+        return {}
+
+    def at_size(self, width: int, height: int) -> tuple[Float32, Float32]:
+        """Return mask (h, w), 0 to 1, and weight (h, w) at another image size, px; ignored pixels do not count."""
+        known = self._at_sizes
+        if (width, height) not in known:
+            mask, weight = self.mask.astype(np.float32), self.weight
+            if mask.shape != (height, width):
+                weight = shrunk(self.weight, width, height)
+                mask = np.divide(shrunk(mask * self.weight, width, height), np.maximum(weight, 1e-6), dtype=np.float32)
+            known[width, height] = mask, weight
+        return known[width, height]
+
+    def shows_both(self, width: int, height: int) -> bool:
+        """Return whether some pixel is instrument, and another one background, at an image size, px."""
+        mask, _ = self.at_size(width, height)
+        return 0 < int(np.count_nonzero(mask > 0.5)) < mask.size
 
     @cached_property
     def ignores(self) -> bool:
@@ -148,7 +169,9 @@ def _gathered(
 
 
 def shrunk(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    """Downsample an image (H, W) to another size by area averaging."""
+    """Downsample an image (H, W) to another size by area averaging; one of ones, as most weights are, stays exact."""
+    if bool(image.min() == 1) and bool(image.max() == 1):
+        return np.ones((height, width), dtype=np.float32)
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 

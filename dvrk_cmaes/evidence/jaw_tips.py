@@ -24,16 +24,21 @@ def distal_direction(mask: NDArray[np.bool_], edges: ShaftEdges) -> Float64:
     axis = edges.ends[0, 1] - edges.ends[0, 0]
     axis = axis / np.linalg.norm(axis)
     middle = edges.ends.mean(axis=(0, 1))
-    edge = np.zeros_like(mask)
-    edge[[0, -1], :] = mask[[0, -1], :]
-    edge[:, [0, -1]] = mask[:, [0, -1]]
-    v, u = np.nonzero(edge)
-    if len(u) < 5:
-        v, u = np.nonzero(mask)
+    border = _border_pixels(mask)
+    if len(border) < 5:
+        v, u = np.divmod(np.flatnonzero(mask), mask.shape[1])
         along = (np.stack([u, v], axis=1) - middle) @ axis
         return np.asarray(axis if along.max() > -along.min() else -axis)
-    entry = np.array([median(u), median(v)])
+    entry = np.array([median(border[:, 0]), median(border[:, 1])])
     return np.asarray(axis if (entry - middle) @ axis < 0 else -axis)
+
+
+def _border_pixels(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the pixels (N, 2), u and v, of a mask at the border of the image, without searching all of it."""
+    height, width = mask.shape
+    found = [(u, v) for v in {0, height - 1} for u in np.flatnonzero(mask[v])]
+    found += [(u, v) for u in {0, width - 1} for v in np.flatnonzero(mask[1:-1, u]) + 1]
+    return np.array(found, dtype=np.intp).reshape(-1, 2)
 
 
 def find_tips(

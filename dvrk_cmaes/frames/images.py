@@ -23,6 +23,7 @@ from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, re
 
 _LARGEST = 400_000_000  # bytes
 _THRESHOLD = 127
+_ASPECT, _ROUNDED_ASPECT = 0.005, 0.02  # by which the aspects of mask and calibration may differ, as a share
 _SKIPPED = re.compile(r"Corrupt JPEG data: \d+ extraneous bytes")  # libjpeg's words for bytes skipped without a loss
 
 
@@ -120,13 +121,17 @@ def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tu
     Raises
     ------
     InputError
-        The aspect ratios differ by more than 0.5 %: the image is cropped or of another camera.
+        The aspect ratios differ by more than 0.5 %, or 2 % where a size was rounded to whole pixels: the image is
+        cropped or of another camera.
     """
     height, width = shape
     if (width, height) == (camera.width, camera.height):
         return camera, None
     sizes = f"{width} x {height}", f"{camera.width} x {camera.height}"
-    if abs(width * camera.height / (height * camera.width) - 1) > 0.005:
+    across, down = width / camera.width, height / camera.height
+    off = abs(across / down - 1)
+    rounded = min(abs(width - down * camera.width), abs(height - across * camera.height)) <= 0.5
+    if off > (_ROUNDED_ASPECT if rounded else _ASPECT):
         raise InputError(f"{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]}")
     note = f"the {what} is {sizes[0]}, the calibration {sizes[1]}: intrinsics rescaled by {width / camera.width:.4g}"
     return camera.scaled(width, height), note

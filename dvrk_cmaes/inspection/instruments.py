@@ -25,7 +25,7 @@ def inspect_urdf(path: Path, options: Options) -> Finding:
     }
     shaft_text = "no straight shaft found"
     if shaft is not None:
-        shaft_text = f"shaft of {2e3 * shaft.radius:.2f} mm diameter, straight over {1e3 * shaft.length:.0f} mm"
+        shaft_text = f"shaft of {1e3 * shaft.radius:.2f} mm radius, straight over {1e3 * shaft.length:.0f} mm"
     return Finding(
         "instrument (URDF)",
         (
@@ -41,7 +41,7 @@ def inspect_urdf(path: Path, options: Options) -> Finding:
             "root_link": instrument.root_link,
             "triangles": faces,
             "limits": limits,
-            "shaft_radius": None if shaft is None else shaft.radius,
+            "shaft_radius": instrument.shaft_radius,
             "jaws": bool(instrument.jaw_tips),
             "has_twin": instrument.has_twin,
         },

@@ -98,9 +98,21 @@ class _Moving:
             np.array([_constant_terms(joint) for _, joint, _ in moving]).reshape(-1, 3, 4, 4).swapaxes(0, 1),
         )
 
+    def values(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute the values (..., K) of these joints from those of the independent ones (..., J)."""
+        return np.asarray(self.multiplier * joints.take(self.driver, axis=-1) + self.offset)
+
+    def derivatives(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Compute the derivatives (..., K, 4, 4) of `transforms`, each by the independent joint that moves it."""
+        value = self.values(joints)
+        _, first, second = self.terms
+        of_first = np.where(self.sliding, 1.0, np.cos(value))
+        change = of_first[..., None, None] * first - np.sin(value)[..., None, None] * second
+        return np.asarray(self.multiplier[:, None, None] * change)
+
     def transforms(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
         """Compute parent_from_child (..., K, 4, 4) of these joints from the values of the independent ones (..., J)."""
-        value = self.multiplier * joints.take(self.driver, axis=-1) + self.offset
+        value = self.values(joints)
         constant, first, second = self.terms
         of_first, of_second = np.sin(value), np.cos(value)
         if self.sliding.any():
@@ -171,6 +183,34 @@ class Chain:
         for column, index in enumerate(selected):
             out[..., column, :, :] = np.eye(4) if index < 0 else poses[index]
         return out
+
+    def forward_with_derivatives(
+        self, joints: NDArray[np.float64], selected: Sequence[int]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Compute the poses of selected links as `forward`, and their derivatives (..., J, len(selected), 4, 4)."""
+        transforms, changes = self._moving.transforms(joints), self._moving.derivatives(joints)
+        place = {index: k for k, index in enumerate(self._moving.at)}
+        count = joints.shape[-1]
+        poses: list[NDArray[np.float64]] = []
+        derivatives: list[NDArray[np.float64]] = []
+        for index, joint in enumerate(self.joints):
+            k = place.get(index)
+            local = self._still[index] if k is None else transforms[..., k, :, :]
+            above = np.eye(4) if joint.parent < 0 else poses[joint.parent]
+            by_joints = np.zeros((*joints.shape[:-1], count, 4, 4))
+            if joint.parent >= 0:
+                np.matmul(derivatives[joint.parent], local[..., None, :, :], out=by_joints)
+            if k is not None:
+                by_joints[..., self._moving.driver[k], :, :] += above @ changes[..., k, :, :]
+            poses.append(above @ local)
+            derivatives.append(by_joints)
+        out = np.empty((*joints.shape[:-1], len(selected), 4, 4))
+        slopes = np.zeros((*joints.shape[:-1], count, len(selected), 4, 4))
+        for column, index in enumerate(selected):
+            out[..., column, :, :] = np.eye(4) if index < 0 else poses[index]
+            if index >= 0:
+                slopes[..., column, :, :] = derivatives[index]
+        return out, slopes
 
     def path(self, index: int) -> list[int]:
         """List the indices of the joints from the root link to one joint, inclusive."""

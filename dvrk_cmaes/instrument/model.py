@@ -161,6 +161,21 @@ class Instrument:
         """
         return self.chain.forward(self._values(joints), self.link_joints)
 
+    def forward_with_derivatives(self, joints: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Compute root_from_link as `forward`, and its derivatives by the joints, (..., J, L, 4, 4).
+
+        Parameters
+        ----------
+        joints
+            Joint values, rad, in the order of `joint_names`, on the last axis.
+
+        Raises
+        ------
+        InputError
+            The last axis does not have J values.
+        """
+        return self.chain.forward_with_derivatives(self._values(joints), self.link_joints)
+
     def tips(self, joints: ArrayLike) -> NDArray[np.float64]:
         """Compute the jaw tips in the root link's frame, m, from joint values (..., J).
 
@@ -263,6 +278,11 @@ class Instrument:
             if (joint.moves and not hinges) or (hinges and not coincident):
                 hinges.append(index)
         return hinges
+
+    @property
+    def shaft_radius(self) -> float | None:
+        """Radius of the shaft, m; None without a straight shaft."""
+        return None if self.shaft is None else self.shaft.radius
 
     @property
     def reach(self) -> float:

@@ -130,20 +130,21 @@ def _losses(
     """Return the terms of the loss of C poses in a view's camera, whose silhouettes are ``masks`` (C, H, W)."""
     evidence, weights = view.evidence, config.weights
     window = _window(evidence, masks)
-    mask, weight = evidence.mask[window], evidence.weight[window].astype(np.float64)
+    mask, weight = evidence.mask[window], evidence.weight[window]
     around = np.pad(mask, 1)  # the distance field is undefined for a mask without background
     drawn_anywhere = np.pad(masks[:, window[0], window[1]].any(axis=0), 1)
     far = distance_field(around, config.distance_field, where=drawn_anywhere)[1:-1, 1:-1] / config.decay_px
-    area = float((mask * weight).sum())
+    area = float(weight[mask].sum(dtype=np.float64))
     cylinder, keypoints, deviations = pose_terms(evidence, view.renderer.body.instrument, readings, weights, seen)
     of_poses = []
     for i, silhouette in enumerate(masks[:, window[0], window[1]]):
-        drawn = silhouette * weight
+        drawn = weight[silhouette].astype(np.float64)
+        total, overlap = np.array([drawn.sum()]), np.array([drawn[mask[silhouette]].sum()])
         of_poses.append(
             Terms(
-                mse=mse_loss(np.array([drawn.sum()]), np.array([(drawn * mask).sum()]), area) / area,
-                dist=dist_loss(np.array([(drawn * far).sum()])) / area,
-                scale=scale_loss(np.array([drawn.sum()]), area) / area,
+                mse=mse_loss(total, overlap, area) / area,
+                dist=dist_loss(np.array([drawn @ far[silhouette]])) / area,
+                scale=scale_loss(total, area) / area,
                 cylinder=cylinder[i : i + 1],
                 keypoints=keypoints[i : i + 1],
                 readings=deviations[i : i + 1],

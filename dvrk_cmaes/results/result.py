@@ -71,6 +71,7 @@ class Result:
 
     camera_from_root : (4, 4), maps points of the root link to the camera's frame, m; None where the frame failed.
     joints : corrected joint values, rad. readings : those given, rad or m.
+    shaft_radius : of the instrument that was sought, m; None if it has no straight shaft.
     reasons : of a doubtful or failed status. warnings : remarks on the inputs. unused : evidence not used, and why.
     camera_from_base : (4, 4), m, where the readings of the outer joints were given.
     source : whether the frame was solved by itself or with its session. change : from the former to the latter.
@@ -95,6 +96,7 @@ class Result:
     camera_from_root: Transform | None
     joints: dict[str, Number]
     readings: dict[str, Number]
+    shaft_radius: Number | None = None
     warnings: Texts = ()
     unused: Texts = ()
     camera_from_base: Transform | None = None
@@ -142,6 +144,7 @@ class Result:
         *,
         instrument: str,
         root_link: str,
+        shaft_radius: float | None = None,
         warnings: Sequence[str] = (),
         time: float | None = None,
         seed: int = 0,
@@ -161,6 +164,8 @@ class Result:
             Name of the instrument.
         root_link
             Name of its root link.
+        shaft_radius
+            Radius of its shaft, m; None if it has no straight shaft.
         warnings
             Warnings on the frame.
         time
@@ -176,6 +181,7 @@ class Result:
             reasons=(reason,),
             instrument=instrument,
             root_link=root_link,
+            shaft_radius=shaft_radius,
             camera_from_root=None,
             joints={},
             readings=dict(readings),
@@ -279,7 +285,7 @@ class Result:
         of_rig = ("views", "view_fits") if self.views else ()
         return {
             "schema": SCHEMA,
-            **encoded_fields(self, "frame", "time", "status", "reasons", "instrument", "root_link"),
+            **encoded_fields(self, "frame", "time", "status", "reasons", "instrument", "shaft_radius", "root_link"),
             **encoded_fields(self, "camera_from_root", "joints", "readings", "tips", "tips_px", "warnings", "unused"),
             **encoded_fields(self, "camera_from_base", "source"),
             "change": self.change,

@@ -40,6 +40,7 @@ def estimate_all(frames: Iterable[FrameFiles], arm: ArmInSession, config: Estima
                 files.readings,
                 instrument=model.name,
                 root_link=model.root_link,
+                shaft_radius=model.shaft_radius,
                 time=files.time,
             )
 

@@ -194,6 +194,7 @@ def _as_result(at: Posed, body: Body, name: str) -> Result:
         reasons=("expected",),
         instrument=instrument.name,
         root_link=instrument.root_link,
+        shaft_radius=instrument.shaft_radius,
         camera_from_root=at.pose,
         joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
         readings={},

@@ -132,6 +132,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
         files.readings,
         instrument=setup.instrument.name,
         root_link=setup.instrument.root_link,
+        shaft_radius=setup.instrument.shaft_radius,
         warnings=files.notes,
         time=files.time,
         seed=setup.config.seed,

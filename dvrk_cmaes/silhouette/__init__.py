@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dvrk_cmaes.silhouette.outline import OutlinePoints
-from dvrk_cmaes.silhouette.pose_batches import POSES_PER_BATCH
 from dvrk_cmaes.silhouette.renderer import NEAR, Body, PixelSums, Renderer
 from dvrk_cmaes.silhouette.span_rays import METHODS
 
-__all__ = ["METHODS", "NEAR", "POSES_PER_BATCH", "Body", "OutlinePoints", "PixelSums", "Renderer"]
+__all__ = ["METHODS", "NEAR", "Body", "OutlinePoints", "PixelSums", "Renderer"]

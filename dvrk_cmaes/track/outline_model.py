@@ -39,7 +39,7 @@ class OutlineModel:
     def _drawn_in(self, view: int, at: Posed) -> DrawnOutline | None:
         """Find the outline of a pose in one view; None where too little of it is in the image."""
         camera, renderer, seen = self.rig.views[view].camera, self._renderers[view], self._seen(view, at)
-        outline = renderer.outlines(seen.pose[None], seen.joints[None])
+        (outline,) = renderer.outlines(seen.pose[None], seen.joints[None])
         scale = np.array([camera.width / renderer.camera.width, camera.height / renderer.camera.height])
         lengths = np.linalg.norm(outline.normals, axis=1)
         pixels = (outline.pixels + 0.5) * scale - 0.5

@@ -19,7 +19,7 @@ from experiment import Claim, Options, progress, read_options, table, write_expe
 from made_sessions import Made, make
 from numpy.typing import NDArray
 
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, LookAtRange
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.geometry import Posed
@@ -38,6 +38,8 @@ Float64 = NDArray[np.float64]
 
 UNIFORM, CENTRED, LOOKAT, EDGES = "uniform 6-D", "LookAt, on the optical axis", "LookAt", "LookAt with shaft edges"
 SPACES: Final = (UNIFORM, CENTRED, LOOKAT, EDGES)
+LIMITS: Final = LookAtRange(near=0.05, far=0.22)
+"""Of the candidates without knowledge of the image; their distances are uniform, as in the paper."""
 COUNTS: Final = (25, 50, 100, 200, 300, 500, 700, 1000)
 
 
@@ -76,8 +78,11 @@ def best_of_first(
         for space in SPACES:
             count = max(COUNTS)
             if space in (UNIFORM, CENTRED):
-                sample = sample_uniform if space == UNIFORM else sample_lookat
-                poses = sample(count, config.lookat, rng, camera=plan.camera)
+                if space == UNIFORM:
+                    poses = sample_uniform(count, LIMITS, rng, camera=plan.camera)
+                else:
+                    distances = rng.uniform(LIMITS.near, LIMITS.far, count)
+                    poses = sample_lookat(distances, LIMITS, rng, camera=plan.camera)
                 joints = sample_joints(readings.values, readings.sigma, readings.low, readings.high, count, rng)
                 at = Posed(poses, joints)
             else:

@@ -184,12 +184,18 @@ def test_pixel_of_halved_image_covers_four_pixels() -> None:
     assert half.matrix.tolist() == [[512.94, 0, 159.75], [0, 512.94, 119.75], [0, 0, 1]]
 
 
-def test_scaling_accepts_rounded_sizes() -> None:
+@pytest.mark.parametrize("size", [(142, 113), (81, 60), (1, 1), (2600, 1024)])
+def test_scaling_to_any_size_maps_corners_to_corners(size: tuple[int, int]) -> None:
+    camera = Camera(1280, 1024, 1600.0, 1610.0, 650.0, 512.0, (-0.2, 0.1, 0.0, 0.0))
+    corners = np.array([[-0.5, -0.5], [1279.5, -0.5], [-0.5, 1023.5], [1279.5, 1023.5]])
+    scaled = camera.scaled(*size)
+    assert (scaled.width, scaled.height) == size
+    expected = (corners + 0.5) * size / np.array([1280, 1024]) - 0.5
+    np.testing.assert_allclose(scaled.project(on_plane(camera.normalise(corners))), expected, atol=1e-6)
+
+
+def test_scaling_to_no_pixel_is_refused() -> None:
     camera = Camera(1299, 1023, 1600.0, 1600.0, 650.0, 512.0)
-    small = camera.scaled(81, 64)
-    assert (small.width, small.height) == (81, 64)
-    with pytest.raises(InputError, match=r"^image size: expected the aspect of 1299 x 1023, .* got 81 x 60$"):
-        camera.scaled(81, 60)
     with pytest.raises(InputError, match="expected positive sizes in pixels, got 0 x 0"):
         camera.scaled(0, 0)
 

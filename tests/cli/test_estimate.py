@@ -34,6 +34,7 @@ RESULT_FIELDS = [
         "status",
         "reasons",
         "instrument",
+        "shaft_radius",
         "root_link",
         "camera_from_root",
         "joints",

@@ -45,17 +45,13 @@ def small_mask(kind: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["pixel", "row", "column", "rest"])
-def test_mask_of_few_pixels_is_solved_or_refused(kind: str) -> None:
+def test_mask_of_few_pixels_has_a_result_that_is_never_ok(kind: str) -> None:
     large = Camera(fx=1040, fy=1040, cx=320, cy=240, width=640, height=480, distortion=())
     body = Body.prepare(load_instrument("lnd"))
     for mask, camera in ((small_mask(kind), SMALL), (np.pad(small_mask(kind), ((360, 0), (480, 0))), large)):
-        try:
-            result = estimate(mask, camera, {}, body, config=QUICK_CONFIG)
-        except InputError as error:
-            told = str(error)
-        else:
-            told = json.dumps(result.to_dict(), allow_nan=False)
-        assert told.startswith(("{", "mask: expected an instrument and background that show in"))
+        result = estimate(mask, camera, {}, body, config=QUICK_CONFIG)
+        assert result.status == "doubtful"
+        assert json.dumps(result.to_dict(), allow_nan=False)
 
 
 @pytest.mark.parametrize(

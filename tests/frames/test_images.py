@@ -252,6 +252,12 @@ def test_mask_of_same_aspect_rescales_camera_with_note() -> None:
     assert note == "the mask is 320 x 240, the calibration 640 x 480: intrinsics rescaled by 0.5"
 
 
+def test_mask_of_size_rounded_to_whole_pixels_rescales_camera() -> None:
+    calibrated = Camera(1400, 986, 1600.0, 1600.0, 700.0, 493.0)
+    camera, _ = match_size(calibrated, (51, 72))
+    assert camera == calibrated.scaled(72, 51)
+
+
 def test_mask_of_other_aspect_is_refused() -> None:
     for shape in [(480, 645), (640, 480), (576, 720), (1, 1)]:
         with pytest.raises(InputError) as caught:

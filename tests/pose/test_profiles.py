@@ -24,9 +24,9 @@ def profiles(target: np.ndarray, rows: np.ndarray | None = None, cauchy: float =
     pixels = np.column_stack([np.full(len(row), 20.0), row])
     normals = np.tile([1.0, 0.0], (len(row), 1))
     none = np.zeros(len(row), dtype=np.intp)
-    outline = OutlinePoints(none, none, pixels, normals, np.zeros((len(row), 3)))
+    outline = OutlinePoints(none, pixels, normals, np.zeros((len(row), 3)))
     jacobian = np.ones((len(row), 1))
-    return Profiles.sampled([edge(0) - target], np.ones_like(target), [outline], [jacobian], 1.2, cauchy)
+    return Profiles.sampled([edge(0)], target, np.ones_like(target), [outline], [jacobian], 1.2, cauchy)
 
 
 FREE = Quadratic.zero(1, 1)

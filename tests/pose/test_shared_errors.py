@@ -78,7 +78,7 @@ def test_a_side_whose_mask_is_far_from_the_outline_is_expected_to_err_as_much(bu
 @pytest.mark.parametrize("points", [0, 1, 3])
 def test_outline_of_few_points_still_has_both_sides_and_the_margin(bundled_body: Body, points: int) -> None:
     outline = outline_of(bundled_body)
-    every = (outline.pose, outline.link, outline.pixels, outline.normals, outline.points)
+    every = (outline.link, outline.pixels, outline.normals, outline.points)
     few = OutlinePoints(*(part[:points] for part in every))
     errors = shared_errors(few, bundled_body.instrument, CAMERA, TRUE, NOISE)
     assert errors.columns.shape == (points, LASTING + 1)

@@ -10,9 +10,18 @@ from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import LookAtRange
+from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.geometry import inverse
-from dvrk_cmaes.pose.search.starts import lookat_pose, sample_joints, sample_lookat, sample_on_axis, sample_uniform
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.pose.search.starts import (
+    likely_distances,
+    lookat_pose,
+    sample_distances,
+    sample_joints,
+    sample_lookat,
+    sample_on_axis,
+    sample_uniform,
+)
+from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERA = Camera(640, 480, 858.9, 934.9, 422.9, 284.2, (-0.2484, 0.2681, 0.0048, -0.0033))
 LIMITS = LookAtRange()
@@ -23,6 +32,11 @@ POINT = np.array([0.01, 0.02, 0.12])
 def on_axis(count: int = 200, tilt: float = 0.0, seed: int = 3) -> np.ndarray:
     rng = np.random.default_rng(seed)
     return sample_on_axis(count, DIRECTION, POINT, (-0.02, 0.03), tilt, rng, pivot=-0.04)
+
+
+def lookat(count: int, seed: int, *, camera: Camera = CAMERA, pixels: np.ndarray | None = None) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return sample_lookat(sample_distances(count, LIMITS, None, rng), LIMITS, rng, camera=camera, pixels=pixels)
 
 
 def assert_rigid(poses: np.ndarray) -> None:
@@ -47,15 +61,15 @@ def test_lookat_poses_broadcast() -> None:
 
 
 def test_lookat_samples_fill_their_limits() -> None:
-    limits = LookAtRange(tilt=0.7, near=0.06, far=0.1)
-    poses = sample_lookat(2000, limits, np.random.default_rng(0), camera=CAMERA)
+    limits, rng = LookAtRange(tilt=0.7, near=0.06, far=0.1), np.random.default_rng(0)
+    poses = sample_lookat(sample_distances(2000, limits, None, rng), limits, rng, camera=CAMERA)
     assert_rigid(poses)
     gamma, alpha, beta = Rotation.from_matrix(poses[:, :3, :3]).as_euler("YXZ").T
     for value, low, high in (
         (alpha, -0.7, 0.7),
         (gamma, -0.7, 0.7),
         (beta, -np.pi, np.pi),
-        (poses[:, 2, 3], 0.06, 0.1),
+        (np.log(poses[:, 2, 3]), np.log(0.06), np.log(0.1)),
     ):
         assert low <= value.min() < low + 0.02 * (high - low)
         assert high - 0.02 * (high - low) < value.max() <= high
@@ -63,14 +77,42 @@ def test_lookat_samples_fill_their_limits() -> None:
     np.testing.assert_array_equal(poses[:, :2, 3], 0)
 
 
+@pytest.mark.parametrize("likely", [(0.1, 0.2), (0.01, 0.1), (0.3, 4.0)])
+def test_most_distances_are_likely_and_the_others_fill_the_limits(likely: tuple[float, float]) -> None:
+    distances = sample_distances(4000, LIMITS, np.array(likely), np.random.default_rng(0))
+    assert LIMITS.near <= distances.min() < 1.02 * LIMITS.near
+    assert 0.98 * LIMITS.far < distances.max() <= LIMITS.far
+    inside = (distances >= likely[0]) & (distances <= likely[1])
+    assert inside.mean() > 0.75
+    assert (~inside).mean() > 0.1
+
+
+def test_distances_outside_limits_are_not_likely() -> None:
+    plain, beyond = (
+        sample_distances(50, LIMITS, likely, np.random.default_rng(3)) for likely in (None, np.array([0.6, 2.0]))
+    )
+    np.testing.assert_array_equal(plain, beyond)
+
+
+@pytest.mark.parametrize("distance", [0.04, 0.07, 0.12, 0.2, 0.3, 0.4])
+@pytest.mark.parametrize("turn", [0.0, 2.0, 4.0])
+def test_width_of_mask_tells_the_distance(bundled_body: Body, distance: float, turn: float) -> None:
+    camera = Camera(640, 480, 900.0, 900.0, 320.0, 240.0)
+    pose, joints = lookat_pose(0.9, turn, 0.3, distance)[None], np.array([[0.3, -0.2, 0.6]])
+    mask = Renderer(bundled_body, camera, threads=1).masks(pose, joints)[0]
+    evidence = gather_evidence(mask, camera, bundled_body.instrument, features=False)
+    likely = likely_distances(evidence, bundled_body.instrument)
+    assert likely is not None
+    assert likely[0] < distance < likely[1]
+
+
 def test_lookat_shafts_point_away_from_camera() -> None:
-    poses = sample_lookat(1000, LIMITS, np.random.default_rng(1), camera=CAMERA)
-    assert (poses[:, 2, 2] > 0).all()
+    assert (lookat(1000, 1)[:, 2, 2] > 0).all()
 
 
 def test_lookat_samples_at_pixels_project_to_them() -> None:
     pixels = np.array([[12.0, 34.0], [600.0, 20.0], [300.0, 460.0]])
-    poses = sample_lookat(300, LIMITS, np.random.default_rng(2), camera=CAMERA, pixels=pixels)
+    poses = lookat(300, 2, pixels=pixels)
     assert_rigid(poses)
     distance = np.linalg.norm(poses[:, :3, 3], axis=1)
     assert (distance > LIMITS.near).all()
@@ -83,9 +125,7 @@ def test_lookat_samples_at_pixels_project_to_them() -> None:
 def test_lookat_sample_at_principal_point_is_unrotated() -> None:
     pinhole = Camera(640, 480, 880, 880, 445, 190)
     centre = np.array([[445.0, 190.0]])
-    plain = sample_lookat(20, LIMITS, np.random.default_rng(4), camera=pinhole)
-    aimed = sample_lookat(20, LIMITS, np.random.default_rng(4), camera=pinhole, pixels=centre)
-    np.testing.assert_allclose(aimed, plain, atol=1e-12)
+    np.testing.assert_allclose(lookat(20, 4, camera=pinhole, pixels=centre), lookat(20, 4, camera=pinhole), atol=1e-12)
 
 
 def test_samples_on_axis_keep_shaft_on_axis() -> None:
@@ -153,7 +193,7 @@ def test_samples_depend_on_seed(name: str) -> None:
     def draw(seed: int) -> np.ndarray:
         rng = np.random.default_rng(seed)
         if name == "lookat":
-            return sample_lookat(8, LIMITS, rng, camera=CAMERA, pixels=np.array([[1.0, 2.0], [300, 200]]))
+            return lookat(8, seed, pixels=np.array([[1.0, 2.0], [300, 200]]))
         if name == "uniform":
             return sample_uniform(8, LIMITS, rng, camera=CAMERA)
         if name == "axis":

@@ -29,6 +29,7 @@ def full() -> Result:
         reasons=("the twin explains the frame as well",),
         instrument="lnd",
         root_link="roll_link",
+        shaft_radius=0.004075,
         camera_from_root=POSE,
         joints=JOINTS,
         readings={"wrist_pitch": -0.25, "insertion": 0.12},

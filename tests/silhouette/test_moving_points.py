@@ -24,7 +24,7 @@ AT = Posed(
 
 
 def outlines_of(body: Body, camera: Camera) -> list[OutlinePoints]:
-    return list(Renderer(body, camera).outlines(AT.pose, AT.joints).of_each(2))
+    return Renderer(body, camera).outlines(AT.pose, AT.joints)
 
 
 @pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS.keys())

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.silhouette_bodies import rigid_instrument, surface
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.geometry import exp_rotation, transform
+from dvrk_cmaes.geometry import apply, exp_rotation, transform
 from dvrk_cmaes.silhouette import NEAR, Body, Renderer
-from dvrk_cmaes.silhouette.outline_edges import OutlineEdges
-from dvrk_cmaes.silhouette.pose_batches import SUMMED_PER_BATCH
 
 CAMERAS = {
     "pinhole": Camera(160, 120, 220.7, 220.7, 110.9, 47.2),
@@ -200,6 +198,14 @@ def handmade() -> dict[str, Body]:
     return {name: Body.prepare(rigid_instrument(mesh)) for name, mesh in BY_HAND.items()}
 
 
+def camera_is_in_a_face(mesh: trimesh.Trimesh, camera_from_link: np.ndarray) -> bool:
+    """Tell whether the planes of two faces or more pass through the camera, whose pixels see these edge-on."""
+    corners = apply(camera_from_link, mesh.vertices)[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    distance = np.einsum("ij,ij->i", normals, corners[:, 0]) / np.linalg.norm(normals, axis=1)
+    return bool((np.abs(distance) < 1e-9).sum() > 1)
+
+
 @settings(max_examples=15)
 @given(
     turn=st.tuples(*[st.floats(-3, 3)] * 3),
@@ -210,8 +216,9 @@ def handmade() -> dict[str, Body]:
 def test_handmade_meshes_agree_with_tracing(
     handmade: dict[str, Body], name: str, turn: tuple, shift: tuple, camera: str
 ) -> None:
-    """Rays may hit or miss a face that is seen exactly edge-on, so a few pixels may differ."""
+    """Rays may hit or miss a face that is seen exactly edge-on, so a few pixels may differ, but not all of them."""
     pose = transform(exp_rotation(turn), shift)[None]
+    assume(not camera_is_in_a_face(BY_HAND[name], pose[0]))
     assert_masks_are_traced(Renderer(handmade[name], CAMERAS[camera], threads=1), pose, np.zeros((1, 0)), most=3)
 
 
@@ -276,13 +283,7 @@ def test_rescaled_renderer_gives_same_area(bundled_body: Body) -> None:
     np.testing.assert_allclose(4 * small_area, large_area, rtol=0.05, atol=40)
 
 
-def test_outline_edges_accept_limited_number_of_poses(bundled_body: Body) -> None:
-    too_many = np.zeros((SUMMED_PER_BATCH + 1, len(bundled_body.instrument.links), 4, 4))
-    with pytest.raises(ValueError, match=f"at most {SUMMED_PER_BATCH} poses at a time, got {SUMMED_PER_BATCH + 1}"):
-        OutlineEdges(bundled_body.topology, CAMERAS["pinhole"], too_many)
-
-
 def test_missing_embree_is_reported(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "embreex", None)
     with pytest.raises(DvrkCmaesError, match=r"^embreex is missing or does not load \(.*\): install it with 'pip"):
-        Body.prepare(bundled_body.instrument)
+        Renderer(Body.prepare(bundled_body.instrument), CAMERAS["pinhole"]).trace(np.eye(4)[None], np.zeros((1, 3)))

@@ -10,7 +10,7 @@ import pytest
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import exp_rotation, moved, transform
 from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.silhouette import Body, PixelSums, Renderer, segments
+from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
 
 PINHOLE = Camera(160, 120, 220.7, 220.7, 110.9, 47.2)
 LENS = Camera(160, 120, 206, 225, 99, 61, (-0.3517, 0.7089, 0.0044, -0.0008, -0.9176))
@@ -64,23 +64,13 @@ def test_smooth_sums_agree_with_coverage(bundled_body: Body, camera: Camera, lin
     np.testing.assert_allclose(found, np.einsum("chw,khw->ck", coverage, images * weight), rtol=1e-5, atol=1e-2)
 
 
-def test_segments_that_a_lens_bends_a_little_are_as_good_as_straight(
-    bundled_body: Body, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    renderer = Renderer(bundled_body, LENS)
-    found = renderer.coverage(*population(20))
-    monkeypatch.setattr(segments, "_BEND", 2e-5)
-    away = np.abs(found - renderer.coverage(*population(20)))
-    assert 0 < away.max() < 0.005  # covered share of a pixel
-
-
 @pytest.mark.parametrize("camera", [PINHOLE, LENS])
 @pytest.mark.parametrize("lines", [1, 2, 4])
 def test_coverage_and_outlines_agree_with_separate_calls(bundled_body: Body, camera: Camera, lines: int) -> None:
     renderer = Renderer(bundled_body, camera, threads=1)
     coverage, outlines = renderer.coverage_and_outlines(*population(20), lines_per_pixel=lines)
     np.testing.assert_allclose(coverage, renderer.coverage(*population(20), lines_per_pixel=lines), atol=1e-3)
-    pairs = zip(outlines.of_each(20), renderer.outlines(*population(20)).of_each(20), strict=True)
+    pairs = zip(outlines, renderer.outlines(*population(20)), strict=True)
     for together, alone in pairs:
         lengths = [np.linalg.norm(one.normals, axis=1).sum() for one in (together, alone)]
         assert lengths[0] == pytest.approx(lengths[1], rel=0.05, abs=6)

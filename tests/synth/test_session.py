@@ -281,6 +281,6 @@ def test_wrong_numbers_are_refused(
 
 
 def test_instrument_without_shaft_is_refused(bundled_body: Body, tmp_path: Path) -> None:
-    bare = Body(replace(bundled_body.instrument, shaft=None), bundled_body.scenes)
+    bare = Body(replace(bundled_body.instrument, shaft=None))
     with pytest.raises(InputError, match="lnd: expected an instrument with a straight shaft"):
         write_session(tmp_path / "s", plan(bare))

@@ -146,6 +146,7 @@ def _result(
         reasons=reasons,
         instrument=instrument.name,
         root_link=instrument.root_link,
+        shaft_radius=instrument.shaft_radius,
         camera_from_root=answer.camera_from_root if isinstance(answer, PointPose) else None,
         joints={n: files.readings[n] for n in instrument.joint_names if n in files.readings},
         readings=dict(files.readings),

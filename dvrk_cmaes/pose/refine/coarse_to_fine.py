@@ -28,7 +28,8 @@ from dvrk_cmaes.pose.terms.term import Term
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
-_HALF = 2  # the size, as a divisor, at which the instrument is drawn with all of its faces, as at the whole size
+_HALF = 2  # the least divisor of the size between the smallest and the whole one
+_BETWEEN = 400  # px, about the width of the images of that size where the whole ones are larger than twice that
 _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
 _AGREEING = 2  # candidates that have reached the same mode, which suffice if no other mode is nearly as good
@@ -85,18 +86,25 @@ class LocalSearch:
         cameras = [view.evidence.camera for view in self._views]
         return [Renderer(self._decimated, camera, threads=self._config.threads) for camera in cameras]
 
+    @cached_property
+    def _half(self) -> int:
+        """The size, as a divisor, at which the instrument is drawn with all of its faces, as at the whole size."""
+        return max(_HALF, round(self._views[0].evidence.camera.width / _BETWEEN))
+
     def _coverage(self, shrink: int) -> Coverage:
         """Return the coverage of all views at 1 / ``shrink`` of the main one's size."""
         outline = self._config.refine.outline
         if shrink > 1:
             outline = replace(outline, cauchy=outline.small_cauchy)
-        if shrink > _HALF:  # where modes only need to be told apart
+        if shrink > self._half:  # where modes only need to be told apart
             outline = replace(outline, lines_per_pixel=1)
         width = self._views[0].evidence.camera.width
         sized = []
         for view, coarse in zip(self._views, self._coarse, strict=True):
             own = max(1, round(shrink * view.evidence.camera.width / width)) if shrink > 1 else 1
-            sized.append(SizedView(view, blur=outline.blur, shrink=own, renderer=coarse if own > _HALF else None))
+            sized.append(
+                SizedView(view, blur=outline.blur, shrink=own, renderer=coarse if shrink > self._half else None)
+            )
         self._sized += sized
         return Coverage(sized, outline)
 
@@ -154,7 +162,7 @@ class LocalSearch:
         modes = self._refine(coarse, modes, iterations=c.small_steps, selection=small)
         modes = best_per_mode(modes, most=c.half_size_modes)
         if full_width >= 320:
-            refined = self._refine(self._coverage(_HALF), modes, selection=self._last_selection)
+            refined = self._refine(self._coverage(self._half), modes, selection=self._last_selection)
             modes = self._last_selection.of(best_per_mode(refined))
         finest = self._coverage(1)
         final = self._finest(finest, modes[: c.modes])

@@ -32,12 +32,16 @@ def scale_of_change(readings: Readings) -> Float64:
 
 
 def search_size(evidence: Evidence, width: int) -> tuple[int, int]:
-    """Return width and height, px, of the search's image: ``width`` px wide, or up to twice that for a small mask."""
+    """Return width and height, px, of the search's image: ``width`` px wide, or up to twice that for a small mask.
+
+    It is larger where nothing of the instrument, or of the background, would show.
+    """
     camera = evidence.camera
     coarsest, finest = (max(1, round(camera.width / each)) for each in (width, 2 * width))
     legible = int(np.sqrt(np.count_nonzero(evidence.mask) / _LEAST_AREA))
     shrink = min(max(legible, finest), coarsest)
-    return max(camera.width // shrink, 1), max(camera.height // shrink, 1)
+    sizes = ((max(camera.width // by, 1), max(camera.height // by, 1)) for by in range(shrink, 0, -1))
+    return next(size for size in sizes if evidence.shows_both(*size))
 
 
 def find_candidates(

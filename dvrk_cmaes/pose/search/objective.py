@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LossWeights
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.distance_field import distance_field
-from dvrk_cmaes.evidence.gather import Evidence, shrunk
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
@@ -27,8 +26,8 @@ Float64 = NDArray[np.float64]
 class Objective:
     """Weighted sum of all loss terms, for many candidates at once.
 
-    The mask is downsampled to the renderer's image size. ``field`` is the method of the distance field, ``decay`` (px
-    of the full image) the distance over which it increases by one.
+    The mask is downsampled to the renderer's image size, in which instrument and background show. ``field``
+    is the method of the distance field, ``decay`` (px of the full image) the distance over which it increases by one.
     """
 
     def __init__(
@@ -48,21 +47,9 @@ class Objective:
         self.weights = weights
         self.lines_per_pixel = lines_per_pixel
         camera = renderer.camera
-        size = (camera.width, camera.height)
-        mask = evidence.mask.astype(np.float32)
-        weight = evidence.weight
-        if mask.shape != (camera.height, camera.width):
-            full_weight = weight
-            weight = shrunk(full_weight, *size)
-            mask = np.asarray(shrunk(mask * full_weight, *size) / np.maximum(weight, 1e-6), dtype=np.float32)
+        mask, weight = evidence.at_size(camera.width, camera.height)
         scale = camera.width / evidence.mask.shape[1]
-        inside = mask > 0.5
-        if inside.all() or not inside.any():
-            raise InputError(
-                f"mask: expected an instrument and background that show in {camera.width} x {camera.height} pixels, "
-                f"as the search draws it, got {'no background' if inside.any() else 'no instrument'}"
-            )
-        far = distance_field(inside, field) / (decay * scale)
+        far = distance_field(mask > 0.5, field) / (decay * scale)
         self._area = float((mask * weight).sum())
         self._square = float((mask * mask * weight).sum())
         self._images = PixelSums.of(np.stack([np.ones_like(mask), mask, far.astype(np.float32)]), weight)

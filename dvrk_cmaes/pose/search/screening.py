@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import SearchConfig
-from dvrk_cmaes.evidence.gather import Evidence, shrunk
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.search.objective import Objective
 
@@ -64,10 +64,10 @@ def screening_size(evidence: Evidence, size: tuple[int, int], search: SearchConf
     They are less small, or there are none, if not most of the mask would show: where the instrument is about as narrow
     as a pixel, the distances from it mean nothing.
     """
-    mask = evidence.mask.astype(np.float32)
     for divisor in range(search.screen_shrink, 1, -1):
         smaller = max(size[0] // divisor, 1), max(size[1] // divisor, 1)
-        shares = shrunk(mask, *smaller)
-        if _SHOWING * shares.sum() <= np.count_nonzero(shares > 0.5) < shares.size:
+        shares, weight = evidence.at_size(*smaller)
+        most_shows = _SHOWING * (shares * weight).sum() <= np.count_nonzero(shares > 0.5)
+        if most_shows and evidence.shows_both(*smaller):
             return smaller
     return None

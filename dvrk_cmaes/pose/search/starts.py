@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LookAtRange
-from dvrk_cmaes.evidence.gather import Evidence
+from dvrk_cmaes.evidence.gather import Evidence, window_around
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, shaft_axis
 from dvrk_cmaes.geometry import Posed, cross, exp_rotation, frame_along, rotation_about_z, transform
@@ -16,6 +17,12 @@ from dvrk_cmaes.joints.prior import Readings
 
 Float64 = NDArray[np.float64]
 
+_WIDEST = np.array([0.9, 2.2])
+"""Half width of a mask at its widest place, as a multiple of that of the shaft at the root's distance.
+
+In 200 made frames of all levels, 0.04 to 0.4 m away, it was 0.99 to 2.8, and 1.05 to 2.0 in 96 %.
+"""
+_LIKELY_SHARE = 0.75  # of the LookAt candidates whose distance follows from the mask's width
 _TILT_RANGE = np.deg2rad([3.0, 25.0])  # of the standard deviation of the tilt of candidates on an axis
 
 
@@ -43,19 +50,49 @@ def sample_joints(
     return np.asarray(np.where(np.isnan(readings), free, np.clip(near, low, high)))
 
 
-def sample_lookat(
-    count: int, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera, pixels: Float64 | None = None
-) -> Float64:
-    """Draw LookAt candidates (count, 4, 4), uniform in the three angles and the distance.
+def likely_distances(evidence: Evidence, instrument: Instrument) -> Float64 | None:
+    """Return between which distances (2,), m, the root lies, by the mask's width; None without a shaft to compare."""
+    if instrument.shaft is None:
+        return None
+    left, top, width, height = window_around(evidence.mask, 1)
+    mask = evidence.mask[top : top + height, left : left + width].astype(np.uint8)
+    half_width = float(cv2.distanceTransform(mask, cv2.DIST_L2, 3).max())
+    focal = np.sqrt(evidence.camera.fx * evidence.camera.fy)
+    return np.asarray(_WIDEST * focal * instrument.shaft.radius / half_width)
 
-    As in the paper, the root lies on the optical axis. With ``pixels`` (N, 2), each candidate is then rotated about the
+
+def sample_distances(count: int, limits: LookAtRange, likely: Float64 | None, rng: np.random.Generator) -> Float64:
+    """Draw distances (count,), m, uniform in their logarithm, most of them in the ``likely`` part of the limits.
+
+    A silhouette changes with the ratio of distances, so that the candidates for near and for far tools are as dense.
+    """
+    low, high = np.full(count, np.log(limits.near)), np.full(count, np.log(limits.far))
+    if likely is not None and likely[0] < limits.far and likely[1] > limits.near:
+        most = np.arange(count) < _LIKELY_SHARE * count
+        low[most] = np.log(max(likely[0], limits.near))
+        high[most] = np.log(min(likely[1], limits.far))
+    return np.exp(rng.uniform(low, high))
+
+
+def sample_lookat(
+    distances: Float64,
+    limits: LookAtRange,
+    rng: np.random.Generator,
+    *,
+    camera: Camera,
+    pixels: Float64 | None = None,
+) -> Float64:
+    """Draw LookAt candidates (N, 4, 4) at some ``distances`` (N,), m, uniform in the three angles.
+
+    As in the paper, the root lies on the optical axis. With ``pixels`` (M, 2), each candidate is then rotated about the
     camera centre so that its root projects to one of these pixels, drawn at random.
     """
+    count = len(distances)
     pose = lookat_pose(
         rng.uniform(-limits.tilt, limits.tilt, count),
         rng.uniform(-np.pi, np.pi, count),
         rng.uniform(-limits.tilt, limits.tilt, count),
-        rng.uniform(limits.near, limits.far, count),
+        distances,
     )
     if pixels is None:
         return pose
@@ -164,9 +201,10 @@ def draw_starts(
         others = (count - free - first) // (len(pairs) - 1)
         shares = [count - free - others * (len(pairs) - 1)] + [others] * (len(pairs) - 1)
     poses = [_on_edges(pair, evidence, instrument, n, rng) for pair, n in zip(pairs, shares, strict=True)]
-    v, u = np.nonzero(evidence.mask)
+    v, u = np.divmod(np.flatnonzero(evidence.mask), evidence.mask.shape[1])
     pixels = np.stack([u, v], axis=1).astype(np.float64)
-    poses.append(sample_lookat(free, config.lookat, rng, camera=evidence.camera, pixels=pixels))
+    distances = sample_distances(free, config.lookat, likely_distances(evidence, instrument), rng)
+    poses.append(sample_lookat(distances, config.lookat, rng, camera=evidence.camera, pixels=pixels))
     joints = sample_joints(readings.values, readings.sigma, readings.low, readings.high, count, rng)
     unknown = np.full(len(readings.values), np.nan)
     uniform = sample_joints(unknown, readings.sigma, readings.low, readings.high, count, rng)

@@ -126,18 +126,18 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         """Draw C poses in all views."""
         lines = self._config.lines_per_pixel
         of_views = [view.draw(at, lines, outlines=derivatives) for view in self.views]
+        pairs = zip(self.views, of_views, strict=True)
+        losses = np.stack([view.losses([image for image, _ in drawn], self._width) for view, drawn in pairs], axis=1)
         of_poses = [tuple(zip(*of_pose, strict=True)) for of_pose in zip(*of_views, strict=True)]
-        return [DrawnCoverage(images, outlines, self._losses(images, self._width)) for images, outlines in of_poses]
+        both = zip(of_poses, losses.tolist(), strict=True)
+        return [DrawnCoverage(images, outlines, tuple(of_pose)) for (images, outlines), of_pose in both]
 
     def final_losses(self, drawn: DrawnCoverage) -> tuple[float, ...]:
         """Return the views' sums of squares of what was drawn, with the width of scores."""
-        same = self._width == self._config.cauchy
-        return drawn.losses if same else self._losses(drawn.images, self._config.cauchy)
-
-    def _losses(self, images: Sequence[Float32], cauchy: float) -> tuple[float, ...]:
-        """Compute the views' losses, which are sums of squares for small residuals."""
-        views = zip(images, self.views, strict=True)
-        return tuple(_cauchy_loss(image - view.target, view.weight, cauchy) for image, view in views)
+        if self._width == self._config.cauchy:
+            return drawn.losses
+        pairs = zip(self.views, drawn.images, strict=True)
+        return tuple(float(view.losses([image], self._config.cauchy)[0]) for view, image in pairs)
 
     def _sum(self, losses: Sequence[float]) -> float:
         """Return the sum of the views' losses, each with its number of measurements a pixel, beside the first one's."""
@@ -167,10 +167,9 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         of_views = []
         for k, view in enumerate(self.views):
             outlines = [outline for of_pose in drawn if (outline := of_pose.outlines[k]) is not None]
-            residuals = [of_pose.images[k] - view.target for of_pose in drawn]
-            jacobians = view.jacobians(outlines, at)
+            images, jacobians = [of_pose.images[k] for of_pose in drawn], view.jacobians(outlines, at)
             of_views.append(
-                Profiles.sampled(residuals, view.weight, outlines, jacobians, self._config.blur, self._width)
+                Profiles.sampled(images, view.target, view.weight, outlines, jacobians, self._config.blur, self._width)
             )
         return Profiles.of_views(of_views, self._shares)
 
@@ -210,7 +209,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             of_kept = [] if kept is None else [kept(k, outline, of_pose)]
             jacobian = np.column_stack([of_pose, *of_kept, lasting, of_errors[:, LASTING:]])
             profiles = Profiles.sampled(
-                [image - view.target], view.weight, [outline], [jacobian], self._config.blur, self._width
+                [image], view.target, view.weight, [outline], [jacobian], self._config.blur, self._width
             )
             information, slope = profiles.normal_equations(np.zeros((1, jacobian.shape[1])))
             terms = Quadratic(weight * share * information, weight * share * slope)
@@ -243,15 +242,3 @@ def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:
 def of_margin(outline: OutlinePoints) -> Float64:
     """Return the displacements (N,) of an outline's points by a margin of the mask, px, times the normals' lengths."""
     return np.asarray(np.linalg.norm(outline.normals, axis=1))
-
-
-def _cauchy_loss(residual: Float32, weight: Float32, cauchy: float) -> float:
-    """Compute the Cauchy loss of an image of residuals (H, W), whose pixels have weights (H, W)."""
-    r = residual.ravel()
-    near = np.flatnonzero(r != 0)  # few pixels: both images are 0 or 1 elsewhere
-    r = r.take(near)
-    r *= np.float32(1 / cauchy)
-    r *= r
-    np.log1p(r, out=r)
-    r *= weight.ravel().take(near)
-    return float(cauchy**2 * r.sum(dtype=np.float64))

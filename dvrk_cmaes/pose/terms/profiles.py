@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.pose.terms.term import Approximation
 from dvrk_cmaes.silhouette import OutlinePoints
+from dvrk_cmaes.silhouette.moving_points import joined
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -28,95 +29,71 @@ _LARGEST_SHIFT = 3.0  # px; beyond it an outline has left the profile that was s
 
 @dataclass(frozen=True, eq=False)
 class Profiles(Approximation):
-    """Samples of residuals along the normals of C outlines, padded to N points each, K samples per point.
+    """Samples of residuals along the normals of C outlines, N points in all, K samples per point.
 
-    residual : (C, N, K) blurred coverage less blurred mask. weight : (C, N, K) px of outline that the sample stands
-    for, 0 at ignored pixels and for padding. jacobian : (C, N, D) of the displacement of the points along their unit
-    normals, px. offsets : (K,) px along the normals, positive outside. blur : px, that of coverage and mask. cauchy :
-    width of the robust loss.
+    begin : (C + 1,) offsets of the points of each outline. residual : (N, K) blurred coverage less blurred mask.
+    weight : (N, K) px of outline that the sample stands for, 0 at ignored pixels. jacobian : (N, D) of the displacement
+    of the points along their unit normals, px. density : (K,) change of the residual by such a displacement, 1/px.
+    cauchy : width of the robust loss.
     """
 
+    begin: NDArray[np.int64]
     residual: Float32
     weight: Float32
-    jacobian: Float32
-    offsets: Float32
-    blur: float
+    jacobian: Float64
+    density: Float64
     cauchy: float
 
     @classmethod
     def sampled(
         cls,
-        residuals: Sequence[Float32],
+        images: Sequence[Float32],
+        target: Float32,
         weight: Float32,
         outlines: Sequence[OutlinePoints],
         jacobians: Sequence[Float64],
         blur: float,
         cauchy: float,
     ) -> Profiles:
-        """Sample C residual images (H, W) at the points of C outlines.
+        """Sample C images (H, W) less their ``target`` (H, W) at the points of C outlines.
 
         ``jacobians`` (N, D) are of the displacements times the lengths of outline that the points represent;
-        ``weight`` (H, W) is that of the pixels.
+        ``weight`` (H, W) is that of the pixels; ``blur``, px, that of the images and the target.
         """
-        count = max(max(len(outline.pixels) for outline in outlines), 1)
-        offsets = np.arange(-_REACH, _REACH + 1, dtype=np.float32)
-        shape = len(outlines), count, len(offsets)
-        profiles = cls(
-            np.zeros(shape, np.float32),
-            np.zeros(shape, np.float32),
-            np.zeros((*shape[:2], jacobians[0].shape[1]), np.float32),
-            offsets,
-            blur,
-            cauchy,
+        begin = np.cumsum([0, *(len(outline.link) for outline in outlines)], dtype=np.int64)
+        normals = joined(outlines, "normals")
+        residual, shares = _kernel.sample_profiles(
+            images, target, weight, begin, joined(outlines, "pixels"), normals, _REACH
         )
-        all_count = bool(weight.all())
-        for i, (image, outline, jacobian) in enumerate(zip(residuals, outlines, jacobians, strict=True)):
-            points = len(outline.pixels)
-            if not points:
-                continue
-            length = np.linalg.norm(outline.normals, axis=1)
-            unit = (outline.normals / length[:, None]).astype(np.float32)
-            at = outline.pixels.astype(np.float32)
-            u, v = (at[:, k : k + 1] + unit[:, k : k + 1] * offsets for k in (0, 1))
-            profiles.residual[i, :points] = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            profiles.weight[i, :points] = length[:, None]
-            if not all_count:
-                shares = cv2.remap(weight, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-                profiles.weight[i, :points] *= shares
-            profiles.jacobian[i, :points] = jacobian / length[:, None]
-        return profiles
+        away = np.arange(-_REACH, _REACH + 1) / (np.sqrt(2) * blur)
+        density = np.exp(-away * away) / (np.sqrt(2 * np.pi) * blur)
+        jacobian = np.concatenate(jacobians) / np.linalg.norm(normals, axis=1)[:, None]
+        return cls(begin, residual, shares, jacobian, density, cauchy)
 
     @property
     def count(self) -> int:
         """Number C of poses."""
-        return len(self.residual)
+        return len(self.begin) - 1
 
     @property
     def dimension(self) -> int:
         """Number D of small changes."""
-        return int(self.jacobian.shape[2])
+        return int(self.jacobian.shape[1])
 
     def select(self, index: Sequence[int]) -> Self:
         """Return the profiles of some of the outlines."""
-        chosen = list(index)
-        return replace(self, residual=self.residual[chosen], weight=self.weight[chosen], jacobian=self.jacobian[chosen])
+        return self.joined([self._of(i) for i in index])
 
     @classmethod
     def joined(cls, groups: Sequence[Self]) -> Self:
         """Return the profiles of several groups of outlines together."""
-        if len(groups) == 1:
-            return groups[0]
-        count = max(group.residual.shape[1] for group in groups)
-
-        def padded(values: Float32) -> Float32:
-            more = count - values.shape[1]
-            return np.pad(values, ((0, 0), (0, more), (0, 0))) if more else values
-
+        lengths = np.concatenate([np.diff(group.begin) for group in groups])
         return replace(
             groups[0],
-            residual=np.concatenate([padded(group.residual) for group in groups]),
-            weight=np.concatenate([padded(group.weight) for group in groups]),
-            jacobian=np.concatenate([padded(group.jacobian) for group in groups]),
+            begin=np.concatenate([[0], np.cumsum(lengths)]),
+            residual=np.concatenate([group.residual for group in groups]),
+            weight=np.concatenate([group.weight for group in groups]),
+            jacobian=np.concatenate([group.jacobian for group in groups]),
         )
 
     @staticmethod
@@ -127,12 +104,20 @@ class Profiles(Approximation):
         """
         if len(views) == 1:
             return views[0]
-        weights = [view.weight * np.float32(factor) for view, factor in zip(views, factors, strict=True)]
+        scaled = [replace(view, weight=view.weight * np.float32(f)) for view, f in zip(views, factors, strict=True)]
+        together = Profiles.joined([view._of(i) for i in range(views[0].count) for view in scaled])
+        return replace(together, begin=together.begin[:: len(views)].copy())
+
+    def _of(self, index: int) -> Self:
+        """Return the profiles of one outline."""
+        begin, end = self.begin[index : index + 2].tolist()
+        part = slice(begin, end)
         return replace(
-            views[0],
-            residual=np.concatenate([view.residual for view in views], axis=1),
-            weight=np.concatenate(weights, axis=1),
-            jacobian=np.concatenate([view.jacobian for view in views], axis=1),
+            self,
+            begin=np.array([0, end - begin]),
+            residual=self.residual[part],
+            weight=self.weight[part],
+            jacobian=self.jacobian[part],
         )
 
     def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
@@ -140,27 +125,14 @@ class Profiles(Approximation):
 
         They are in sums of squares of coverage, with the weights of the Cauchy loss at the changed poses.
         """
-        away = self.offsets * np.float32(1 / (np.sqrt(2) * self.blur))
-        gradient = np.exp(-away * away) * np.float32(1 / (np.sqrt(2 * np.pi) * self.blur))
-        residual = self.residual
-        if change.any():
-            moved = np.matmul(self.jacobian, change[:, :, None].astype(np.float32))
-            residual = residual + moved * gradient
-        weighted = residual * np.float32(1 / self.cauchy)
-        weighted *= weighted
-        weighted += 1
-        np.divide(self.weight, weighted, out=weighted)
-        weighted *= gradient
-        across = weighted @ gradient
-        along = np.einsum("cnk,cnk->cn", weighted, residual)
-        transposed = self.jacobian.swapaxes(1, 2)
-        information = np.matmul(transposed, self.jacobian * across[:, :, None])
-        slope = np.matmul(transposed, along[:, :, None])[:, :, 0]
-        symmetric = (information + information.swapaxes(1, 2)).astype(np.float64) / 2
-        return symmetric, slope.astype(np.float64)
+        return _kernel.normal_equations(
+            self.begin, self.residual, self.weight, self.jacobian, self.density, self.cauchy, change
+        )
 
     def share_that_holds(self, change: Float64) -> Float64:
         """Return the share (C,) of each change (C, D) up to which no outline point leaves the profile's middle."""
-        moved = np.matmul(self.jacobian, change[:, :, None].astype(np.float32))
-        largest = np.asarray(np.abs(moved[:, :, 0]).max(axis=1), dtype=np.float64)
+        of_points = np.repeat(change, np.diff(self.begin), axis=0)
+        moved = np.abs(np.einsum("nd,nd->n", self.jacobian, of_points))
+        largest = np.zeros(self.count)
+        np.maximum.at(largest, np.repeat(np.arange(self.count), np.diff(self.begin)), moved)
         return np.minimum(1, _LARGEST_SHIFT / np.maximum(largest, 1e-12))

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, less_margin, sampled
@@ -139,8 +140,11 @@ class SizedView:
             coverage = self._renderer.coverage(seen.pose, seen.joints, lines_per_pixel=lines_per_pixel)
             return [(self._blurred(image), None) for image in coverage]
         coverage, points = self._renderer.coverage_and_outlines(seen.pose, seen.joints, lines_per_pixel=lines_per_pixel)
-        pairs = zip(coverage, points.of_each(len(seen)), strict=True)
-        return [(self._blurred(image), outline) for image, outline in pairs]
+        return [(self._blurred(image), outline) for image, outline in zip(coverage, points, strict=True)]
+
+    def losses(self, images: Sequence[Float32], cauchy: float) -> Float64:
+        """Return the Cauchy losses (C,) of C drawings less the mask; they are sums of squares for small residuals."""
+        return _kernel.cauchy_losses(images, self.target, self.weight, cauchy)
 
     def silhouette(self, drawn: Float32) -> NDArray[np.bool_]:
         """Return the silhouette of a blurred coverage (H, W) in the whole image; nothing is outside the window."""
@@ -152,7 +156,7 @@ class SizedView:
     def outlines(self, at: Posed) -> list[OutlinePoints]:
         """Find the outline of each of C poses."""
         seen = at.seen_from(self.view_from_camera)
-        return list(self._renderer.outlines(seen.pose, seen.joints).of_each(len(at)))
+        return self._renderer.outlines(seen.pose, seen.joints)
 
     def jacobians(self, outlines: Sequence[OutlinePoints], at: Posed) -> list[Float64]:
         """Return the Jacobian (N, 6 + J) of the points of the outlines of C poses, as in `MovingPoints`."""

@@ -49,7 +49,7 @@ class Crossings:
 
 def find_crossings(body: Body, case: Case, at: Posed) -> Crossings:
     """Find the crossings of the outline at a pose with rows and columns, except at ignored pixels."""
-    outline = Renderer(body, case.camera, threads=1).outlines(at.pose[None], at.joints[None])
+    (outline,) = Renderer(body, case.camera, threads=1).outlines(at.pose[None], at.joints[None])
     count = 6 + len(at.joints)
     change = _STEP * np.concatenate([np.eye(count), -np.eye(count)])
     there = at.moved(change)

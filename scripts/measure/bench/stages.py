@@ -23,7 +23,7 @@ from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.silhouette.prepare import prepare
 
 _REST, _OUTSIDE = "rest", "outside"
-_SIZES = {1: "refinement, whole size", 2: "refinement, half size"}
+_SIZES = {1: "refinement, whole size", 2: "refinement, half size"}  # of images at most 1,000 px wide
 _SMALL = "refinement, smaller sizes"
 
 
