@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import socket
+import platform
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -71,7 +71,7 @@ def _flocked(folder: Folder, wait: float) -> Callable[[], None] | None:
 
 def _held(folder: Folder, wait: float) -> Callable[[], None]:
     """Make the file that stands for the lock; returns what removes it. That of a process that is gone is replaced."""
-    end, here = time.monotonic() + wait, socket.gethostname()
+    end, here = time.monotonic() + wait, platform.node()
     while True:
         try:
             opened = folder.open(HELD, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
