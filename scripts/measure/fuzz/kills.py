@@ -1,4 +1,4 @@
-"""Commands that are killed, whose disk is full, whose clock is set back, whose streams are closed, or that run twice at once.
+"""Commands that are killed or run twice at once, without disk or streams, or with their clock set back.
 
 After a few faults in the same folder, the command is run to its end: it must end well, and the files must be those of a
 run without a fault. Before that, all documents and pictures must be whole, and no process may be left.
