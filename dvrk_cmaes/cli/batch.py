@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    DEFAULT_READING,
     DEFAULT_SEGMENT,
     FOLDER,
     METHOD,
@@ -29,9 +30,11 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
+    ReadingOptions,
     SegmentOptions,
     SessionOption,
     check_range,
+    parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show, warn
 from dvrk_cmaes.errors import InputError
@@ -39,6 +42,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.frames.label import Label
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import BatchSummary
@@ -60,7 +64,8 @@ def batch(
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
     retry_failed: Annotated[Flag, Parameter(group=FOLDER)] = False,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    label: Annotated[int | None, Parameter(group=FOLDER)] = None,
+    label: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    pick: Annotated[str | None, Parameter(group=FOLDER, allow_leading_hyphen=True)] = None,
     only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     shard: Annotated[str | None, Parameter(group=FOLDER)] = None,
     merge: Annotated[Path | None, Parameter(group=FOLDER)] = None,
@@ -70,6 +75,7 @@ def batch(
     lag: Annotated[str | None, Parameter(group=METHOD, allow_leading_hyphen=True)] = None,
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -121,9 +127,12 @@ def batch(
     retry_failed
         Estimate failed frames again.
     joints
-        File of readings to use instead of the session's own. May be given several times.
+        File of readings to use instead of the session's own, or none, to use none. May be given several times.
     label
-        Value of the instrument in masks of labels, 0 to 255.
+        Part of masks of labels that is the instrument: a value (the index, in images with a palette), several such as
+        10,20,30, a colour such as '#00ff00', or any, for all values but 0. They are in masks or else in labels.
+    pick
+        Pixel u,v on the instrument in all frames: use only the connected region of the mask, or of the label, there.
     only
         Arm of a session.toml with several tools: estimate this one only; by default all of them. May be given several
         times.
@@ -147,6 +156,8 @@ def batch(
         each frame from the pose that it predicts, and search globally only if that does not explain the mask.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
+    reading
+        How files of readings are read.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -176,8 +187,10 @@ def batch(
     check_range("--time-limit", time_limit, 0, _LONGEST_FRAME, "seconds")
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
-    if label is not None and not 0 <= label <= 255:
-        raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
+    from dvrk_cmaes.frames.label import parse_label
+
+    wanted = None if label is None else parse_label("--label", label)
+    picked = None if pick is None else parse_pixel("pick", pick)
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
     from dvrk_cmaes.cli.session_tools import output_folder, read_calibration_of, session_tools, solve_crossing_tools
@@ -272,13 +285,17 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
             warn(f"{name}: {text}" if name else text)
 
 
-def _with_masks_of(arm: ArmInSession, label: int | None, prompts: PromptOptions) -> ArmInSession:
+def _with_masks_of(
+    arm: ArmInSession, label: Label | None, pick: tuple[float, float] | None, prompts: PromptOptions
+) -> ArmInSession:
     """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
     from dvrk_cmaes.frames.boxes import FramePrompts
 
     session = arm.session
     if label is not None:
-        session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
+        session = replace(session, frames=tuple(files.changed(label=label) for files in session.frames))
+    if pick is not None:
+        session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
     if prompts != DEFAULT_PROMPTS:
         hints = prompts.resolve()
         session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))

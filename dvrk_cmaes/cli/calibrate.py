@@ -14,6 +14,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    DEFAULT_READING,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
@@ -23,6 +24,7 @@ from dvrk_cmaes.cli.options import (
     Flag,
     InstrumentOptions,
     MethodOptions,
+    ReadingOptions,
     check_range,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
@@ -52,6 +54,7 @@ def calibrate(
     keyframes: Annotated[int | None, Parameter(group=FOLDER)] = None,
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -99,6 +102,8 @@ def calibrate(
         least 10 frames and 5 mm of insertion.
     workers
         Number of processes that work at a time; by default the number of cores. Few frames are done by one.
+    reading
+        How files of readings are read.
     camera
         Camera to use instead of the session's own.
     instrument

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
 from dvrk_cmaes.cli.terminal import warn
 from dvrk_cmaes.errors import InputError
 
@@ -56,24 +57,33 @@ class SessionTool:
         folder: Path,
         camera: CameraOptions,
         *,
-        joints: Sequence[Path] = (),
+        joints: Sequence[Path] | None = (),
+        reading: ReadingOptions = DEFAULT_READING,
         video: SessionVideo | None = None,
+        labelled: bool = False,
     ) -> ArmInSession:
         """Load the instrument, and read the session with the masks and readings of the tool.
 
         Arguments as in `CameraOptions.read_session`.
         """
+        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, NO_READINGS
         from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
         body = self.options.load()
+        files = None if joints is None else joint_files(joints, self.tool.arm or None)
         session = camera.read_session(
             folder,
             known=body.instrument.joint_names,
-            joints=joints,
+            joints=files,
+            reading=reading,
             entries=self.entries,
             tool=self.tool,
             video=video,
+            labelled=labelled,
         )
+        for note in session.notes if files is not None else ():
+            if note.startswith((COUNTS_DIFFER, NO_READINGS)):
+                warn(f"{folder}: {note}")
         return ArmInSession(session, body, self.options.kinematics)
 
 

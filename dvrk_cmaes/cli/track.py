@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    DEFAULT_READING,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
@@ -27,6 +28,7 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
+    ReadingOptions,
     SessionOption,
     check_range,
 )
@@ -34,6 +36,7 @@ from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, read_ca
 from dvrk_cmaes.cli.terminal import Line, frames_text, show, warn
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import listed
 
 if TYPE_CHECKING:
     from dvrk_cmaes.results.tracked import TrackResult
@@ -70,6 +73,7 @@ def track(
     recording: VideoOptions = DEFAULT_VIDEO,
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -151,6 +155,8 @@ def track(
         it is used instead of the keyframes' solution. With --causal its base, offsets and lag are the start.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
+    reading
+        How files of readings are read.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -178,8 +184,9 @@ def track(
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
     from dvrk_cmaes.runs.track_folder import track_folder
-    from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask
+    from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask, with_increasing_times
     from dvrk_cmaes.runs.worker import hints_of
+    from dvrk_cmaes.segment.segmentation import hints_within
 
     seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
     with output_folder(out, session if session.is_dir() else session.parent, "tracks") as target:

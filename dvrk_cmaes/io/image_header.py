@@ -52,6 +52,22 @@ def read_header(data: bytes) -> ImageHeader | None:
     return header if header.width > 0 and header.height > 0 else None
 
 
+def palette_as_grey(data: bytes) -> bytes:
+    """Return a whole PNG with a palette as one in grey, whose values are the indices into the palette."""
+    position, parts = len(_PNG), [_PNG]
+    while position < len(data):
+        (length,) = struct.unpack_from(">I", data, position)
+        kind, content = data[position + 4 : position + 8], data[position + 8 : position + 8 + length]
+        position += 12 + length
+        if kind == b"IHDR":
+            content = content[:9] + b"\0" + content[10:]
+        if kind not in (b"PLTE", b"tRNS"):
+            parts.append(struct.pack(">I", length) + kind + content + struct.pack(">I", zlib.crc32(kind + content)))
+        if kind == b"IEND":
+            break
+    return b"".join(parts)
+
+
 def _png_is_whole(data: bytes) -> bool:
     """Whether all chunks up to IEND are complete and have the checksums that they state."""
     view, position = memoryview(data), len(_PNG)

@@ -31,7 +31,7 @@ def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> Path:
     results = {name: folder.frames for name, folder in folders.items()}
     bodies = {name: arm.body for name, arm in arms.items()}
     frames = {name: {files.name: files for files in arm.session.frames} for name, arm in arms.items()}
-    for frame in sorted({frame for of_arm in results.values() for frame in of_arm}):
+    for frame in sorted({frame for of_arm in results.values() for frame in of_arm}, key=natural):
         overlay = overlay_path(out, frame)
         if not _is_newer(overlay, [result_path(folder.folder, frame) for folder in folders.values()]):
             shown = drawings(results, bodies, frame)
@@ -73,7 +73,7 @@ def _drawn(shown: Sequence[ArmDrawing], seen: Sequence[tuple[FrameFiles, Camera]
 def _image(files: FrameFiles) -> NDArray[np.uint8] | None:
     """Read the image of a frame; None if it has none that can be read."""
     try:
-        return None if files.image is None else read_image(files.image)
+        return image_of(files)
     except InputError:
         return None
 
@@ -85,7 +85,7 @@ def _all_masks(frames: list[FrameFiles]) -> NDArray[np.bool_] | None:
         try:
             if files.mask is None:
                 continue
-            mask = read_mask(files.mask, label=files.label, pick=files.pick, blank=True)
+            mask = mask_of(files, files.mask, blank=True)
         except InputError:
             continue
         union = mask if union is None or union.shape != mask.shape else union | mask

@@ -61,7 +61,7 @@ def solve_crossing(
     pages are written anew where a frame was solved again. Errors as `run_batch`.
     """
     stop, progress = stop or threading.Event(), progress or BatchProgress()
-    names = sorted({name for batch in batches.values() for name in batch.results})
+    names = sorted({name for batch in batches.values() for name in batch.results}, key=natural)
     places = {name: _places_in_frame(name, batches) for name in names}
     asked = {
         arm: [

@@ -63,7 +63,7 @@ def refuse_strange_results(out: Path, chosen: Collection[str], session: Collecti
         A result is not of one of the session's frames, or it is damaged and not among the chosen frames, which are
         estimated again; or the folder has a calibration that is damaged.
     """
-    for path in sorted((out / "frames").glob("*.json")):
+    for path in sorted((out / "frames").glob("*.json"), key=lambda path: natural(path.name)):
         if path.stem not in session:
             raise InputError(f"{path}: expected a result of a frame of the session, which has no {shown(path.stem)}")
         if path.stem not in chosen:
@@ -75,7 +75,7 @@ def refuse_strange_results(out: Path, chosen: Collection[str], session: Collecti
 def complete_results(out: Path) -> dict[str, Status]:
     """Return the status of each frame that has a valid result and, unless it failed, an overlay."""
     found: dict[str, Status] = {}
-    for path in sorted((out / "frames").glob("*.json")):
+    for path in sorted((out / "frames").glob("*.json"), key=lambda path: natural(path.name)):
         try:
             result = read_result(path)
         except InputError:

@@ -167,7 +167,8 @@ def track_folder(
     clock = TrackClock.of(session, frames, settings.frames_a_second, use_joints=settings.use_joints)
     joints = body.instrument.joint_names
     commanded = commanded_in([files.readings for files in frames], joints) if settings.use_joints else []
-    settings = replace(settings, config=with_commanded(settings.config, commanded, joints))
+    config = with_commanded(settings.config, commanded, joints)
+    settings = replace(settings, config=config, outer_read=clock.outer_read)
     remarks = (describe_commanded(commanded),) if commanded else ()
     for text in remarks:
         notice(f"warning: {text}")

@@ -148,5 +148,6 @@ def tool_depth(body: Body, camera: Camera, truth: Truth) -> Float32:
 def tools_of_arms(tool: ToolEntry) -> list[ToolEntry]:
     """Return the entries of the tools of both arms, with their labels and files of readings."""
     return [
-        replace(tool, arm=arm, label=label, joints=Path(f"joints_{arm}.csv")) for label, arm in enumerate(ARMS, start=1)
+        replace(tool, arm=arm, label=(label,), joints=Path(f"joints_{arm}.csv"))
+        for label, arm in enumerate(ARMS, start=1)
     ]

@@ -380,7 +380,7 @@ class Tracker:
         started = clock.perf_counter()
         self._check_time(time)
         seen = self._sight.look(mask, image, ignore)
-        result = self._followed(time, seen)
+        result = self._with_sparse_readings(self._followed(time, seen))
         self._time = time
         base = None if self._known is None else self._known.known
         if self._known is not None:
@@ -413,8 +413,15 @@ class Tracker:
         if known is None:
             return result
         known.offer(time, self._readings.buffer.at(time), seen, self._sight)
-        told = self._best is not None and self._best.anchor.based
-        return known.unconfirmed(result, self._readings.buffer, told=told)
+        return known.unconfirmed(result, self._readings.buffer)
+
+    def _with_sparse_readings(self, result: TrackResult) -> TrackResult:
+        """Return a result as doubtful if readings near its image are too sparse for the motion, with that reason."""
+        sparse = self._readings.buffer.at(result.time - (0.0 if self.lag is None else self.lag.seconds)).sparse
+        if sparse is None or not sparse.reason:
+            return result
+        status = "doubtful" if result.status == "ok" else result.status
+        return replace(result, status=status, reasons=(*result.reasons, sparse.reason))
 
     def smoothed(self) -> list[TrackResult]:
         """Return the results of all images given all images; status and reasons stay as they were.

@@ -54,7 +54,7 @@ _WITH_WORKERS: Final = ("batch", "calibrate")
 _IN_A_ROW: Final = 4  # faults, at most
 _DONE: Final = (0, 3)  # exit codes
 _LONGEST: Final = 300.0  # s, of a command
-_ORPHANS: Final = 10.0  # s, after which the workers of a killed command must have ended
+_ORPHANS: Final = 60.0  # s, after which the workers of a killed command must have ended
 _SHOWN: Final = 300  # characters of a message
 
 
