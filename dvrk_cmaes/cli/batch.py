@@ -211,7 +211,8 @@ def batch(
         finished: dict[str, BatchSummary] = {}
         calibrations: dict[str, SessionCalibration | None] = {}
         for name, tool in tools.items():
-            arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
+            arm = tool.read(session, camera, joints=joints, reading=reading, labelled=wanted is not None)
+            arms[name] = _with_masks_of(arm, wanted, picked, prompts)
             calibrations[name] = read_calibration_of(
                 calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
             )

@@ -136,7 +136,7 @@ def calibrate(
         arms: dict[str, ArmInSession] = {}
         solved: dict[str, SolvedSession] = {}
         for name, tool in session_tools(session, instrument, only).items():
-            arms[name] = _share(tool.read(session, camera, joints=joints), every, keyframes)
+            arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), every, keyframes)
             if results is not None and (results / name).resolve() == (target / name).resolve():
                 raise InputError(
                     f"--out: expected another folder than --results, whose frames stay as they are, got {target / name}"

@@ -201,8 +201,11 @@ def track(
         arms: dict[str, ArmInSession] = {}
         settings: dict[str, TrackSettings] = {}
         for name, tool in tools.items():
-            arm = source.read(tool, camera, recording, joints=files)
-            followed, used = used_session(arm.session, evidence)
+            arm = source.read(tool, camera, recording, joints=None if joints == "none" else files, reading=reading)
+            timed, doubled = with_increasing_times(arm.session)
+            if doubled:
+                warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
+            followed, used = used_session(timed, evidence)
             arms[name] = replace(arm, session=with_first_mask(followed, first_mask))
             settings[name] = TrackSettings(
                 method.resolve(),
@@ -214,7 +217,8 @@ def track(
                 fps,
                 causal,
                 used,
-                (hints_of(followed.frames[0]) if prompts == DEFAULT_PROMPTS else None) or prompts.resolve(),
+                (hints_of(followed.frames[0]) if prompts == DEFAULT_PROMPTS else None)
+                or hints_within(prompts.resolve(), followed.frames[0].crop),
                 workers,
             )
         with stopping_on_interrupt() as stop:

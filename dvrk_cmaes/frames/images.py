@@ -23,7 +23,8 @@ from dvrk_cmaes.frames.coco_mask import read_coco_mask
 from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named, named_part, parse_label, selected
 from dvrk_cmaes.frames.label import EXPECTED as LABEL
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, read_header
+from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, palette_as_grey, read_header
+from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 400_000_000  # bytes
 _THRESHOLD = 127
@@ -176,7 +177,7 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
     return data, header
 
 
-def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.uint8]:
+def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[Any]:
     """Decode an image with OpenCV's flags; InputError if it cannot be decoded, or not without a loss.
 
     The decoders print nothing: OpenCV's own JPEG decoder would print what it had to make up, and only gets those in the
@@ -213,8 +214,9 @@ def _decode_jpeg(data: bytes, flags: int) -> Any:
     return pixels[:, :, 0] if wanted == "GRAY" else pixels
 
 
-def _read_grey(path: str | Path, what: str, *, values: bool = False) -> NDArray[np.uint8]:
-    """Read a grey image (H, W) of 8 bits or of 1, or one with equal channels.
+def _parts(label: LabelText) -> Sequence[int | str]:
+    """Return the parts of a label."""
+    return [label] if isinstance(label, int | str) else label
 
 
 def _is_inverted(mask: NDArray[np.bool_]) -> bool:

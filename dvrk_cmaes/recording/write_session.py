@@ -26,6 +26,7 @@ from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry,
 from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.output import whole_folder, write_bytes
+from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
@@ -184,7 +185,7 @@ def write_session(
 def _write_readings(recording: Recording, out: Path, tolerance: float, *, overwrite: bool) -> ImportSummary:
     """Write the readings of a recording without images, as joints.csv with the times of the arm's own."""
     summaries: list[InterpolationSummary] = []
-    with whole_folder(out, command="import", sign="joints.csv", overwrite=overwrite, source=recording.path) as folder:
+    with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         for name, readings in recording.by_arm.items():
             times = [] if not readings else readings[0].times.tolist()
             if not times:

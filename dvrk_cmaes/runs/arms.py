@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.arms_overlay import ArmDrawing, draw_arms, drawings
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.images import match_size, read_image, read_mask
+from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of
+from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.io.atomic import encoded_image
+from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.arms_page import write_arms_page
 from dvrk_cmaes.results.folder import read_results

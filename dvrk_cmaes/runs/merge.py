@@ -9,6 +9,7 @@ from typing import Any
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.handles import not_written
+from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import MANIFEST, read_results
@@ -73,7 +74,7 @@ def _merge_manifests(out: Path, folders: Sequence[Path]) -> None:
 
 def _move_results(folder: Path, shard: Output, own: Output) -> None:
     """Move the complete results of a shard's folder, each after its other files."""
-    for path in sorted((folder / "frames").glob("*.json")):
+    for path in sorted((folder / "frames").glob("*.json"), key=lambda path: natural(path.name)):
         try:
             frame = read_result(path).frame
         except InputError:  # damaged, therefore treated as missing
