@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from itertools import pairwise
 
@@ -88,6 +89,17 @@ def test_checkpoint_goes_on_with_same_results(world: MovingWorld, first: Result,
     other.restore(saved)
     for one, same in zip(world.follow(other, frames=range(10, 14)), results[9:13], strict=True):
         assert one.to_dict("a") | {"seconds": 0} == same.to_dict("a") | {"seconds": 0}
+
+
+def test_pickled_tracker_goes_on_with_same_results(
+    world: MovingWorld, first: Result, results: list[TrackResult]
+) -> None:
+    tracker = started(world, first)
+    world.follow(tracker, frames=range(1, 10))
+    other = pickle.loads(pickle.dumps(tracker))
+    for one, same in zip(world.follow(other, frames=range(10, 14)), results[9:13], strict=True):
+        assert one.to_dict("a") | {"seconds": 0} == same.to_dict("a") | {"seconds": 0}
+    assert not pickle.loads(pickle.dumps(Tracker(world.camera, world.body))).offsets
 
 
 def test_smoothing_does_not_increase_errors(world: MovingWorld, first: Result, results: list[TrackResult]) -> None:
