@@ -11,6 +11,7 @@ from helpers.moving_worlds import SMALL
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, TrackConfig
 from dvrk_cmaes.geometry import Posed, moved
+from dvrk_cmaes.joints.names import OUTER_JOINTS
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.mask_evidence import MaskEvidence
