@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 _MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit
-_INCOMPLETE, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
+_FAILED, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
 
 
 def batch(
@@ -89,8 +89,8 @@ def batch(
     estimated gets a failed result with its reason, and the command continues with the other frames. Of several arms, a
     tool that is clearly in front of another one is solved again, with that one as background.
 
-    Exit codes: 0 all ok, 1 the work could not be done, or frames are missing in --merge, 2 wrong usage or input,
-    3 finished, but a frame is doubtful or failed, 130 interrupted.
+    Exit codes: 0 all ok, 1 the work could not be done, every frame failed, or frames are missing in --merge, 2 wrong
+    usage or input, 3 finished, but a frame is doubtful or failed, 130 interrupted.
 
     Example:
 
@@ -193,7 +193,8 @@ def batch(
     picked = None if pick is None else parse_pixel("pick", pick)
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
-    from dvrk_cmaes.cli.session_tools import read_calibration_of, session_tools, solve_crossing_tools
+    from dvrk_cmaes.cli.session_tools import output_folder, read_calibration_of, session_tools, solve_crossing_tools
+    from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
@@ -202,60 +203,70 @@ def batch(
     given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
     tools = session_tools(session, instrument, only)
-    results = session / "results" if out is None else out
-    if len(tools) > 1 and calibration is not None and not calibration.is_dir():
-        raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
-    arms: dict[str, ArmInSession] = {}
-    finished: dict[str, BatchSummary] = {}
-    calibrations = {
-        name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session) for name, tool in tools.items()
-    }
-    for name, tool in tools.items():
-        arm = tool.read(session, camera, joints=joints, reading=reading, labelled=wanted is not None)
-        arms[name] = _with_masks_of(arm, wanted, picked, prompts)
-    for name, arm in arms.items():
-        finished[name] = done = _run(
-            arm,
-            results / name,
-            settings,
-            scheduler=scheduler,
-            segment=segment.resolve(),
-            pattern=frames,
-            shard=part,
-            resume=resume,
-            retry_failed=retry_failed,
-            workers=workers,
-            time_limit=time_limit,
-            lag=given,
-            find_lag=lag == AUTO,
-            calibration=calibrations[name],
-        )
-        if done.interrupted:
-            break
-    exchanged: list[str] = []
-    if len(finished) > 1 and not done.interrupted:
-        if part is None:
-            of_arms = {name: summary.results for name, summary in finished.items()}
-            exchanged = exchanged_in_results(arms, of_arms, settings)
-            for text in exchanged:
-                warn(text)
-        if not exchanged:
-            finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
-    _report_all(finished, json, part)
-    stopped = next((summary for summary in finished.values() if summary.interrupted), None)
-    if stopped is not None:
-        again = "the same command" if resume else "the same command without --overwrite"
-        left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
-        if not stopped.counts["missing"]:
-            left = "frames in which tools cross are left"
-        print_error(f"interrupted: {left}; {again} goes on from here")
-        return _INTERRUPTED
-    if len(finished) > 1 and part is None:
-        page = write_arms(results, arms)
-        if not json:
-            show([Line(f"all arms: {page}")])
-    doubtful = any(summary.counts["doubtful"] or summary.counts["failed"] for summary in finished.values())
-    return _DOUBTFUL if exchanged or doubtful else 0
+    with output_folder(out, session, "results") as results:
+        if len(tools) > 1 and calibration is not None and not calibration.is_dir():
+            raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
+        check_output_folder(results, "batch")
+        arms: dict[str, ArmInSession] = {}
+        finished: dict[str, BatchSummary] = {}
+        calibrations: dict[str, SessionCalibration | None] = {}
+        for name, tool in tools.items():
+            arm = tool.read(session, camera, joints=joints, reading=reading, labelled=wanted is not None)
+            arms[name] = _with_masks_of(arm, wanted, picked, prompts)
+            calibrations[name] = read_calibration_of(
+                calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
+            )
+        for name, arm in arms.items():
+            finished[name] = done = _run(
+                arm,
+                results / name,
+                settings,
+                scheduler=scheduler,
+                segment=segment.resolve(),
+                pattern=frames,
+                shard=part,
+                resume=resume,
+                retry_failed=retry_failed,
+                workers=workers,
+                time_limit=time_limit,
+                lag=given,
+                find_lag=lag == AUTO,
+                calibration=calibrations[name],
+            )
+            if done.interrupted:
+                break
+        exchanged: list[str] = []
+        if len(finished) > 1 and not done.interrupted:
+            if part is None:
+                of_arms = {name: summary.results for name, summary in finished.items()}
+                exchanged = exchanged_in_results(arms, of_arms, settings)
+                for text in exchanged:
+                    warn(text)
+            if not exchanged:
+                finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
+        _report_all(finished, json, part)
+        stopped = next((summary for summary in finished.values() if summary.interrupted), None)
+        if stopped is not None:
+            again = "the same command" if resume else "the same command without --overwrite"
+            left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
+            if not stopped.counts["missing"]:
+                left = "frames in which tools cross are left"
+            print_error(f"interrupted: {left}; {again} goes on from here")
+            return _INTERRUPTED
+        if len(finished) > 1 and part is None:
+            with output(results, "batch"):
+                page = write_arms(results, arms)
+            if not json:
+                show([Line(f"all arms: {page}")])
+        code = _exit_code([summary.counts for summary in finished.values()])
+        return _DOUBTFUL if exchanged and code == 0 else code
+
+
+def _exit_code(counts: Sequence[Mapping[str, int]]) -> int:
+    """Return the exit code for the numbers of frames, by arm: 1 if all failed, 3 if a frame is doubtful or failed."""
+    if 0 < sum(arm["frames"] for arm in counts) == sum(arm["failed"] for arm in counts):
+        return _FAILED
+    return _DOUBTFUL if any(arm["doubtful"] or arm["failed"] for arm in counts) else 0
 
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None) -> None:
@@ -362,8 +373,8 @@ def _merge(out: Path, json: bool) -> int:
     counts = document["counts"]
     if counts["missing"]:
         print_error(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")
-        return _INCOMPLETE
-    return _DOUBTFUL if counts["doubtful"] or counts["failed"] else 0
+        return _FAILED
+    return _exit_code([counts])
 
 
 def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Iterator[Line]:

@@ -175,10 +175,10 @@ def estimate(
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
     files = FrameFiles(name, mask, {}, image, ignore, tips, wanted, picked, moment, crop=camera.fit.crop)
     if out is not None:
-        from dvrk_cmaes.runs.ownership import check_frame_files, record_frame_files
+        from dvrk_cmaes.io.output import check_output_folder
 
         kinds = (result_path, overlay_path, *(() if mask is not None else (mask_path,)))
-        check_frame_files(out, [path(out, name) for path in kinds])
+        check_output_folder(out, "estimate", names=[path(Path(), name).as_posix() for path in kinds], owns=False)
     camera_file: CameraFile | RigFile
     if mask_right is None and image_right is None:
         camera_file = camera.read(files)
@@ -188,7 +188,7 @@ def estimate(
         camera_file = camera.read_rig(files)
     data = read_any_frame(files, camera_file.rig)
     body = instrument.load()
-    known = read_calibration_of(calibration, doubtful=doubtful_session)
+    known = read_calibration_of(calibration, body, instrument.arm, doubtful=doubtful_session)
     lag = None if known is None else known.applied_lag
     read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag, reading.read_as(only))
     files = replace(files, readings=read.readings)
@@ -204,8 +204,6 @@ def estimate(
         settings=model.resolve(),
         hints=hints_within(prompts.resolve(), files.crop),
     )
-    if out is not None:
-        record_frame_files(out, run.written)
     for text in run.result.warnings:
         warn(text)
     if json:

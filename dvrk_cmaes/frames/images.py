@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
@@ -22,16 +23,14 @@ from dvrk_cmaes.frames.coco_mask import read_coco_mask
 from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named, named_part, parse_label, selected
 from dvrk_cmaes.frames.label import EXPECTED as LABEL
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, palette_as_grey, read_header
-from dvrk_cmaes.io.quiet_stderr import native_messages
+from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, palette_as_grey, read_header
 from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 400_000_000  # bytes
 _THRESHOLD = 127
 _MOST_OF_EDGE, _MOST_OF_IMAGE = 0.7, 0.6  # shares in a mask from which on it is taken for an inverted one
 _ASPECT, _ROUNDED_ASPECT = 0.005, 0.02  # by which the aspects of mask and calibration may differ, as a share
-# libjpeg's words for data that it had to make up; other bytes before a marker are skipped without a loss
-_LOST = re.compile(r"Corrupt JPEG data(?!: \d+ extraneous bytes)|Premature end of JPEG")
+_SKIPPED = re.compile(r"Corrupt JPEG data: \d+ extraneous bytes")  # libjpeg's words for bytes skipped without a loss
 
 
 def read_mask(
@@ -179,15 +178,40 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
 
 
 def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[Any]:
-    """Decode an image with OpenCV's flags; InputError if it cannot be decoded."""
+    """Decode an image with OpenCV's flags; InputError if it cannot be decoded, or not without a loss.
+
+    The decoders print nothing: OpenCV's own JPEG decoder would print what it had to make up, and only gets those in the
+    colours of print, and PNG files without the chunks that do not change their pixels.
+    """
+    pixels: Any
     try:
-        with native_messages() as messages:
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
+        pixels = _decode_jpeg(data, flags) if data.startswith(b"\xff\xd8") else None
+        if pixels is None:
+            pixels = cv2.imdecode(np.frombuffer(checked_png(data), np.uint8), flags)
+    except (cv2.error, ValueError):
         pixels = None
-    if pixels is None or any(_LOST.search(message) for message in messages):
+    if pixels is None:
         raise InputError(f"{path}: expected {what} (PNG or JPEG), got one that is damaged")
     return np.asarray(pixels)
+
+
+def _decode_jpeg(data: bytes, flags: int) -> Any:
+    """Decode a JPEG as OpenCV does, to the last bit; None for one in colours of print, ValueError if it is damaged."""
+    height, width, colours, _ = simplejpeg.decode_jpeg_header(data)
+    wanted = "GRAY" if flags == cv2.IMREAD_UNCHANGED and colours == "Gray" else "BGR"
+    if colours not in ("Gray", "YCbCr", "RGB"):
+        simplejpeg.decode_jpeg(data, "CMYK", strict=True)
+        return None
+    size = {}
+    if flags == cv2.IMREAD_REDUCED_COLOR_2 | cv2.IMREAD_IGNORE_ORIENTATION:
+        size = {"min_factor": 2, "min_height": (height + 1) // 2, "min_width": (width + 1) // 2}
+    try:
+        pixels = simplejpeg.decode_jpeg(data, wanted, strict=True, **size)
+    except ValueError as error:
+        if not _SKIPPED.search(str(error)):
+            raise
+        pixels = simplejpeg.decode_jpeg(data, wanted, strict=False, **size)
+    return pixels[:, :, 0] if wanted == "GRAY" else pixels
 
 
 def _parts(label: LabelText) -> Sequence[int | str]:

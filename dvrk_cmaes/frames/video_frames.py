@@ -26,6 +26,7 @@ Layout = Literal["mono", "side-by-side", "top-bottom", "squeezed-side-by-side", 
 
 Window = tuple[int, int, int, int]
 
+_SILENT = 0  # level of the log of OpenCV
 SUFFIXES: Final = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ts", ".webm", ".wmv")
 EXPECTED: Final = "a video that OpenCV reads"
 _SAME_ASPECT = 0.02  # largest relative difference of two aspect ratios that count as one
@@ -40,8 +41,9 @@ def open_capture(path: Path, *, expected: str = EXPECTED) -> Iterator[Any]:
     InputError
         Not a video, or one of too large pictures.
     """
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    log = getattr(cv2.utils, "logging", cv2)  # from OpenCV 5 on in a module of its own
+    level = log.getLogLevel()
+    log.setLogLevel(_SILENT)
     quiet_ffmpeg()
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
@@ -53,7 +55,7 @@ def open_capture(path: Path, *, expected: str = EXPECTED) -> Iterator[Any]:
         yield capture
     finally:
         capture.release()
-        cv2.utils.logging.setLogLevel(level)
+        log.setLogLevel(level)
 
 
 class Video:

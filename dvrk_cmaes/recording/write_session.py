@@ -23,9 +23,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
-from dvrk_cmaes.io.atomic import write_bytes, write_text
-from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.output import whole_folder, write_bytes
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
@@ -144,9 +144,7 @@ def write_session(
     """
     names: list[str] = []
     times: list[int] = []
-    if not recording.has_images:
-        return _write_readings(recording, out, tolerance, overwrite=overwrite)
-    with whole_folder(out, command="import", sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
+    with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         counter = _ImageCounter(recording.images)
         pairing = None if recording.right is None else Pairing(recording.right.images)
         size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times, pairing)
@@ -187,7 +185,7 @@ def write_session(
 def _write_readings(recording: Recording, out: Path, tolerance: float, *, overwrite: bool) -> ImportSummary:
     """Write the readings of a recording without images, as joints.csv with the times of the arm's own."""
     summaries: list[InterpolationSummary] = []
-    with whole_folder(out, command="import", sign="joints.csv", overwrite=overwrite, source=recording.path) as folder:
+    with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         for name, readings in recording.by_arm.items():
             times = [] if not readings else readings[0].times.tolist()
             if not times:

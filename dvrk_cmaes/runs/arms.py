@@ -13,8 +13,9 @@ from dvrk_cmaes.draw.arms_overlay import ArmDrawing, draw_arms, drawings
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of
 from dvrk_cmaes.frames.images import match_size
-from dvrk_cmaes.io.atomic import encoded_image, write_bytes
+from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.io.natural_order import natural
+from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.arms_page import write_arms_page
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import overlay_path, result_path
@@ -25,7 +26,7 @@ def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> Path:
     """Write OUT/overlays/FRAME.jpg with the tools of all arms, and OUT/report.html; returns the path of the page.
 
     The results of each arm are in OUT/ARM. Overlays that are newer than the results are kept. Errors as in
-    `read_results` and `dvrk_cmaes.io.atomic.write_bytes`.
+    `read_results` and `dvrk_cmaes.io.output.write_bytes`.
     """
     folders = {name: read_results(out / name) for name in arms}
     results = {name: folder.frames for name, folder in folders.items()}

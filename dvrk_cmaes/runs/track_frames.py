@@ -38,6 +38,7 @@ class TrackSettings:
     """What is followed and how: as the options of ``dvrk-cmaes track``.
 
     ``workers`` is the number of processes that fit a recording with its own calibration; by default that of the cores.
+    ``outer_read`` is whether the recording has readings of the outer joints, which alone tell of a base.
     """
 
     config: EstimateConfig
@@ -51,11 +52,12 @@ class TrackSettings:
     evidence: EvidenceKind | None = None
     hints: Hints | None = None
     workers: int | None = None
+    outer_read: bool = True
 
     @property
     def keeps_keyframes(self) -> bool:
         """Whether a tracker solves keyframes beside its steps: by masks and readings whose lag is not given."""
-        return self.causal and self.evidence == "masks" and self.use_joints and self.lag is None
+        return self.causal and self.evidence == "masks" and self.use_joints and self.outer_read and self.lag is None
 
     def tracker(self, rig: Rig, body: Body) -> Tracker:
         """Return a tracker with these settings."""

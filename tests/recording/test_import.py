@@ -440,7 +440,5 @@ def test_masks_that_were_drawn_in_an_imported_session_are_never_removed(
     mask.parent.mkdir()
     mask.write_bytes(b"drawn by hand")
     ran = run_command(capsys, "import", bag, "--out", "session", "--overwrite")
-    assert ran.refusal == (
-        "session: --overwrite: masks/000000.png was added or changed since; move it; nothing removed"
-    )
+    assert ran.refusal == ("session: masks/000000.png was not written by `import`; choose another --out, or move it")
     assert mask.read_bytes() == b"drawn by hand"
