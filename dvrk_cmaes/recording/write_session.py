@@ -144,6 +144,8 @@ def write_session(
     """
     names: list[str] = []
     times: list[int] = []
+    if not recording.has_images:
+        return _write_readings(recording, out, tolerance, overwrite=overwrite)
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         counter = _ImageCounter(recording.images)
         pairing = None if recording.right is None else Pairing(recording.right.images)
