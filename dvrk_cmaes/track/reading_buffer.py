@@ -81,7 +81,9 @@ class ReadingBuffer:
         return TimedReadings(self._names, self._times[: self._count], self._rows[: self._count])
 
     def add(self, time: float, joints: Mapping[str, float]) -> None:
-        """Add the readings of one time, s; of two at the same time, the last is used.
+        """Add the readings of one time, s; of two of a joint at the same time, the last is used.
+
+        Arm and jaw, on topics of their own, may have the same times.
 
         Raises
         ------
@@ -97,6 +99,8 @@ class ReadingBuffer:
             self._times[at + 1 : end + 1], self._rows[at + 1 : end + 1] = self._times[at:end], self._rows[at:end]
             self._times[at] = time
             self._count += 1
+        else:
+            row = np.where(np.isnan(row), self._rows[at], row)
         self._rows[at] = row
         self._complete &= not np.isnan(row).any()
         self._drop()
