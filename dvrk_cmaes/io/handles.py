@@ -98,7 +98,7 @@ class Folder:
         found = self.status(name)
         if found is not None and (stat.S_ISLNK(found.st_mode) or _is_junction(self.path / name)):
             raise InputError(
-                f"{self.path / name}: expected a file or folder of its own, got a link; nothing is written, read or "
+                f"{self.path / name}: expected a place to write, got a link; nothing is written, read or "
                 "removed through it"
             )
 
@@ -208,7 +208,7 @@ def _is_junction(path: Path) -> bool:
 def opened_above(path: Path, *, make: bool = False) -> Iterator[Folder]:
     """Open a folder by its path, whose links are followed; with ``make``, it is made, and goes again after an error."""
     missing: list[str] = []
-    there = path.absolute()
+    there = path
     while make and not there.exists() and there != there.parent:
         missing.insert(0, there.name)
         there = there.parent

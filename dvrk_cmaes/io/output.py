@@ -206,6 +206,12 @@ class Output(_Place):
         else:
             self.files[name] = digest
 
+    def forget(self, name: str, before: str | None) -> None:
+        """Take back the last note of a file, which was not written."""
+        self.files.pop(name)
+        if before is not None:
+            self.files[name] = before
+
     def remove(self, name: str) -> None:
         """Remove a file of the command, if it is there; InputError for another one."""
         with contextlib.suppress(FileNotFoundError), self._reached(name) as (folder, last):
@@ -523,10 +529,17 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     """
     with _writing(path, "a file"), _target(Path(path)) as (folder, out, name):
         last = Path(path).name
+        before = None
         if out is not None:
             out._admit(folder, name, last)
+            before = out.files.get(name)
             out.note(name, hashlib.sha256(data).hexdigest())
-        _write(folder, last, data)
+        try:
+            _write(folder, last, data)
+        except BaseException:
+            if out is not None:
+                out.forget(name, before)
+            raise
 
 
 def remove(path: Path) -> None:

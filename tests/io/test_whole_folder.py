@@ -44,10 +44,10 @@ def link_image(out: Path) -> None:
 CHANGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "added": (add_mask, "masks/0.png was not written by `synth`"),
     "edited": (lambda out: (out / "camera.yaml").write_text("mine"), "camera.yaml was not written by `synth`, or chan"),
-    "link": (link_image, "images/0.png: expected a file or folder of its own"),
+    "link": (link_image, "images/0.png: expected a place to write"),
     "folder linked": (
         lambda out: os.symlink("/", out / "all"),
-        "all: expected a file or folder of its own, got",
+        "all: expected a place to write, got",
     ),
     "without a list": (
         lambda out: (out / ".written.json").unlink(),
