@@ -32,6 +32,8 @@ def not_written(path: str | Path, error: OSError | ValueError, what: str) -> Dvr
     if isinstance(error, ValueError):
         return InputError(f"{str(path)!r}: not written ({error}); expected a place to write {what}")
     kind = DvrkCmaesError if error.errno in _MACHINE_AT_FAULT else InputError
+    if isinstance(error, NotADirectoryError) and os.path.isfile(path):
+        return InputError(f"{path}: expected a folder to write, got a file of that name")
     reason = "a file lies where a folder is wanted" if isinstance(error, FileExistsError) else error.strerror
     return kind(f"{path}: not written ({reason}); expected a place to write {what}")
 

@@ -308,7 +308,8 @@ def test_other_files_at_output_are_kept(refused: Refused, tmp_path: Path) -> Non
         "session: expected a new or empty folder, got one with files in it (--overwrite replaces it)"
     )
     assert refused(bag, "--overwrite") == (
-        "session: --overwrite: expected an older folder with camera.yaml, got one without; nothing removed"
+        "session: expected a new or empty folder, or one of an earlier import, got one with thesis.tex; "
+        "nothing was changed"
     )
     (session / "camera.yaml").write_text(CAMERA)
     inside = write_bag(session / "bag", "mcap", good(1))
@@ -323,12 +324,12 @@ def test_older_session_is_kept_on_failure(
     assert main(["import", str(bag), "--out", "session"]) == 0
     capfd.readouterr()
 
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("dvrk_cmaes.io.atomic.os.replace", full)
+    monkeypatch.setattr("dvrk_cmaes.io.handles.os.replace", full)
     assert refused(bag, "--overwrite", code=1) == (
-        "session/images/000000.png: not written (No space left on device); expected a place to write a file"
+        "session: not written (No space left on device); expected a place to write results"
     )
 
 
