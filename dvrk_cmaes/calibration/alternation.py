@@ -169,6 +169,8 @@ class Alternation:
     def search_lag(self) -> None:
         """Find the lag from the frames' own modes, without correcting the readings."""
         self.lag.search(self.model, self._modes, self._offset_std, self._prior)
+        if self.lag.nowhere:
+            self.warnings.append(f"lag between images and readings: {self.lag.undetermined}")
 
     def at_lag(self, lag: float) -> Alternation:
         """Solve the same frames from the beginning with readings less another lag; as `initialise` and `iterate`."""

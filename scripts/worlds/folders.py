@@ -139,7 +139,7 @@ def _tool_entry(world: World, place: int, arm: str) -> ToolEntry:
     """Return what session.toml says of an instrument."""
     alone = world.tools == 1
     joints = Path("joints.csv" if place == 0 else f"joints_{arm}.csv")
-    return ToolEntry(arm, world.arm, world.instrument, label=None if alone else place + 1, joints=joints)
+    return ToolEntry(arm, world.arm, world.instrument, label=None if alone else (place + 1,), joints=joints)
 
 
 def _truth(moving: Moving, placed: Placed) -> dict[str, Any]:
