@@ -19,6 +19,7 @@ from worlds.motion import instrument_of
 from benchmark.particles import follow
 from benchmark.submission import JOINTS, Row, read_submission, write_submission
 from benchmark.tasks import BASE, Given, TaskName, readings_of
+from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation.pnp.frame import pose_from_markers
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.markers import read_detections, read_marker_table
@@ -28,6 +29,7 @@ from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.bundled import bundled_path
 
 Float64 = NDArray[np.float64]
+_SIGNALLED: Final = 128  # exit codes above are those of commands that a signal ended
 Method = Callable[[Given, Path], Iterator[Row]]
 """Solves what is given, with a folder for its files, and yields a row for each frame that has an answer."""
 
@@ -88,8 +90,16 @@ def _track(given: Given, out: Path, *options: str) -> Iterator[Row]:
 
 
 def _tell(given: Given, failures: Sequence[Failure]) -> None:
-    """Print the commands that failed on stderr; their frames count as failed."""
+    """Print the commands that failed on stderr; their frames count as failed.
+
+    Raises
+    ------
+    DvrkCmaesError
+        A command was ended by a signal, which says nothing about its frames.
+    """
     for failure in failures:
+        if isinstance(failure.code, int) and failure.code > _SIGNALLED:
+            raise DvrkCmaesError(f"world {given.world.number}, {given.task}: interrupted; the same command goes on")
         print(f"world {given.world.number}, {given.task}: {failure.error} (of: {failure.run})", file=sys.stderr)
 
 

@@ -25,15 +25,15 @@ COLUMNS: Final[Mapping[str, str]] = {
     "ok": "{:.0%}",
     "ok and wrong": "{}",
     "recordings wrong": "{}",
-    "error, mm": "{:.3g}",
-    "95 %, mm": "{:.3g}",
-    "worst ok, mm": "{:.3g}",
+    "error, mm": "mm",
+    "95 %, mm": "mm",
+    "worst ok, mm": "mm",
     "shaft, deg": "{:.2g}",
     "joints, deg": "{:.2g}",
     "90 % intervals": "{:.0%}",
     "processor s a row": "{:.2g}",
 }
-"""Columns of the table in the page, and their formats."""
+"""Columns of the table in the page, and their formats; ``mm`` is that of millimetres."""
 _TABLE: Final = re.compile(r"^\| task \| rank .*\n(?:\|.*\n)+", re.MULTILINE)
 
 
@@ -41,9 +41,16 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return rows as the table of the page."""
     lines = ["| " + " | ".join(COLUMNS) + " |", "| " + " | ".join("---" for _ in COLUMNS) + " |"]
     for row in rows:
-        cells = ["-" if row[name] is None else form.format(row[name]) for name, form in COLUMNS.items()]
+        cells = ["-" if row[name] is None else _cell(row[name], form) for name, form in COLUMNS.items()]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _cell(value: Any, form: str) -> str:
+    """Format a cell; of millimetres three digits are significant."""
+    if form == "mm":
+        return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+    return form.format(value)
 
 
 def write_page(scores: Path, data: Path = DATA) -> list[Path]:

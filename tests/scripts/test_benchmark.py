@@ -17,7 +17,7 @@ from helpers.commands import Ran
 from helpers.places import ROOT
 from scipy.stats import norm
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.boxes import read_boxes
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.markers import read_detections
@@ -335,6 +335,23 @@ def test_single_frame_is_estimated_as_a_row(tmp_path: Path) -> None:
     assert frame.error_mm < 2
     assert row.covariance is not None
     assert row.seconds is not None
+
+
+def test_interrupted_command_leaves_no_failed_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from benchmark import methods
+    from benchmark.tasks import given_task, table
+    from measure.accuracy.worlds import Failure
+
+    given = given_task(tmp_path, "frame", table()[8], 5, {"session": 1, "recording": 1})
+    for code, kept in ((143, False), (1, True)):
+        failure = Failure("", code, "ended", "dvrk-cmaes estimate")
+        monkeypatch.setattr(methods, "estimated", lambda _, failure=failure: ({}, [failure]))
+        if kept:
+            assert [row.status for row in methods.solved("estimate", given, tmp_path / "out").values()] == ["failed"]
+        else:
+            with pytest.raises(DvrkCmaesError, match="world 8, frame: interrupted"):
+                methods.solved("estimate", given, tmp_path / "out")
+        assert (tmp_path / "out" / "estimate-frame-1.csv").exists() == kept
 
 
 def test_seeds_are_kept_with_their_digests(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
