@@ -20,6 +20,7 @@ from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, Sessio
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
+from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again
 from dvrk_cmaes.config import EstimateConfig
@@ -188,17 +189,18 @@ def calibrate_with_evidence(
         masks_again=alternation.again,
         rig=alternation.rig,
         commanded=_only_readings(usable, commanded),
-        warnings=(
+        remarks=(
+            *alternation.camera_remarks,
             *(text for each in alternation.rig for text in each.warnings()),
             *([describe_commanded(commanded)] if commanded else []),
-            *alternation.warnings,
+            *alternation.remarks,
         ),
         seconds=time.perf_counter() - started,
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,
     )
-    if calibration.doubt:
-        calibration = replace(calibration, warnings=(calibration.doubt, *calibration.warnings))
+    calibration = replace(calibration, doubts=doubts_of(calibration, settings.session))
+    results = {name: resting_on(result, calibration) for name, result in results.items()}
     predicted = {name: report.leave_one_out for name, report in reported.items()}
     return SolvedSession(calibration, results, predicted, alternation.masks_found_again), alternation.evidence
 

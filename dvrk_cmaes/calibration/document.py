@@ -23,6 +23,7 @@ from dvrk_cmaes.calibration.model import (
 )
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_doubts import doubts_of
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.solve import Solution
@@ -57,7 +58,6 @@ CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads 
 # standard deviations above which a part of the calibration is reported as not determined
 _UNDETERMINED_SHARE = 0.9  # of an offset, relative to the standard deviation of its prior
 _UNDETERMINED_ROTATION = np.deg2rad(5.0)  # of the base
-_LARGEST_LOSS = 0.15  # of the overlap, from the frames' own fits to their predictions by the others
 _UNDETERMINED_POSITION = 5e-3  # of the base, m
 _ELSEWHERE = np.deg2rad(30.0)  # from the only reading of a joint, where its offset says nothing any more
 
@@ -113,7 +113,9 @@ class SessionCalibration:
     rig : what the further views differ in from the rig's file, of those that were tested.
     views : the cameras and their places with which the session was solved; empty of frames in memory.
     commanded : the only reading, rad, of each joint whose readings never move while the arm does; offsets hold there.
-    untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
+    untold : descriptions of what the session does not determine.
+    doubts : what is wrong with the session as a whole and was not put right: every result that rests on it is doubtful.
+    remarks : what was found and put right, or is unusual, as of the camera's file; they make nothing doubtful.
     """
 
     instrument: str
@@ -139,7 +141,8 @@ class SessionCalibration:
     views: tuple[ViewDocument, ...] = ()
     commanded: dict[str, Number] = field(default_factory=dict)
     untold: Texts = ()
-    warnings: Texts = ()
+    doubts: Texts = ()
+    remarks: Texts = ()
     arm: Arm = "classic"
     roll_offset: Number = 0.0
     seconds: Number = 0.0
@@ -181,24 +184,14 @@ class SessionCalibration:
         return self.lag if self.lag is not None and self.lag.applied else None
 
     @property
-    def doubt(self) -> str:
-        """Why the calibration should not be used, in words; empty if nothing speaks against it.
-
-        The silhouettes that the other frames predict overlap the masks far less than those of the frames' own fits,
-        whatever the stated standard deviations.
-        """
-        predicted = float(np.mean([iou for iou, _ in self.leave_one_out.values()])) if self.leave_one_out else 1.0
-        if predicted >= self.iou - _LARGEST_LOSS:
-            return ""
-        return (
-            f"this calibration predicts frames badly that it has not seen: IoU {predicted:.2f} by the other frames, "
-            f"{self.iou:.2f} by their own fits; its lag, camera file, instrument or readings may be wrong"
-        )
+    def status(self) -> str:
+        """``doubtful`` if there are doubts about the session as a whole, ``ok`` otherwise."""
+        return "doubtful" if self.doubts else "ok"
 
     @property
-    def status(self) -> str:
-        """``doubtful`` if there are warnings about the session as a whole, ``ok`` otherwise."""
-        return "doubtful" if self.warnings or self.doubt else "ok"
+    def warnings(self) -> Texts:
+        """All doubts and remarks, the doubts first."""
+        return (*self.doubts, *self.remarks)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration in the documented schema, ready for JSON."""
@@ -216,7 +209,7 @@ class SessionCalibration:
                 "matrix": rounded_matrix(self.covariance),
                 "given_camera": rounded_matrix(self.covariance_given_camera),
             },
-            **encoded_fields(self, "spreads", "untold", "warnings", "frames"),
+            **encoded_fields(self, "spreads", "untold", "doubts", "remarks", "warnings", "frames"),
             "left_out": [{"frame": name, "reason": reason} for name, reason in self.left_out.items()],
             "leave_one_out": _predictions(self.leave_one_out),
             "leave_one_out_of_views": {view: _predictions(own) for view, own in self.leave_one_out_of_views.items()},
@@ -267,13 +260,16 @@ class SessionCalibration:
         cables = SessionCables.from_document(where, fields.pop("cables", None))
         if cables is not None and tuple(cables.joints) != tuple(parts.offsets)[1:]:
             raise refused(where, "cables.joints", ", ".join(tuple(parts.offsets)[1:]), list(cables.joints))
-        fields = {name: value for name, value in fields.items() if name not in ("lag", "lag_curve")}
-        return replace(
+        older = "doubts" not in fields  # all that was said was in ``warnings``
+        fields["remarks"] = fields.pop("warnings", ()) if older else fields.get("remarks", ())
+        fields = {name: value for name, value in fields.items() if name not in ("lag", "lag_curve", "warnings")}
+        found = replace(
             convert_document(where, fields, cls),
             lag=Lag.from_document(parts.lag),
             cables=cables,
             lag_curve=LagCurve.from_document(parts.lag_curve),
         )
+        return replace(found, doubts=doubts_of(found)) if older else found
 
     def model(self, outer: Float64, joints: Float64, joint_names: tuple[str, ...]) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.

@@ -18,6 +18,7 @@ from dvrk_cmaes.camera.fields import (
     Distortion,
     Intrinsics,
     Side,
+    as_number,
     has_field,
     one_camera,
     take_field,
@@ -65,7 +66,9 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
     form = "topic dump" if "width" in document else "calibration"
     images = f"rectified images ({name})" if rectified else f"raw images ({name} and distortion)"
     notes = one_camera(where, side, frame)
-    return Intrinsics(f"ROS camera_info {form}, {images}", size, *focal, model, distortion, notes)
+    across, down = (as_number(document.get(name)) or 1.0 for name in ("binning_x", "binning_y"))
+    ratio = down / across
+    return Intrinsics(f"ROS camera_info {form}, {images}", size, *focal, model, distortion, notes, ratio)
 
 
 def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:

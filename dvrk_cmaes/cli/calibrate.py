@@ -63,8 +63,8 @@ def calibrate(
     good, and that the errors of the cable-driven joints are mostly one offset in the session. Each frame's pose is
     estimated as well, given the calibration. The table [session] of the settings file configures this command.
 
-    Exit codes: 0 ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or left
-    out, or there is a warning about the session as a whole, 130 interrupted.
+    Exit codes: 0 ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but the session is doubtful or a
+    frame that was solved with it, 130 interrupted.
 
     Example:
 
@@ -150,7 +150,7 @@ def calibrate(
             return _INTERRUPTED
         solved[name] = solution
     for name, solution in solved.items():
-        for text in solution.calibration.warnings:
+        for text in solution.calibration.remarks if not json else solution.calibration.warnings:
             warn(f"{name}: {text}" if name else text)
     if json:
         documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
@@ -238,9 +238,9 @@ def _calibrate_arm(
 
 
 def _is_doubtful(solved: SolvedSession) -> bool:
-    """Return whether a frame is doubtful or left out, or there is a warning about the session as a whole."""
-    doubtful = any(result.status != "ok" for result in solved.results.values())
-    return doubtful or bool(solved.calibration.left_out or solved.calibration.warnings)
+    """Return whether the session is doubtful, or a frame of those that were solved together."""
+    together = (solved.results[name] for name in solved.leave_one_out)
+    return solved.calibration.status != "ok" or any(result.status != "ok" for result in together)
 
 
 def _write_bases(calibrations: Mapping[str, SessionCalibration], out: Path, *, quiet: bool) -> None:
@@ -266,8 +266,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     base = calibration.camera_from_base
     position, axis_angle = base[:3, 3] * 1e3, np.degrees(log_rotation(base[:3, :3]))
     std_position, std_rotation = std[:3] * 1e3, np.degrees(std[3:6])
-    if calibration.doubt:
-        yield Line(f"doubtful: {calibration.doubt}", STATUS_STYLES["doubtful"])
+    for doubt in calibration.doubts:
+        yield Line(f"doubtful: {doubt}", STATUS_STYLES["doubtful"])
     yield Line(
         "arm's base in the camera (x right, y down, z forward); its origin is the remote centre of motion", "bold"
     )

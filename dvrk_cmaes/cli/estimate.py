@@ -197,7 +197,7 @@ def estimate(
     )
     if out is not None:
         record_frame_files(out, run.written)
-    for text in run.result.warnings:
+    for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
         warn(text)
     if json:
         print(json_text(run.result.to_dict()), end="")

@@ -134,16 +134,18 @@ def read_calibration_of(path: Path | None, arm: str = "", *, doubtful: bool = Fa
     if path is None:
         return None
     from dvrk_cmaes.calibration.document import read_calibration
+    from dvrk_cmaes.calibration.session_doubts import bad_predictions
     from dvrk_cmaes.results.folder import SESSION
 
     if path.is_dir():
         own = path / arm / SESSION
         path = own if own.exists() else path / SESSION
     calibration = read_calibration(path)
-    if calibration.doubt and not doubtful:
-        raise InputError(f"{path}: {calibration.doubt}; --doubtful-session uses it all the same")
-    if calibration.doubt:
-        warn(f"{path}: {calibration.doubt}")
+    bad = bad_predictions(calibration)
+    if bad and not doubtful:
+        raise InputError(f"{path}: {bad}; --doubtful-session uses it all the same")
+    for doubt in calibration.doubts:
+        warn(f"{path}: {doubt}; all results are doubtful")
     return calibration
 
 

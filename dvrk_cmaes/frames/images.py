@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -134,7 +135,8 @@ def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tu
     if off > (_ROUNDED_ASPECT if rounded else _ASPECT):
         raise InputError(f"{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]}")
     note = f"the {what} is {sizes[0]}, the calibration {sizes[1]}: intrinsics rescaled by {width / camera.width:.4g}"
-    return camera.scaled(width, height), note
+    scaled = camera.scaled(width, height)
+    return replace(scaled, remarks=(*camera.remarks, note)), note
 
 
 def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
