@@ -545,4 +545,10 @@ class Alternation:
         stated = {**self._config.as_dict(), "instrument": self._instrument.describe_limits(self._arm)}
         tasks = report_tasks(frames, self.stored, self.fits, model, solution, disagreements, session, stated)
         tasks = [replace(task, first=self._first.get(i), change=self.change) for i, task in enumerate(tasks)]
+        if self.camera is not None:
+            cameras = (stored.camera for stored in self.stored)
+            of_camera = map(self.camera.covariance_of_pose, (fit.at for fit in self.fits), cameras)
+            tasks = [
+                replace(task, covariance=task.covariance + own) for task, own in zip(tasks, of_camera, strict=True)
+            ]
         return self.run(report_task, tasks), reasons

@@ -32,6 +32,7 @@ from dvrk_cmaes.camera.rig import V, changed_views
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.json_file import read_json_object
@@ -164,6 +165,19 @@ class SessionCalibration:
             The camera as its file has it.
         """
         return camera if self.camera is None else self.camera.corrected(camera)
+
+    def covariance_of_camera(self, at: Posed, camera: Camera) -> Float64:
+        """Return the covariance (D, D) of a pose by what is not known of a camera that was refined, zero otherwise.
+
+        Parameters
+        ----------
+        at
+            Pose and joints in the corrected camera.
+        camera
+            The corrected camera.
+        """
+        size = 6 + len(at.joints)
+        return np.zeros((size, size)) if self.camera is None else self.camera.covariance_of_pose(at, camera)
 
     def corrected_views(self, views: Sequence[V]) -> tuple[V, ...]:
         """Return the views of a rig or frame with which the session was solved: all cameras `corrected`, some changed.

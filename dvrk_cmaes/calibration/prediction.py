@@ -90,6 +90,7 @@ def fit_session_pose(
     if misfit > config.session.largest_misfit:
         return f"session: the mask is {misfit**0.5:.1f} times the expected error from what it expects: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
+    fitted += session.covariance_of_camera(fit.at, views[0].evidence.camera)
     error = expected_error(instrument, fit.at, fitted)
     doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust)
     base_from_root = model.base_from_root(calibration.offsets)[0]

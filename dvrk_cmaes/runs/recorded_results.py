@@ -82,6 +82,7 @@ def smooth_frames(
     at = [predicted.at[i].moved(smoothed.deviations[i]) for i in range(count)]
     camera = session.corrected(recorded.rig.views[0].camera)
     covariance += np.array([covariance_of_margin(one, session.masks, camera, instrument) for one in at])
+    covariance += np.array([session.covariance_of_camera(one, camera) for one in at])
     return SmoothedFrames(at, covariance, misfit)
 
 

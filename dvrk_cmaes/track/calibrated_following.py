@@ -265,6 +265,7 @@ class CalibratedFollowing:
         covariance = own + response @ calibrated @ response.T
         camera = self.calibration.corrected(self._rig.views[0].camera)
         covariance = covariance + covariance_of_margin(at, self.calibration.masks, camera, self._body.instrument)
+        covariance += self.calibration.covariance_of_camera(at, camera)
         return at, np.asarray(covariance)
 
     def _offsets(self, at: Posed, predicted: PredictedImage, reading: ReadingAt) -> dict[str, float]:
