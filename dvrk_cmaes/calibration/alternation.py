@@ -44,7 +44,7 @@ from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask, with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, offset_deviations, outer_readings
-from dvrk_cmaes.calibration.session_camera import SessionCamera, untold
+from dvrk_cmaes.calibration.session_camera import SessionCamera, covariance_of_camera, untold
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solution_at, solve, solve_with_modes
@@ -545,10 +545,10 @@ class Alternation:
         stated = {**self._config.as_dict(), "instrument": self._instrument.describe_limits(self._arm)}
         tasks = report_tasks(frames, self.stored, self.fits, model, solution, disagreements, session, stated)
         tasks = [replace(task, first=self._first.get(i), change=self.change) for i, task in enumerate(tasks)]
-        if self.camera is not None:
-            cameras = (stored.camera for stored in self.stored)
-            of_camera = map(self.camera.covariance_of_pose, (fit.at for fit in self.fits), cameras)
-            tasks = [
-                replace(task, covariance=task.covariance + own) for task, own in zip(tasks, of_camera, strict=True)
-            ]
+        of_camera = [
+            covariance_of_camera(self.camera, fit.at, stored.camera)
+            for fit, stored in zip(self.fits, self.stored, strict=True)
+        ]
+        pairs = zip(tasks, of_camera, strict=True)
+        tasks = [replace(task, covariance=task.covariance + own) for task, own in pairs]
         return self.run(report_task, tasks), reasons

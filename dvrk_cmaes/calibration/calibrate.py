@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
+from dvrk_cmaes.calibration.instrument_test import CandidateFit, untold_instrument
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
@@ -122,10 +123,13 @@ def calibrate_with_evidence(
     config: EstimateConfig | None,
     run: Run[Any, Any] | None,
     progress: Callable[[str, int], None],
+    others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
 ) -> tuple[SolvedSession, dict[str, Evidence]]:
     """Do what `calibrate_session` does, and also return what was found in the masks, for drawings.
 
-    That is of the first view of each frame that was fitted, by name, without its image.
+    That is of the first view of each frame that was fitted, by name, without its image. ``others`` are the
+    leave-one-out predictions of calibrations of the same frames with other instruments, by name of the instrument, or
+    why they were refused.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
@@ -199,6 +203,10 @@ def calibrate_with_evidence(
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,
     )
+    tried = tuple(CandidateFit.of(*one, calibration.leave_one_out) for one in (others or {}).items())
+    if text := untold_instrument(tried, calibration.instrument):
+        calibration = replace(calibration, untold=(*calibration.untold, text))
+    calibration = replace(calibration, instruments=tried)
     calibration = replace(calibration, doubts=doubts_of(calibration, settings.session))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     predicted = {name: report.leave_one_out for name, report in reported.items()}

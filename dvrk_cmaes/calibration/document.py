@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.instrument_test import CandidateFit
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
@@ -32,7 +33,6 @@ from dvrk_cmaes.camera.rig import V, changed_views
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.json_file import read_json_object
@@ -113,6 +113,7 @@ class SessionCalibration:
     masks_again : what changed as masks were found again around the expected silhouettes; None where they were not.
     rig : what the further views differ in from the rig's file, of those that were tested.
     views : the cameras and their places with which the session was solved; empty of frames in memory.
+    instruments : how other instruments fit the frames; empty if none were tried.
     commanded : the only reading, rad, of each joint whose readings never move while the arm does; offsets hold there.
     untold : descriptions of what the session does not determine.
     doubts : what is wrong with the session as a whole and was not put right: every result that rests on it is doubtful.
@@ -140,6 +141,7 @@ class SessionCalibration:
     masks_again: MasksAgain | None = None
     rig: tuple[ViewRotation, ...] = ()
     views: tuple[ViewDocument, ...] = ()
+    instruments: tuple[CandidateFit, ...] = ()
     commanded: dict[str, Number] = field(default_factory=dict)
     untold: Texts = ()
     doubts: Texts = ()
@@ -166,19 +168,6 @@ class SessionCalibration:
         """
         return camera if self.camera is None else self.camera.corrected(camera)
 
-    def covariance_of_camera(self, at: Posed, camera: Camera) -> Float64:
-        """Return the covariance (D, D) of a pose by what is not known of a camera that was refined, zero otherwise.
-
-        Parameters
-        ----------
-        at
-            Pose and joints in the corrected camera.
-        camera
-            The corrected camera.
-        """
-        size = 6 + len(at.joints)
-        return np.zeros((size, size)) if self.camera is None else self.camera.covariance_of_pose(at, camera)
-
     def corrected_views(self, views: Sequence[V]) -> tuple[V, ...]:
         """Return the views of a rig or frame with which the session was solved: all cameras `corrected`, some changed.
 
@@ -191,6 +180,12 @@ class SessionCalibration:
         """
         own = tuple(replace(view, camera=self.corrected(view.camera)) for view in views)
         return changed_views(own, changes_of(self.rig))
+
+    @property
+    def predicted_iou(self) -> float:
+        """Mean overlap of the frames' masks with what the other frames predict of them; 1 if none was predicted."""
+        overlaps = [iou for iou, _ in self.leave_one_out.values()]
+        return float(np.mean(overlaps)) if overlaps else 1.0
 
     @property
     def applied_lag(self) -> Lag | None:
@@ -231,7 +226,8 @@ class SessionCalibration:
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "masks", "masks_again", "rig", "views", "commanded", "arm"),
+            **encoded_fields(self, "camera", "masks", "masks_again", "rig", "views", "instruments"),
+            **encoded_fields(self, "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,

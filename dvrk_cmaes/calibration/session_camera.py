@@ -111,32 +111,6 @@ class SessionCamera(Document):
         right, down = self.principal_point_px
         return camera.changed(self.focal_scale, (size * right, size * down))
 
-    def covariance_of_pose(self, at: Posed, camera: Camera) -> Float64:
-        """Return the covariance (D, D) of a pose and its joints by what is not known of the camera, if it was changed.
-
-        The image stays as it is: a shift of the principal point turns the pose about the camera's centre, and a longer
-        focal length moves it away in proportion. It is zero of the file's camera.
-
-        Parameters
-        ----------
-        at
-            Pose and joints in the changed camera.
-        camera
-            That camera, for images of any size.
-        """
-        covariance = np.zeros((6 + len(at.joints),) * 2)
-        if not self.applied:
-            return covariance
-        x, y, z = at.pose[:3, 3]
-        rotation = np.array([[y / z, 0.0, 1 / camera.fy], [-x / z, -1 / camera.fx, 0.0], [0.0, 0.0, 0.0]])
-        translation = np.cross(rotation.T, at.pose[:3, 3]).T
-        translation[:, 0] = 0.0, 0.0, z
-        size = camera.width / self.width
-        std = [self.std_focal_scale / self.focal_scale, *(size * np.array(self.std_principal_point_px))]
-        changes = np.concatenate([at.pose[:3, :3].T @ translation, at.pose[:3, :3].T @ rotation]) * std
-        covariance[:6, :6] = changes @ changes.T
-        return covariance
-
     def describe(self) -> str:
         """Describe the change in words, with standard deviations."""
         (right, down), (std_right, std_down) = self.principal_point_px, self.std_principal_point_px
@@ -172,6 +146,35 @@ class SessionCamera(Document):
             )
         then = "which is used" if self.applied else f"likely causes: {_CAUSES}"
         return [f"the camera file is contradicted: these frames fit {' and '.join(parts)}; {then}"]
+
+
+def covariance_of_camera(change: SessionCamera | None, at: Posed, camera: Camera) -> Float64:
+    """Return the covariance (D, D) of a pose and its joints by what is not known of a camera that was changed.
+
+    The image stays as it is: a shift of the principal point turns the pose about the camera's centre, and a longer
+    focal length moves it away in proportion. It is zero where the camera of the file is used.
+
+    Parameters
+    ----------
+    change
+        The change of a session's camera; None where it was not tested.
+    at
+        Pose and joints in the changed camera.
+    camera
+        That camera, for images of any size.
+    """
+    covariance = np.zeros((6 + len(at.joints),) * 2)
+    if change is None or not change.applied:
+        return covariance
+    x, y, z = at.pose[:3, 3]
+    rotation = np.array([[y / z, 0.0, 1 / camera.fy], [-x / z, -1 / camera.fx, 0.0], [0.0, 0.0, 0.0]])
+    translation = np.cross(rotation.T, at.pose[:3, 3]).T
+    translation[:, 0] = 0.0, 0.0, z
+    size = camera.width / change.width
+    std = [change.std_focal_scale / change.focal_scale, *(size * np.array(change.std_principal_point_px))]
+    moves = np.concatenate([at.pose[:3, :3].T @ translation, at.pose[:3, :3].T @ rotation]) * std
+    covariance[:6, :6] = moves @ moves.T
+    return covariance
 
 
 def untold(model: SessionModel) -> str | None:

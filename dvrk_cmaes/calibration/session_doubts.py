@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
+from dvrk_cmaes.calibration.instrument_test import better_instrument
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
@@ -21,6 +22,7 @@ DISAGREES: Final = "disagrees with the session"
 
 _LARGEST_LOSS = 0.15  # of the overlap, from the frames' own fits to their predictions by the others
 _TRUSTED_SHARE = 0.5  # of the frames that were solved together; if fewer agree, these few may be the wrong ones
+_LARGEST_MARGIN_PX = 2.0  # of all masks of a session
 _FAR_INSERTION = 3.0  # standard deviations of prior and estimate together
 _BEYOND_CABLES_DEG = {"roll": 15.0, "wrist": 20.0, "jaw": 30.0}  # by the beginning of the joint's name
 _CAUSES_OF_ROLL = (
@@ -45,8 +47,15 @@ def doubts_of(calibration: SessionCalibration, config: SessionConfig | None = No
         Settings with which it was made; the defaults if they are not known.
     """
     settings = SessionConfig() if config is None else config
-    camera = calibration.camera
+    camera, masks = calibration.camera, calibration.masks
     doubts = [bad_predictions(calibration), _few_agree(calibration)]
+    doubts.append(better_instrument(calibration.instruments, calibration.predicted_iou))
+    if masks is not None and abs(masks.margin_px) > _LARGEST_MARGIN_PX:
+        wide = "wide" if masks.margin_px > 0 else "narrow"
+        doubts.append(
+            f"masks are {abs(masks.margin_px):.1f} px (std {masks.std_margin_px:.1f}) too {wide} all round: more than "
+            "segmenters err; another instrument, another focal length or masks that were widened have this effect"
+        )
     if camera is not None and not camera.applied:
         doubts += camera.contradictions(settings)
     return tuple(text for text in (*doubts, *_far_offsets(calibration, settings)) if text)
@@ -81,8 +90,7 @@ def bad_predictions(calibration: SessionCalibration) -> str:
     calibration
         The calibration.
     """
-    overlaps = [iou for iou, _ in calibration.leave_one_out.values()]
-    predicted = float(np.mean(overlaps)) if overlaps else 1.0
+    predicted = calibration.predicted_iou
     if predicted >= calibration.iou - _LARGEST_LOSS:
         return ""
     return (

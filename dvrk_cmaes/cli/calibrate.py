@@ -34,9 +34,11 @@ if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
+    Predictions = Mapping[str, tuple[float, float]]
 
 _DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_LISTED = 10
+_REFUSED = "session: "  # begins what is said of a session that cannot be solved
 _LEAST_KEYFRAMES = 3
 
 
@@ -51,6 +53,7 @@ def calibrate(
     every: Annotated[int, Parameter(group=FOLDER)] = 1,
     keyframes: Annotated[int | None, Parameter(group=FOLDER)] = None,
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
+    instrument_candidates: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
@@ -97,6 +100,9 @@ def calibrate(
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
         written to OUT/camera.yaml; of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at
         least 10 frames and 5 mm of insertion.
+    instrument_candidates
+        Folder of URDFs of other instruments. The session is solved with each of them, too, which takes as long each
+        time, and the calibration is doubtful if its frames fit another one better.
     workers
         Number of processes that work at a time; by default the number of cores. Few frames are done by one.
     camera
@@ -138,6 +144,16 @@ def calibrate(
         check_owned(target / name, "calibrate", replaces=True)
         check_same_session(target / name, arms[name].session)
     for name, arm in arms.items():
+        others: dict[str, Predictions | str] = {}
+        for path in _candidates(instrument_candidates):
+            options = replace(instrument, instrument=str(path))
+            other = session_tools(session, options, only)[name].read(session, camera, joints=joints)
+            if other.body.instrument.name != arm.body.instrument.name:
+                with_other = _share(other, every, keyframes)
+                found = _predicted_with(with_other, refine_camera=refine_camera, workers=workers, settings=settings)
+                if found is None:
+                    return _INTERRUPTED
+                others[other.body.instrument.name] = found
         solution = _calibrate_arm(
             arm,
             target / name,
@@ -145,6 +161,7 @@ def calibrate(
             refine_camera=refine_camera,
             workers=workers,
             settings=settings,
+            others=others,
         )
         if solution is None:
             return _INTERRUPTED
@@ -175,6 +192,39 @@ def _share(arm: ArmInSession, every: int, keyframes: int | None) -> ArmInSession
     return arm if every == 1 else replace(arm, session=replace(arm.session, frames=arm.session.frames[::every]))
 
 
+def _candidates(folder: Path | None) -> list[Path]:
+    """Return the URDFs of a folder; InputError if it has none."""
+    if folder is None:
+        return []
+    found = sorted(folder.glob("*.urdf"))
+    if not found:
+        raise InputError(f"--instrument-candidates: expected a folder with URDFs of instruments, got {folder}")
+    return found
+
+
+def _predicted_with(
+    arm: ArmInSession, *, refine_camera: bool, workers: int | None, settings: EstimateConfig
+) -> Predictions | str | None:
+    """Solve a session with another instrument: what it predicts of left-out frames, or why that is not possible.
+
+    None if it was interrupted.
+    """
+    from tempfile import TemporaryDirectory
+
+    print(f"dvrk-cmaes: trying instrument {arm.body.instrument.name}", file=sys.stderr, flush=True)
+    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
+        out = Path(folder) / "session"
+        try:
+            solved = _calibrate_arm(
+                arm, out, None, refine_camera=refine_camera, workers=workers, settings=settings, others={}
+            )
+        except InputError as error:
+            if not str(error).startswith(_REFUSED):
+                raise
+            return str(error).removeprefix(_REFUSED)
+    return None if solved is None else solved.calibration.leave_one_out
+
+
 def _calibrate_arm(
     arm: ArmInSession,
     target: Path,
@@ -183,6 +233,7 @@ def _calibrate_arm(
     refine_camera: bool,
     workers: int | None,
     settings: EstimateConfig,
+    others: Mapping[str, Predictions | str],
 ) -> SolvedSession | None:
     """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
     from dvrk_cmaes.results.folder import ALONE, read_results
@@ -233,6 +284,7 @@ def _calibrate_arm(
             segment=segment,
             workers=count,
             processes=processes,
+            others=others,
             progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
         )
 

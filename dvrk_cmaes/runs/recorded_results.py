@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
+from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, inverse
@@ -82,7 +83,7 @@ def smooth_frames(
     at = [predicted.at[i].moved(smoothed.deviations[i]) for i in range(count)]
     camera = session.corrected(recorded.rig.views[0].camera)
     covariance += np.array([covariance_of_margin(one, session.masks, camera, instrument) for one in at])
-    covariance += np.array([session.covariance_of_camera(one, camera) for one in at])
+    covariance += np.array([covariance_of_camera(session.camera, one, camera) for one in at])
     return SmoothedFrames(at, covariance, misfit)
 
 

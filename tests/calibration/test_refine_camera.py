@@ -10,6 +10,7 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
@@ -96,13 +97,13 @@ def test_covariance_of_a_pose_has_the_error_of_the_refined_camera(
         std = [0.0, 0.0, 0.0]
         std[number] = focal or 5.0
         alone = replace(camera, std_focal_scale=std[0] * camera.focal_scale, std_principal_point_px=(std[1], std[2]))
-        values, vectors = np.linalg.eigh(alone.covariance_of_pose(at, right)[:6, :6])
+        values, vectors = np.linalg.eigh(covariance_of_camera(alone, at, right)[:6, :6])
         step = np.concatenate([np.sqrt(values[-1]) * vectors[:, -1], np.zeros(3)])
         other = right.changed(float(np.exp(focal)), shift)
         moved = min(off(other, at.moved(sign * step), links, seen) for sign in (1, -1))
         assert moved < 0.15 * off(other, at, links, seen) + 0.05
-    assert (np.diag(result.covariance)[:3] > np.diag(camera.covariance_of_pose(at, right))[:3]).all()
-    assert not replace(camera, applied=False).covariance_of_pose(at, right).any()
+    assert (np.diag(result.covariance)[:3] > np.diag(covariance_of_camera(camera, at, right))[:3]).all()
+    assert not covariance_of_camera(replace(camera, applied=False), at, right).any()
 
 
 def off(camera: Camera, at: Posed, points: np.ndarray, seen: np.ndarray) -> float:

@@ -12,6 +12,7 @@ from helpers.page_calibrations import calibration, solved
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_doubts import DISAGREES, bad_predictions, doubts_of, resting_on
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.results.tracked import TrackResult
 
 FRAMES = ("0000", "0001", "0002")
@@ -80,6 +81,12 @@ def test_uncertain_or_commanded_offset_is_no_doubt() -> None:
     assert doubts_of(with_offset("roll", np.deg2rad(20), np.deg2rad(8))) == ()
     commanded = replace(with_offset("wrist_yaw", np.deg2rad(60), 0.01), commanded={"wrist_yaw": 0.0})
     assert doubts_of(commanded) == ()
+
+
+def test_masks_that_are_far_too_wide_are_a_doubt() -> None:
+    (text,) = doubts_of(session(masks=SessionMasks(2.74, 0.1, applied=True)))
+    assert text.startswith("masks are 2.7 px (std 0.1) too wide all round: more than segmenters err")
+    assert doubts_of(session(masks=SessionMasks(1.2, 0.1, applied=True))) == ()
 
 
 def test_results_that_rest_on_a_doubtful_session_are_doubtful_for_its_reasons() -> None:

@@ -275,6 +275,12 @@ def test_refined_camera_is_written_and_stated(command: Command, bundled_body: Bo
     assert written.fx == pytest.approx(SMALL.fx, rel=0.03)
 
 
+def test_folder_without_candidates_is_refused(command: Command, tmp_path: Path) -> None:
+    folder = ("session", "--results", "results", "--out", "few", "--instrument-candidates", tmp_path)
+    ran = command("calibrate", *folder, *QUICKLY)
+    assert ran.refusal == (f"--instrument-candidates: expected a folder with URDFs of instruments, got {tmp_path}")
+
+
 def test_camera_is_not_refined_from_few_frames(command: Command) -> None:
     ran = command("calibrate", "session", "--results", "results", "--out", "few", "--refine-camera", *QUICKLY)
     assert ran.code == 2
