@@ -22,7 +22,7 @@ from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
 from dvrk_cmaes.calibration.few_frames import few_of
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_reports import (
-    check_count,
+    check_agreement,
     describe_disagreements,
     report_tasks,
     with_readings,
@@ -314,7 +314,8 @@ class Alternation:
         ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few do.
         """
         if not keep_all:
-            check_count(sum(fit.explains_mask for fit in self.fits), len(self.fits), LEAST_FRAMES)
+            texts = ["" if fit.explains_mask else fit.describe_overlap() for fit in self.fits]
+            check_agreement(self.frames, texts, LEAST_FRAMES)
         fits = self._frame_fits(keep_all=keep_all)
         self._solve(fits, calibration)
         if not keep_all and self._config.session.cables:
@@ -538,7 +539,7 @@ class Alternation:
         self.progress("leaving one out", len(self.frames))
         session, model, solution = self._config.session, self.model, self.solution
         disagreements = describe_disagreements(self.fits, solution, session)
-        check_count(sum(not text for text in disagreements), len(disagreements), LEAST_FRAMES)
+        check_agreement(self.frames, disagreements, LEAST_FRAMES)
         named = zip(self.frames, disagreements, strict=True)
         reasons = self._left_out | {frame.name: text for frame, text in named if text}
         frames = self.frames if self.lag.applied is None else with_readings(self.frames, model)

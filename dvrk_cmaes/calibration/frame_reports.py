@@ -22,6 +22,8 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 
 Float64 = NDArray[np.float64]
 
+_MOST_NAMED = 4
+_TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"
 _SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
 
 
@@ -34,17 +36,38 @@ def describe_disagreements(fits: Sequence[FrameFit], solution: Solution, config:
         if not misfit < config.largest_misfit * dimension:
             text = f"{np.sqrt(misfit / dimension):.1f} times the expected error from what it expects"
         elif not fit.explains_mask:
-            text = f"what it expects does not explain the mask (IoU {fit.iou:.2f}, by itself {fit.own_iou:.2f})"
+            text = fit.describe_overlap()
         texts.append(text and f"{DISAGREES}: {text}")
     return texts
 
 
-def check_count(agree: int, count: int, least: int) -> None:
-    """Raise InputError if fewer than ``least`` of ``count`` frames agree."""
-    if agree < least:
-        raise InputError(
-            f"session: expected at least {least} frames that agree on where the arm's base is, got {agree} of {count}"
-        )
+def check_agreement(frames: Sequence[SessionFrame], disagreements: Sequence[str], least: int) -> None:
+    """Refuse a session of which too few frames agree.
+
+    Parameters
+    ----------
+    frames, disagreements
+        The frames, and why each disagrees; an empty text where it agrees.
+    least
+        Number of frames that must agree.
+
+    Raises
+    ------
+    InputError
+        Fewer agree: names those that do not, with by how much, and what to try.
+    """
+    off = [
+        f"{frame.name} {text.removeprefix(f'{DISAGREES}: ')}"
+        for frame, text in zip(frames, disagreements, strict=True)
+        if text
+    ]
+    if len(frames) - len(off) >= least:
+        return
+    more = f"; and {len(off) - _MOST_NAMED} more" if len(off) > _MOST_NAMED else ""
+    raise InputError(
+        f"session: expected at least {least} frames that agree on where the arm's base is, got "
+        f"{len(frames) - len(off)} of {len(frames)} ({'; '.join(off[:_MOST_NAMED])}{more}): {_TO_TRY}"
+    )
 
 
 def report_tasks(

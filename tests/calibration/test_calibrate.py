@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -265,6 +266,11 @@ def test_frames_without_common_base_are_refused(bundled_body: Body) -> None:
     frames = [replace(one, name=f"{k}") for k, one in enumerate(frames)]
     text = refusal(bundled_body, frames)
     assert text.startswith("session: expected at least 3 frames that agree on where the arm's base is, got ")
+    named = text[text.index(" of 4 (") + len(" of 4 (") : text.index("): try another --instrument")].split("; ")
+    assert 2 <= len(named) <= 4
+    assert all(
+        re.match(r"[0-3] (\d+\.\d times the expected error|what it expects does not explain)", one) for one in named
+    )
 
 
 def test_base_supported_by_minority_gives_warning(bundled_body: Body, made: Made) -> None:
