@@ -25,6 +25,7 @@ def main() -> int:
     }
     ours = [number for number, handler in defaults.items() if signal.getsignal(number) is handler]  # others are ignored
     _handle(ours, _end)
+    _prepare_libraries()
     if 0 <= (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) < _LEAST_MEMORY:
         least, given = (f"{size // 1024} kB" for size in (_LEAST_MEMORY, limit))
         os.write(2, f"dvrk-cmaes: expected a limit of at least {least} of memory, got {given} (ulimit -v)\n".encode())
@@ -39,6 +40,21 @@ def main() -> int:
         raise
     finally:
         _handle(ours, _end)  # while threads and modules are taken down, as while they are imported
+
+
+def _prepare_libraries() -> None:
+    """Open the null device for standard streams that are closed, and keep OpenCV's log off stdout.
+
+    Otherwise the first files that are opened would get their descriptors, and what native code prints. Child processes
+    inherit both.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest that is free: this one
+    if os.environ.get("OPENCV_LOG_LEVEL", "").upper() in ("I", "INFO", "D", "DEBUG", "V", "VERBOSE", "4", "5", "6"):
+        os.environ["OPENCV_LOG_LEVEL"] = "WARNING"  # above that, OpenCV writes to stdout
 
 
 def _handle(numbers: Iterable[int], handler: Callable[[int, FrameType | None], None]) -> None:

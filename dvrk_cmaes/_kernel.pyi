@@ -17,6 +17,20 @@ class Camera:
         radius: float,
     ) -> None: ...
 
+class Chain:
+    def __init__(
+        self,
+        parents: Sequence[int],
+        drivers: Sequence[int],
+        sliding: Sequence[bool],
+        multipliers: Sequence[float],
+        offsets: Sequence[float],
+        terms: NDArray[numpy.float64],
+    ) -> None: ...
+    def forward(
+        self, values: NDArray[numpy.float64], selected: Sequence[int], derivatives: bool
+    ) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64] | None]: ...
+
 class Mesh:
     def __init__(self, links: Sequence[tuple[NDArray[numpy.float64], NDArray[numpy.int32]]]) -> None: ...
     @property

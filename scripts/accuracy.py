@@ -20,6 +20,8 @@
     python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
     python scripts/accuracy.py image-sizes SESSION...  drawn masks of 14 sizes of images: errors, tips, times
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
+    python scripts/accuracy.py worlds FOLDER           worlds of every kind (scripts/worlds), drawn into FOLDER and
+                                                       solved by estimate, calibrate and track
 
 To be run by hand. A session folder has camera.yaml, joints.csv, masks and the truth, golden.json; of a session without
 golden.json, errors, bound and halves report what can be measured without truth. data/demo is such a folder, and
@@ -58,14 +60,17 @@ from measure.accuracy.sessions import original_trials, session_report, solve
 from measure.accuracy.spread_bound import mask_report
 from measure.accuracy.track import track_report
 from measure.accuracy.trust import trust_report
+from measure.accuracy.worlds import KINDS, worlds_report
 from measure.cases import Measurement, Run
 from measure.places import SHARED
 from measure.tables import Report, print_report, write_csv
+from worlds.table import worlds
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.toml_file import read_config
-from dvrk_cmaes.track.sight import KINDS
+from dvrk_cmaes.track.sight import KINDS as EVIDENCE
 
 OTHERS: Final = SHARED / "instruments" / "dvrk_model" / "urdf"
 QUICK_FRAMES: Final = 2
@@ -100,7 +105,8 @@ def _parser() -> argparse.ArgumentParser:
         "--frames",
         type=int,
         metavar="N",
-        help="most frames of each session, evenly spaced; of track and perturbed the first (default: all)",
+        help="most frames of each session, evenly spaced; of track and perturbed the first (default: all); for worlds "
+        "the number of each session and recording (default: 10 and 30)",
     )
     parser.add_argument(
         "--workers",
@@ -126,7 +132,11 @@ def _parser() -> argparse.ArgumentParser:
         "--others", type=Path, default=OTHERS, metavar="DIR", help="for lies: folder of the URDFs of other instruments"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="for lies: seed of the random numbers (default: %(default)s)"
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="for lies and worlds: seed (default: %(default)s)",
     )
     parser.add_argument(
         "--every", type=int, default=1, metavar="N", help="for track: follow every N-th frame (default: %(default)s)"
@@ -136,9 +146,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--estimated", action="store_true", help="for cables: estimate the frames, instead of results about the truth"
     )
-    parser.add_argument("--evidence", choices=KINDS, help="for track: follow by masks (default), images or both")
+    parser.add_argument("--evidence", choices=EVIDENCE, help="for track: follow by masks (default), images or both")
     parser.add_argument(
         "--calibrate-every", type=int, metavar="N", help="for fleet: calibrate every N-th frame of each recording, too"
+    )
+    parser.add_argument("--worlds", type=int, metavar="N", help="for worlds: the first N of the table (default: all)")
+    parser.add_argument(
+        "--only", action="append", choices=[*KINDS], help="for worlds: solve by this command only; may be repeated"
     )
     parser.add_argument("--causal", action="store_true", help="for fleet: use nothing later than each image")
     parser.add_argument("--first", type=int, default=0, help="for fleet: figures of the frames from this number on")
@@ -216,6 +230,15 @@ def _track(given: Measurement, options: argparse.Namespace) -> Report:
     )
 
 
+def _worlds(given: Measurement, options: argparse.Namespace) -> Report:
+    """Report what failed, and what was ok and wrong, in worlds of every kind."""
+    if len(given.folders) != 1:
+        raise InputError(f"worlds: expected one folder to draw into, got {len(given.folders)}")
+    only = options.only or [*KINDS]
+    table = worlds()[: options.worlds]
+    return worlds_report(table, Path(given.folders[0]), seed=options.seed, only=only, frames=options.frames)
+
+
 COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]]] = {
     "errors": _errors,
     "calibration": _calibration,
@@ -237,6 +260,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "disparity": _disparity,
     "arms": lambda given, _: arms_report(given),
     "camera": lambda given, _: measure_camera(given),
+    "worlds": _worlds,
     "image-sizes": lambda given, _: image_sizes_report(given),
 }
 

@@ -1,6 +1,6 @@
 """Measure the speed of the renderer, of estimates, folders and pages. By hand, on a machine without other load.
 
-    python scripts/bench.py render       ms for the loss terms of a candidate, compared with other renderers
+    python scripts/bench.py kernel       us a silhouette by size and mesh, beside other renderers; its share of a frame
     python scripts/bench.py estimate     seconds, silhouettes and rays a frame
     python scripts/bench.py stages       processor time of a frame by stage
     python scripts/bench.py calibrate    processor time of solving a session together, by stage
@@ -35,8 +35,8 @@ from measure.bench.calibrate import calibrate_report
 from measure.bench.checkouts import checkouts_report
 from measure.bench.cores import cores_report
 from measure.bench.estimate import estimate_report, workers_report
+from measure.bench.kernel import kernel_report, scale_report
 from measure.bench.page import page_report
-from measure.bench.render import render_report, scale_report
 from measure.bench.stages import stages_report
 from measure.bench.track import track_report
 from measure.places import SCANNED, SHARED
@@ -52,7 +52,7 @@ RECORDINGS: Final = [SHARED / "frames" / "video" / name for name in ("easy", "ha
 
 
 QUICK: Final[Mapping[str, Mapping[str, int]]] = {
-    "render": {"repeats": 3},
+    "kernel": {"repeats": 3, "frames": 2},
     "estimate": {"frames": 1},
     "stages": {"frames": 1},
     "calibrate": {"frames": 5},
@@ -102,7 +102,9 @@ def _checkouts(options: argparse.Namespace) -> Report:
 
 
 COMMANDS: Final[Mapping[str, Callable[[argparse.Namespace], Report]]] = {
-    "render": lambda given: render_report(given.instrument, given.golden, repeats=given.repeats),
+    "kernel": lambda given: kernel_report(
+        given.instrument, given.golden, given.sessions[0], repeats=given.repeats, frames=given.frames
+    ),
     "estimate": lambda given: estimate_report(given.instrument, given.sessions, frames=given.frames),
     "stages": lambda given: stages_report(given.instrument, given.sessions, frames=given.frames),
     "calibrate": lambda given: calibrate_report(
@@ -146,7 +148,7 @@ def _parser() -> argparse.ArgumentParser:
         )
         one.add_argument("--json", action="store_true", help="print JSON")
         if module is None:
-            _add_options(one, {"calibrate": SOLVED, "track": RECORDINGS}.get(name, SESSIONS))
+            _add_options(one, {"calibrate": SOLVED, "track": RECORDINGS, "kernel": RECORDINGS}.get(name, SESSIONS))
         else:
             module.add_options(one)
     return parser
@@ -159,7 +161,7 @@ def _add_options(parser: argparse.ArgumentParser, sessions: list[Path]) -> None:
         type=Path,
         default=SHARED / "frames" / "made" / "clean",
         metavar="SESSION",
-        help="session with golden.json, for render, scale and cores",
+        help="session with golden.json, for kernel, scale and cores",
     )
     parser.add_argument(
         "--sessions",
@@ -167,7 +169,7 @@ def _add_options(parser: argparse.ArgumentParser, sessions: list[Path]) -> None:
         nargs="+",
         default=sessions,
         metavar="SESSION",
-        help="sessions, for estimate, stages, calibrate, track and checkouts",
+        help="sessions, for estimate, stages, calibrate, track and checkouts; for kernel: a recording",
     )
     parser.add_argument("--against", type=Path, metavar="DIR", help="for checkouts: the checkout to compare with")
     parser.add_argument(

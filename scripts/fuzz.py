@@ -7,6 +7,7 @@
     python scripts/fuzz.py live --tries 300        # the loop of live with faults of times and messages
     python scripts/fuzz.py kills --tries 200        # commands that are killed, or whose disk is full
     python scripts/fuzz.py folders                  # commands that are told to write to folders of all kinds
+    python scripts/fuzz.py cases                    # files as other laboratories have them
     python scripts/fuzz.py earlier --tries 100      # commands that are killed while they replace an earlier result
 
 Prints the numbers of tries, refusals and violations by family; the exit code is 1 if there is a violation. Those are: a
@@ -34,6 +35,7 @@ from measure.fuzz.earlier import EarlierReport, fuzz_earlier
 from measure.fuzz.families import FAMILIES, OPTIONS, Family, write_material
 from measure.fuzz.folders import FolderReport, fuzz_folders
 from measure.fuzz.kills import FAULTS, KillReport, fuzz_kills
+from measure.fuzz.lab_files import LabReport, fuzz_cases
 from measure.fuzz.live_faults import LiveReport, fuzz_live
 from measure.fuzz.runs import SLOW, Outcome, Runner, in_a_process, in_this_process, stubbed
 from measure.fuzz.tracker import TrackerReport, fuzz_tracker
@@ -52,7 +54,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [family.name for family in FAMILIES]
     parser.add_argument(
-        "what", nargs="?", choices=("inputs", "tracker", "live", "kills", "folders", "earlier"), default="inputs"
+        "what",
+        nargs="?",
+        choices=("inputs", "tracker", "live", "kills", "folders", "earlier", "cases"),
+        default="inputs",
     )
     parser.add_argument("--tries", type=int, default=200, metavar="N", help="tries a family (default: %(default)s)")
     parser.add_argument("--between", type=int, default=60, metavar="N", help="of live, good images after each fault")
@@ -64,11 +69,13 @@ def main() -> int:
     parser.add_argument("--fault", choices=FAULTS, action="append", help="of kills, only this one; may be repeated")
     arguments = parser.parse_args()
     if arguments.what != "inputs":
-        report: TrackerReport | LiveReport | KillReport | FolderReport | EarlierReport
+        report: TrackerReport | LiveReport | KillReport | FolderReport | EarlierReport | LabReport
         if arguments.what == "tracker":
             report = fuzz_tracker(arguments.steps, arguments.seed)
         elif arguments.what == "live":
             report = fuzz_live(arguments.tries, arguments.between)
+        elif arguments.what == "cases":
+            report = fuzz_cases(in_this_process)
         elif arguments.what in ("folders", "earlier"):
             report = _over_earlier_files(arguments.what, arguments.tries, arguments.seed)
         else:

@@ -22,8 +22,8 @@ from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.atomic import write_bytes
 from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.silhouette.prepare import prepare
 
 FRAME = "0001"

@@ -236,8 +236,11 @@ def test_release_publishes_what_was_tried_with_least_permissions() -> None:
     assert release["permissions"] == {}
     assert {name: job.get("permissions") for name, job in jobs.items()} == {
         "build": {"contents": "read"},
+        "wheels": {"contents": "read"},
+        "sanitize": {"contents": "read"},
         "try": None,
         "publish": {"id-token": "write"},
     }
-    assert (jobs["publish"]["needs"], jobs["try"]["needs"]) == ("try", "build")
+    assert (jobs["publish"]["needs"], jobs["try"]["needs"]) == ("try", ["build", "wheels"])
+    assert jobs["wheels"]["needs"] == ["build", "sanitize"]
     assert jobs["try"]["strategy"]["matrix"]["python"] == ["3.11", "3.12", "3.13"]

@@ -36,6 +36,9 @@ NOT_HERE = {
     "--weights": "weights",
     "...": "a command that is not whole",
     "recording": "another laboratory's recording",
+    **dict.fromkeys(
+        ("endovis17", "jhu", "lincoln/by_hand", "ucsd19", "labels/f0.png", "raw/frame000.png"), "public data"
+    ),
 }
 """Words of commands that cannot run here, and what they need; their options are checked."""
 OTHER_PROGRAMS = ("pip install ", "ros2 ", "rerun ", "hf download ")

@@ -203,11 +203,12 @@ def calibrate_with_evidence(
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,
     )
+    without_lag = alternation.lag.undetermined if alternation.lag.nowhere else ""
     tried = tuple(CandidateFit.of(*one, calibration.leave_one_out) for one in (others or {}).items())
     if text := untold_instrument(tried, calibration.instrument):
         calibration = replace(calibration, untold=(*calibration.untold, text))
     calibration = replace(calibration, instruments=tried)
-    calibration = replace(calibration, doubts=doubts_of(calibration, settings.session))
+    calibration = replace(calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     predicted = {name: report.leave_one_out for name, report in reported.items()}
     return SolvedSession(calibration, results, predicted, alternation.masks_found_again), alternation.evidence

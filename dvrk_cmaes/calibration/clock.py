@@ -19,6 +19,9 @@ Float64 = NDArray[np.float64]
 RANGE = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
 """Least and largest lag of the search, by unit."""
 
+FAR_RANGE = {"frames": (-90.0, 90.0), "s": (-3.0, 3.0)}
+"""As `RANGE`, where the frames agree at no lag in that."""
+
 _STEP = {"frames": 1.0, "s": 1 / 30}  # of the search, at most the time between images
 _FRAME_SECONDS = 1 / 30  # between images that have no times
 _MOST_STEPS = 61

@@ -37,6 +37,7 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix
+from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.typed_document import (
     Count,
     Number,
@@ -389,6 +390,14 @@ def _undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) 
             amount = f"{deviation * 1e3:.2f} mm" if name == "insertion" else f"{np.degrees(deviation):.1f} deg"
             texts.append(f"offset of {name}: standard deviation {amount}, as wide as expected beforehand")
     return texts
+
+
+def check_made_for(where: str, calibration: SessionCalibration, instrument: str, arm: Arm | None = None) -> None:
+    """Raise `InputError` for a calibration of an instrument of another name, or of another arm, if that is given."""
+    if calibration.instrument not in ("", instrument):
+        raise refused(where, "instrument", f"a calibration of {shown(instrument)}", calibration.instrument)
+    if arm not in (None, calibration.arm):
+        raise refused(where, "arm", f"a calibration of an arm {shown(arm)}", calibration.arm)
 
 
 def read_calibration(path: str | Path) -> SessionCalibration:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.clock import RANGE, Clock, Delay
+from dvrk_cmaes.calibration.clock import FAR_RANGE, RANGE, Clock, Delay
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, robust_costs, scatter, solve
@@ -45,6 +46,9 @@ _TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a rec
 _UNLIKELY = 1.5  # ratio to the least misfit, from which on a lag is unlikely
 _FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly tells a lag
 _OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
+_DISAGREE = 2.0  # mean misfit, of at most 4, from which on the frames agree hardly, and a lag is looked for far away
+_NOWHERE = 3.0  # mean misfit from which on most frames disagree, and the best lag is one by chance
+_COARSE = 3  # steps of the search, in each of the far one: the misfit falls over many times as much
 _MOVE = "a recording in which the arm moves quickly would determine it"
 
 
@@ -134,13 +138,14 @@ class SearchedLag:
 
     ``lag`` is to a step of the search, in the unit of the clock, and ``calibration`` is that on which the frames agree
     there; both are None if the search does not determine it, and ``undetermined`` says why. ``curve`` is None if there
-    was nothing to search.
+    was nothing to search. ``nowhere`` tells that the frames agree at no lag.
     """
 
     lag: float | None = None
     calibration: Calibration | None = None
     curve: LagCurve | None = None
     undetermined: str = ""
+    nowhere: bool = False
 
 
 @dataclass(frozen=True)
@@ -154,41 +159,91 @@ class Refined:
 def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> SearchedLag:
     """Find the lag at which the frames' modes agree best, and the calibration on which they agree there.
 
-    The lag is not determined by too few frames, nor if the best lag is at the end of the range. Readings that cannot be
+    Where they agree at no lag of the usual range, the far range is searched too. The lag is not determined by too few
+    frames, nor if the best lag is at the end of the range, or the frames agree at none. Readings that cannot be
     interpolated must be at regular times, and the lag must halve the mean misfit.
     """
     if len(modes) < _LEAST_FRAMES:
         return SearchedLag(
             undetermined=f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
         )
-    low, high = RANGE[clock.series.unit]
     step = clock.step
     if step is None:
         return SearchedLag(
             undetermined="the readings are too far apart in time to be interpolated, and at uneven times: give all "
             "rows of the recording, not only those of the frames"
         )
-    lags = step * np.arange(round(low / step), round(high / step) + 1)
-    agreed = [_consensus_at(clock, model, modes, offset_std, Delay(lag)) for lag in lags]
-    costs = np.array([np.inf if consensus is None else consensus.mean_misfit for consensus in agreed])
-    known = np.isfinite(costs)
-    curve = LagCurve(clock.series.unit, lags[known], costs[known])
-    best = int(np.argmin(costs))
-    synchronous = int(np.argmin(np.abs(lags)))
-    consensus = agreed[best]
+
+    def searched(low: float, high: float, step: float) -> _Searched:
+        lags = step * np.arange(round(low / step), round(high / step) + 1)
+        return _Searched(
+            np.asarray(lags, np.float64), [_consensus_at(clock, model, modes, offset_std, Delay(lag)) for lag in lags]
+        )
+
+    unit = clock.series.unit
+    low, high = RANGE[unit]
+    near = searched(low, high, step)
+    curve = LagCurve(unit, near.lags[near.known], near.costs[near.known])
+    if clock.interpolable and not near.costs.min() <= _DISAGREE:
+        low, high = FAR_RANGE[unit]
+        coarse = searched(low, high, _COARSE * step)
+        if coarse.costs.min() < near.costs.min() / _UNLIKELY:
+            about = float(coarse.lags[coarse.best])
+            far = searched(max(low, about - _COARSE * step), min(high, about + _COARSE * step), step)
+            curve = LagCurve(unit, far.lags[far.known], far.costs[far.known])
+            near = replace(far, ends=(low, high))
+    best, consensus = near.best, near.agreed[near.best]
     if consensus is None:
         return SearchedLag(curve=curve, undetermined="too few frames have readings at any lag")
-    if not clock.interpolable and best != synchronous and costs[best] > _IMPROVEMENT * costs[synchronous]:
+    synchronous = int(np.argmin(np.abs(near.lags)))
+    if not clock.interpolable and best != synchronous and near.costs[best] > _IMPROVEMENT * near.costs[synchronous]:
         return SearchedLag(
             curve=curve,
             undetermined="the readings are too far apart in time to be interpolated, and no lag of whole rows is much "
             "better than none: give all rows of the recording",
         )
-    if best in (0, len(lags) - 1):
+    if near.ends:
+        at_end = min(abs(near.lags[best] - end) for end in near.ends) < _COARSE * step
+        nowhere = at_end or near.costs[best] > _DISAGREE
+    else:
+        at_end = best in (0, len(near.lags) - 1)
+        nowhere = near.costs[best] > _NOWHERE
+    if nowhere:
+        return SearchedLag(
+            undetermined=f"not told in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in "
+            "it; it may lie beyond (take a first guess out by import --lag, or subtract it from the images' times)",
+            curve=curve,
+            nowhere=True,
+        )
+    if at_end:
         return SearchedLag(
             curve=curve, undetermined=f"the frames agree best at the end of the range that was searched; {_MOVE}"
         )
-    return SearchedLag(float(lags[best]), consensus.calibration, curve)
+    return SearchedLag(float(near.lags[best]), consensus.calibration, curve)
+
+
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """What the frames agree on at some lags (L,); ``ends`` are those of a range of which the lags are a part."""
+
+    lags: Float64
+    agreed: Sequence[Consensus | None]
+    ends: tuple[float, ...] = ()
+
+    @cached_property
+    def costs(self) -> Float64:
+        """Mean misfits (L,); infinite where too few frames have readings."""
+        return np.array([np.inf if consensus is None else consensus.mean_misfit for consensus in self.agreed])
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Whether enough frames have readings at each lag, (L,)."""
+        return np.isfinite(self.costs)
+
+    @property
+    def best(self) -> int:
+        """Index of the lag at which the frames agree best."""
+        return int(np.argmin(self.costs))
 
 
 def _consensus_at(

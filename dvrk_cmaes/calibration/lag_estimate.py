@@ -28,7 +28,7 @@ class LagEstimate:
     """Estimate of the lag of a session's N frames.
 
     ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
-    frames as a function of the lag.
+    frames as a function of the lag. ``nowhere`` tells that they agree at none.
 
     Parameters
     ----------
@@ -43,6 +43,7 @@ class LagEstimate:
     def __init__(self, series: ReadingSeries | None, names: Sequence[str], outer_std: Float64) -> None:
         self.lag: Lag | None = None
         self.undetermined = ""
+        self.nowhere = False
         self.curve: LagCurve | None = None
         self._clock: Clock | None = None
         self._of_all: Clock | None = None
@@ -89,7 +90,7 @@ class LagEstimate:
         if self._clock is None:
             return
         searched = search_lag(self._clock, model, modes, offset_std)
-        self.curve, self.undetermined = searched.curve, searched.undetermined
+        self.curve, self.undetermined, self.nowhere = searched.curve, searched.undetermined, searched.nowhere
         if searched.lag is None or searched.calibration is None:
             return
         start = Delay(searched.lag)

@@ -28,6 +28,8 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 
 Float64 = NDArray[np.float64]
 
+_AT_ONE_TIME = 0.999  # correlation of the errors of frames of one time
+
 
 @dataclass(frozen=True)
 class LastingSize:
@@ -37,9 +39,13 @@ class LastingSize:
     seconds: float
 
     def correlation(self, times: Float64) -> Float64:
-        """Return the correlations (N, N) of the errors of frames at some times, s; without times (NaN), they differ."""
+        """Return the correlations (N, N) of the errors of frames at some times, s; without times (NaN), they differ.
+
+        Frames of one time have all but the same errors: less than 1, so that the matrix stays definite.
+        """
         apart = np.abs(times[:, None] - times)
         correlation = np.exp(-np.where(np.isnan(apart), np.inf, apart) / self.seconds)
+        correlation[apart == 0] = _AT_ONE_TIME
         np.fill_diagonal(correlation, 1.0)
         return np.asarray(correlation)
 

@@ -36,7 +36,9 @@ _CAUSES_OF_INSERTION = (
 )
 
 
-def doubts_of(calibration: SessionCalibration, config: SessionConfig | None = None) -> tuple[str, ...]:
+def doubts_of(
+    calibration: SessionCalibration, config: SessionConfig | None = None, *, without_lag: str = ""
+) -> tuple[str, ...]:
     """List what is wrong with a session as a whole and was not put right; empty where nothing is.
 
     Parameters
@@ -45,10 +47,13 @@ def doubts_of(calibration: SessionCalibration, config: SessionConfig | None = No
         The calibration, whose stated values are judged.
     config
         Settings with which it was made; the defaults if they are not known.
+    without_lag
+        Why the frames agree at no lag between images and readings; empty if they agree at one, or none was searched.
     """
     settings = SessionConfig() if config is None else config
     camera, masks = calibration.camera, calibration.masks
     doubts = [bad_predictions(calibration), _few_agree(calibration)]
+    doubts.append(f"lag between images and readings: {without_lag}" if without_lag and not calibration.lag else "")
     doubts.append(better_instrument(calibration.instruments, calibration.predicted_iou))
     if masks is not None and abs(masks.margin_px) > _LARGEST_MARGIN_PX:
         wide = "wide" if masks.margin_px > 0 else "narrow"

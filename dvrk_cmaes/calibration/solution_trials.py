@@ -32,7 +32,8 @@ def solve_session(session: Alternation) -> Alternation:
 
     These are the lags that the modes allow and the one that the fits without a lag tell. A solution at such a lag is
     taken where it predicts frames that are left out clearly better than that without; else the fits may tell that there
-    is no lag.
+    is no lag. Where the frames' own modes agree at no lag, such a solution must also predict well: the best of wrong
+    ones predicts better than the others by chance.
 
     Parameters
     ----------
@@ -65,8 +66,11 @@ def solve_session(session: Alternation) -> Alternation:
     if by_fits is None and session.lag.lag is not None and _predicts_well(session, without_lag):
         return session
     trials = _at_lags(session, lags if by_fits is None else [by_fits, *lags])
-    best = best_predicting(without_lag, [_left_out_overlaps(trial) for trial in trials])
-    return session if best is None else trials[best]
+    overlaps = [_left_out_overlaps(trial) for trial in trials]
+    best = best_predicting(without_lag, overlaps)
+    if best is None or (session.lag.nowhere and not _predicts_well(trials[best], overlaps[best])):
+        return session
+    return trials[best]
 
 
 def with_masks_again(session: Alternation) -> Alternation:

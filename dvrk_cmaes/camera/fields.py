@@ -22,6 +22,10 @@ Distortion = tuple[str, tuple[float, ...]]
 
 ONE_CAMERA = "the file holds one camera: it is taken for the right one"
 
+_LARGEST = 1e6  # px, of a focal length or a principal point
+_LEAST_FOCAL = 0.1
+"""Least focal length, as a share of the image's longer side: a view of 157 deg."""
+
 _OPENCV_COUNTS = (0, 4, 5, 8, 12, 14)
 
 
@@ -47,7 +51,19 @@ class Intrinsics:
     ratio: float = 1.0
 
     def camera(self, where: str | Path, size: Size) -> Camera:
-        """Return the camera for images of a size, px, with remarks on it; an InputError begins with ``where``."""
+        """Return the camera for images of a size, px, with remarks on it; an InputError begins with ``where``.
+
+        A focal length of a few units is one in millimetres, and refused.
+        """
+        for name, value in (("fx", self.fx), ("fy", self.fy), ("cx", self.cx), ("cy", self.cy)):
+            if abs(value) > _LARGEST:
+                raise InputError(f"{where}: {name}: expected at most {_LARGEST:g} px, got {value:g}")
+        for name, focal in (("fx", self.fx), ("fy", self.fy)):
+            if focal < _LEAST_FOCAL * max(size):
+                raise InputError(
+                    f"{where}: {name}: expected a focal length in pixels, got {focal:g} for images of {size[0]} x "
+                    f"{size[1]} px: this looks like millimetres (pixels = millimetres / pitch of the sensor's pixels)"
+                )
         try:
             camera = Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion, self.model)
         except InputError as error:
@@ -145,9 +161,12 @@ def refuse_rectified(where: str, kind: str, distortion: Distortion) -> None:
         )
 
 
-def one_camera(where: str, side: Side, name: object = None) -> tuple[str, ...]:
-    """Return the notes on using a file of one camera for a side; InputError for the left one where right is asked."""
-    if side == "left":
+def one_camera(where: str, side: Side, name: object = None, *, right: bool = False) -> tuple[str, ...]:
+    """Return the notes on using a file of one camera for a side; InputError for the left one where right is asked.
+
+    ``right`` tells that the file states a right eye's baseline, which counts more than its name.
+    """
+    if side == "left" or right:
         return ()
     if isinstance(name, str) and "left" in name.lower() and "right" not in name.lower():
         raise InputError(f"{where}: --side right: expected the right camera, got {shown(name)}")
@@ -158,6 +177,7 @@ def unknown_layout(where: str, document: Mapping[str, Any]) -> InputError:
     """Return the error for a file of unknown format."""
     return InputError(
         f"{where}: expected a camera file: ROS camera_info (camera_matrix and projection_matrix, K and P, or k and p), "
-        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0) or plain (intrinsic), "
+        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0), plain (intrinsic), or fx, fy, cx, cy "
+        "(BOP), EndoVis' and MATLAB's; "
         f"got the fields {listed(document) or '(none)'}"
     )

@@ -1,11 +1,12 @@
 """Read camera files as calibration tools write them; the format is recognised by the content.
 
-The formats are ROS camera_info, OpenCV FileStorage, kalibr camchain and plain YAML, with one module each.
+The formats are ROS camera_info, OpenCV FileStorage, kalibr camchain and plain YAML, with one module each; those of
+further tools are converted to OpenCV's. A camera may be nested under a single key.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,16 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.fields import Intrinsics, Side, Size, unknown_layout
 from dvrk_cmaes.camera.kalibr import is_camchain, read_camchain
 from dvrk_cmaes.camera.opencv import is_storage, read_storage, read_storage_xml
+from dvrk_cmaes.camera.other_formats import (
+    MAT_FILE,
+    endovis_document,
+    flat_document,
+    is_endovis,
+    is_flat,
+    is_scene,
+    matlab_document,
+    scene_document,
+)
 from dvrk_cmaes.camera.plain import is_plain, read_plain
 from dvrk_cmaes.camera.ros import is_camera_info, read_camera_info
 from dvrk_cmaes.errors import InputError
@@ -115,8 +126,8 @@ def read_camera_file(
 def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:
     """Read the intrinsics that a camera file states, with or without a size; errors as in ``read_camera_file``."""
     where, document = str(path), read_document(path)
-    if all(isinstance(document.get(name), dict) for name in ("left", "right")):  # a mapping for each camera of a pair
-        where, document, side = f"{path}: {side}", document[side], "left"
+    if _is_pair(document):
+        where, document, side = f"{path}: {side}", _unwrapped(document[side]), "left"
     for is_kind, read_kind in _KINDS:
         if is_kind(document):
             return read_kind(where, document, rectified=rectified, side=side)
@@ -124,8 +135,36 @@ def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "
 
 
 def read_document(path: str | Path) -> dict[str, Any]:
-    """Read the fields of a YAML or XML file as plain values."""
+    """Read the fields of a camera file as plain values; those of further tools in the layout of OpenCV's."""
     data = read_bytes(path, expected=_EXPECTED, largest=_LARGEST)
+    if data.startswith(MAT_FILE):
+        return matlab_document(str(path), data)
+    text = data.decode("utf-8", errors="replace")
+    if is_endovis(text):
+        return endovis_document(str(path), text)
     if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_storage_xml(str(path), parse_xml(Path(path), data))
-    return read_yaml_mapping(path, expected=_EXPECTED)
+    return _unwrapped(read_yaml_mapping(path, expected=_EXPECTED))
+
+
+def is_camera(document: Mapping[str, Any]) -> bool:
+    """Whether a document has the fields of a camera of any format."""
+    return is_flat(document) or is_scene(document) or any(is_kind(document) for is_kind, _ in _KINDS)
+
+
+def _unwrapped(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the camera in a document that is nested under a single key; a flat one in the layout of OpenCV's."""
+    if is_flat(document):
+        return flat_document(document)
+    if is_scene(document):
+        return scene_document(document)
+    if any(is_kind(document) for is_kind, _ in _KINDS) or _is_pair(document):
+        return document
+    inside = [value for value in document.values() if isinstance(value, dict)]
+    found = _unwrapped(inside[0]) if len(inside) == 1 else document
+    return found if is_camera(found) or _is_pair(found) else document
+
+
+def _is_pair(document: Mapping[str, Any]) -> bool:
+    """Whether a document has a mapping for each camera of a pair."""
+    return all(isinstance(document.get(name), dict) for name in ("left", "right"))

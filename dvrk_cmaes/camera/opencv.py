@@ -27,6 +27,7 @@ from dvrk_cmaes.camera.fields import (
     take_matrix,
     take_numbers,
 )
+from dvrk_cmaes.camera.other_formats import FORMAT
 from dvrk_cmaes.errors import InputError
 
 _MATRIX = ("cameramatrix", "k")
@@ -82,7 +83,7 @@ def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, si
     _check_shape(where, matrix, entry)
     focal = take_matrix(where, matrix, entry)
     distortion, also, more = _distortion(where, plain, spelled, distortions)
-    kind = f"OpenCV FileStorage, {f'stereo, {side} camera' if stereo else 'one camera'}"
+    kind = f"{document.get(FORMAT, 'OpenCV FileStorage')}, {f'stereo, {side} camera' if stereo else 'one camera'}"
     used = f"{matrix} and {also}" if also else matrix
     images = f"raw images ({used})"
     if rectified:
@@ -91,7 +92,7 @@ def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, si
             projection, entry = _take(where, plain, spelled, projections)
             focal, images = take_matrix(where, projection, entry, columns=4), f"rectified images ({projection})"
         else:
-            refuse_rectified(where, "OpenCV", distortion)
+            refuse_rectified(where, str(document.get(FORMAT, "OpenCV")), distortion)
         distortion, more = ("plumb_bob", ()), ()
     return Intrinsics(
         f"{kind}, {images}",

@@ -20,7 +20,7 @@ from dvrk_cmaes.io.arguments import check_type
 
 Float64 = NDArray[np.float64]
 
-_BASELINE = (0.0005, 0.1)
+_BASELINE = (0.0005, 0.5)
 """Smallest and largest distance of the eyes of an endoscope or a stereo camera, m."""
 _LARGEST_TURN = np.deg2rad(45.0)
 _RIGID = 1e-6

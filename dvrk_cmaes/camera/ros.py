@@ -57,6 +57,9 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
     height_name, height = take_field(where, document, _HEIGHT)
     size = take_length(where, width_name, width), take_length(where, height_name, height)
     _refuse_region(where, document, *size)
+    notes: tuple[str, ...] = ()
+    if not rectified and _is_zero(document, _RAW) and any(map(as_number, _numbers(document, _RECTIFIED))):
+        rectified, notes = True, ("K is zero: the images are taken for rectified ones, with the camera of P",)
     name, entry = take_field(where, document, _RECTIFIED if rectified else _RAW)
     focal = take_matrix(where, name, entry, columns=4 if rectified else 3)
     model, distortion = ("plumb_bob", ()) if rectified else _distortion(where, document)
@@ -65,10 +68,29 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
         frame = document["header"].get("frame_id")
     form = "topic dump" if "width" in document else "calibration"
     images = f"rectified images ({name})" if rectified else f"raw images ({name} and distortion)"
-    notes = one_camera(where, side, frame)
+    notes = (*notes, *one_camera(where, side, frame, right=_is_right(document)))
     across, down = (as_number(document.get(name)) or 1.0 for name in ("binning_x", "binning_y"))
     ratio = down / across
     return Intrinsics(f"ROS camera_info {form}, {images}", size, *focal, model, distortion, notes, ratio)
+
+
+def _is_zero(document: Mapping[str, Any], names: tuple[str, ...]) -> bool:
+    """Whether a matrix is stated with only zeros."""
+    numbers = _numbers(document, names)
+    return bool(numbers) and not any(as_number(number) != 0 for number in numbers)
+
+
+def _is_right(document: Mapping[str, Any]) -> bool:
+    """Whether P has the baseline of a right eye; the messages of both eyes name the left one's frame."""
+    numbers = _numbers(document, _RECTIFIED)
+    return len(numbers) == 12 and (as_number(numbers[3]) or 0.0) < 0
+
+
+def _numbers(document: Mapping[str, Any], names: tuple[str, ...]) -> list[Any]:
+    """Return the flat list of a matrix's values as they are stated; empty where there is none."""
+    entry = next((document[name] for name in names if document.get(name) is not None), None)
+    numbers = entry.get("data") if isinstance(entry, Mapping) else entry
+    return numbers if isinstance(numbers, list) else []
 
 
 def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:
@@ -76,7 +98,7 @@ def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:
     name, entry = take_field(where, document, _DISTORTION)
     coefficients = tuple(take_numbers(where, name, entry))
     given = document.get("distortion_model")
-    if given in (None, "") and not any(coefficients):
+    if given in (None, "", "none", "None") and not any(coefficients):
         return "plumb_bob", ()
     if not isinstance(given, str) or given not in _MODELS:
         names = ", ".join(nearest_first(given[:60], _MODELS) if isinstance(given, str) else _MODELS)

@@ -25,8 +25,8 @@ Document = Mapping[str, Any]
 StereoPose = tuple[Float64, tuple[str, ...]]
 """``right_from_left`` (4, 4), m, and notes on how it was read."""
 
-_METRES = (0.001, 0.05)  # distances of the eyes of an endoscope
-_MILLIMETRES = (1.0, 50.0)
+_NEAREST, _FARTHEST = 0.0005, 0.5  # m, distances of two cameras
+_OF_AN_ENDOSCOPE = 0.02  # m, largest distance of an endoscope's eyes
 _RIGID = 0.01  # tolerance of R R^T = 1, for files that state few digits
 
 _POSE = "right_from_left"
@@ -62,7 +62,7 @@ def pose_of_camera_infos(where: tuple[str, str], left: Document, right: Document
         )
     name, entry = take_field(where[1], right, _PROJECTION)
     translation = _baseline(where[1], name, entry)
-    _metres(where[1], f"{name}: baseline", translation, millimetres=False)
+    translation, remarks = _metres(where[1], f"{name}: baseline", translation, millimetres=False)
     if translation[0] > 0:
         raise InputError(
             f"{where[1]}: {name}: expected -f b in the fourth column, with the right eye on the right, "
@@ -70,9 +70,9 @@ def pose_of_camera_infos(where: tuple[str, str], left: Document, right: Document
         )
     pose = transform(np.eye(3), translation)
     if rectified:
-        return pose, ()
+        return pose, remarks
     turns = _turns(where, left, right)
-    return inverse(turns[1]) @ pose @ turns[0], ()
+    return inverse(turns[1]) @ pose @ turns[0], remarks
 
 
 def pose_of_storage(where: str, document: Document, *, rectified: bool) -> StereoPose:
@@ -161,18 +161,26 @@ def _baseline(where: str, name: str, entry: Any) -> Float64:
 
 
 def _metres(where: str, name: str, translation: Float64, *, millimetres: bool) -> tuple[Float64, tuple[str, ...]]:
-    """Return a translation (3,) in metres; ``millimetres`` tells whether the file may state it in those."""
+    """Return a translation (3,) in metres; ``millimetres`` tells whether the file may state it in those.
+
+    Of both, the unit is that in which the distance is one of two cameras; from 0.5 on it is millimetres, since two
+    cameras half a metre apart see no instrument well.
+    """
     distance = float(np.linalg.norm(translation))
-    if _METRES[0] <= distance <= _METRES[1]:
-        return translation, ()
-    if not _MILLIMETRES[0] <= distance <= _MILLIMETRES[1]:
+    metres = distance if distance < _FARTHEST or not millimetres else distance / 1e3
+    if not _NEAREST <= metres <= _FARTHEST:
         unit = "m or mm" if millimetres else "m"
-        raise InputError(f"{where}: {name}: expected 1 to 50 mm between the eyes, got {distance:g} {unit}")
-    if not millimetres:
+        hint = "" if millimetres or not _NEAREST <= distance / 1e3 <= _FARTHEST else " (is it in millimetres?)"
         raise InputError(
-            f"{where}: {name}: expected 0.001 to 0.05 m between the eyes, got {distance:g} m (is it in millimetres?)"
+            f"{where}: {name}: expected {_NEAREST:g} to {_FARTHEST:g} m between the cameras, got {distance:g} {unit}"
+            f"{hint}"
         )
-    return translation / 1e3, (f"the eyes are {distance:.3g} apart: taken for millimetres",)
+    notes = [] if metres == distance else [f"the eyes are {distance:.3g} apart: taken for millimetres"]
+    if metres > _OF_AN_ENDOSCOPE:
+        notes.append(
+            f"the cameras are {1e3 * metres:.3g} mm apart, farther than an endoscope's eyes: taken for external cameras"
+        )
+    return translation * (metres / distance), tuple(notes)
 
 
 def _sides(translation: Float64) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    DEFAULT_READING,
     DEFAULT_SEGMENT,
     FOLDER,
     METHOD,
@@ -29,9 +30,11 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
+    ReadingOptions,
     SegmentOptions,
     SessionOption,
     check_range,
+    parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show, warn
 from dvrk_cmaes.errors import InputError
@@ -39,6 +42,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.frames.label import Label
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import BatchSummary
@@ -48,7 +52,7 @@ if TYPE_CHECKING:
 
 _MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit
-_INCOMPLETE, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
+_FAILED, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
 
 
 def batch(
@@ -60,7 +64,8 @@ def batch(
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
     retry_failed: Annotated[Flag, Parameter(group=FOLDER)] = False,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    label: Annotated[int | None, Parameter(group=FOLDER)] = None,
+    label: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    pick: Annotated[str | None, Parameter(group=FOLDER, allow_leading_hyphen=True)] = None,
     only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     shard: Annotated[str | None, Parameter(group=FOLDER)] = None,
     merge: Annotated[Path | None, Parameter(group=FOLDER)] = None,
@@ -70,6 +75,7 @@ def batch(
     lag: Annotated[str | None, Parameter(group=METHOD, allow_leading_hyphen=True)] = None,
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -83,8 +89,8 @@ def batch(
     estimated gets a failed result with its reason, and the command continues with the other frames. Of several arms, a
     tool that is clearly in front of another one is solved again, with that one as background.
 
-    Exit codes: 0 all ok, 1 the work could not be done, or frames are missing in --merge, 2 wrong usage or input,
-    3 finished, but a frame is doubtful or failed, 130 interrupted.
+    Exit codes: 0 all ok, 1 the work could not be done, every frame failed, or frames are missing in --merge, 2 wrong
+    usage or input, 3 finished, but a frame is doubtful or failed, 130 interrupted.
 
     Example:
 
@@ -121,9 +127,12 @@ def batch(
     retry_failed
         Estimate failed frames again.
     joints
-        File of readings to use instead of the session's own. May be given several times.
+        File of readings to use instead of the session's own, or none, to use none. May be given several times.
     label
-        Value of the instrument in masks of labels, 0 to 255.
+        Part of masks of labels that is the instrument: a value (the index, in images with a palette), several such as
+        10,20,30, a colour such as '#00ff00', or any, for all values but 0. They are in masks or else in labels.
+    pick
+        Pixel u,v on the instrument in all frames: use only the connected region of the mask, or of the label, there.
     only
         Arm of a session.toml with several tools: estimate this one only; by default all of them. May be given several
         times.
@@ -147,6 +156,8 @@ def batch(
         each frame from the pose that it predicts, and search globally only if that does not explain the mask.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
+    reading
+        How files of readings are read.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -176,11 +187,14 @@ def batch(
     check_range("--time-limit", time_limit, 0, _LONGEST_FRAME, "seconds")
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
-    if label is not None and not 0 <= label <= 255:
-        raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
+    from dvrk_cmaes.frames.label import parse_label
+
+    wanted = None if label is None else parse_label("--label", label)
+    picked = None if pick is None else parse_pixel("pick", pick)
     if lag == AUTO and calibration is None and shard is not None:
         raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
-    from dvrk_cmaes.cli.session_tools import read_calibration_of, session_tools, solve_crossing_tools
+    from dvrk_cmaes.cli.session_tools import output_folder, read_calibration_of, session_tools, solve_crossing_tools
+    from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
@@ -189,59 +203,70 @@ def batch(
     given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
     tools = session_tools(session, instrument, only)
-    results = session / "results" if out is None else out
-    if len(tools) > 1 and calibration is not None and not calibration.is_dir():
-        raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
-    arms: dict[str, ArmInSession] = {}
-    finished: dict[str, BatchSummary] = {}
-    calibrations = {
-        name: read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session) for name, tool in tools.items()
-    }
-    for name, tool in tools.items():
-        arms[name] = _with_masks_of(tool.read(session, camera, joints=joints), label, prompts)
-    for name, arm in arms.items():
-        finished[name] = done = _run(
-            arm,
-            results / name,
-            settings,
-            scheduler=scheduler,
-            segment=segment.resolve(),
-            pattern=frames,
-            shard=part,
-            resume=resume,
-            retry_failed=retry_failed,
-            workers=workers,
-            time_limit=time_limit,
-            lag=given,
-            find_lag=lag == AUTO,
-            calibration=calibrations[name],
-        )
-        if done.interrupted:
-            break
-    exchanged: list[str] = []
-    if len(finished) > 1 and not done.interrupted:
-        if part is None:
-            of_arms = {name: summary.results for name, summary in finished.items()}
-            exchanged = exchanged_in_results(arms, of_arms, settings)
-            for text in exchanged:
-                warn(text)
-        if not exchanged:
-            finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
-    _report_all(finished, json, part)
-    stopped = next((summary for summary in finished.values() if summary.interrupted), None)
-    if stopped is not None:
-        again = "the same command" if resume else "the same command without --overwrite"
-        left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
-        if not stopped.counts["missing"]:
-            left = "frames in which tools cross are left"
-        print_error(f"interrupted: {left}; {again} goes on from here")
-        return _INTERRUPTED
-    if len(finished) > 1 and part is None:
-        page = write_arms(results, arms)
-        if not json:
-            show([Line(f"all arms: {page}")])
-    doubtful = any(summary.counts["doubtful"] or summary.counts["failed"] for summary in finished.values())
-    return _DOUBTFUL if exchanged or doubtful else 0
+    with output_folder(out, session, "results") as results:
+        if len(tools) > 1 and calibration is not None and not calibration.is_dir():
+            raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
+        check_output_folder(results, "batch")
+        arms: dict[str, ArmInSession] = {}
+        finished: dict[str, BatchSummary] = {}
+        calibrations: dict[str, SessionCalibration | None] = {}
+        for name, tool in tools.items():
+            arm = tool.read(session, camera, joints=joints, reading=reading, labelled=wanted is not None)
+            arms[name] = _with_masks_of(arm, wanted, picked, prompts)
+            calibrations[name] = read_calibration_of(
+                calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
+            )
+        for name, arm in arms.items():
+            finished[name] = done = _run(
+                arm,
+                results / name,
+                settings,
+                scheduler=scheduler,
+                segment=segment.resolve(),
+                pattern=frames,
+                shard=part,
+                resume=resume,
+                retry_failed=retry_failed,
+                workers=workers,
+                time_limit=time_limit,
+                lag=given,
+                find_lag=lag == AUTO,
+                calibration=calibrations[name],
+            )
+            if done.interrupted:
+                break
+        exchanged: list[str] = []
+        if len(finished) > 1 and not done.interrupted:
+            if part is None:
+                of_arms = {name: summary.results for name, summary in finished.items()}
+                exchanged = exchanged_in_results(arms, of_arms, settings)
+                for text in exchanged:
+                    warn(text)
+            if not exchanged:
+                finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
+        _report_all(finished, json, part)
+        stopped = next((summary for summary in finished.values() if summary.interrupted), None)
+        if stopped is not None:
+            again = "the same command" if resume else "the same command without --overwrite"
+            left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
+            if not stopped.counts["missing"]:
+                left = "frames in which tools cross are left"
+            print_error(f"interrupted: {left}; {again} goes on from here")
+            return _INTERRUPTED
+        if len(finished) > 1 and part is None:
+            with output(results, "batch"):
+                page = write_arms(results, arms)
+            if not json:
+                show([Line(f"all arms: {page}")])
+        code = _exit_code([summary.counts for summary in finished.values()])
+        return _DOUBTFUL if exchanged and code == 0 else code
+
+
+def _exit_code(counts: Sequence[Mapping[str, int]]) -> int:
+    """Return the exit code for the numbers of frames, by arm: 1 if all failed, 3 if a frame is doubtful or failed."""
+    if 0 < sum(arm["frames"] for arm in counts) == sum(arm["failed"] for arm in counts):
+        return _FAILED
+    return _DOUBTFUL if any(arm["doubtful"] or arm["failed"] for arm in counts) else 0
 
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None) -> None:
@@ -262,13 +287,17 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
             warn(f"{name}: {text}" if name else text)
 
 
-def _with_masks_of(arm: ArmInSession, label: int | None, prompts: PromptOptions) -> ArmInSession:
+def _with_masks_of(
+    arm: ArmInSession, label: Label | None, pick: tuple[float, float] | None, prompts: PromptOptions
+) -> ArmInSession:
     """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
     from dvrk_cmaes.frames.boxes import FramePrompts
 
     session = arm.session
     if label is not None:
-        session = replace(session, frames=tuple(replace(files, label=label) for files in session.frames))
+        session = replace(session, frames=tuple(files.changed(label=label) for files in session.frames))
+    if pick is not None:
+        session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
     if prompts != DEFAULT_PROMPTS:
         hints = prompts.resolve()
         session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))
@@ -345,8 +374,8 @@ def _merge(out: Path, json: bool) -> int:
     counts = document["counts"]
     if counts["missing"]:
         print_error(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")
-        return _INCOMPLETE
-    return _DOUBTFUL if counts["doubtful"] or counts["failed"] else 0
+        return _FAILED
+    return _exit_code([counts])
 
 
 def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Iterator[Line]:

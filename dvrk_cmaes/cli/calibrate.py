@@ -14,6 +14,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
+    DEFAULT_READING,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
@@ -23,6 +24,7 @@ from dvrk_cmaes.cli.options import (
     Flag,
     InstrumentOptions,
     MethodOptions,
+    ReadingOptions,
     check_range,
 )
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
@@ -55,6 +57,7 @@ def calibrate(
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
     instrument_candidates: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -105,6 +108,8 @@ def calibrate(
         time, and the calibration is doubtful if its frames fit another one better.
     workers
         Number of processes that work at a time; by default the number of cores. Few frames are done by one.
+    reading
+        How files of readings are read.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -121,66 +126,68 @@ def calibrate(
         check_range("--keyframes", keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
         if every > 1:
             raise InputError("--keyframes: expected either this or --every, got both")
-    from dvrk_cmaes.cli.session_tools import alone_or_by_arm, session_tools
+    from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, session_tools
     from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.output import check_output_folder, output
+    from dvrk_cmaes.results.folder import ALONE
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.manifest import check_same_session
-    from dvrk_cmaes.runs.ownership import check_owned
 
-    target = session / "calibration" if out is None else out
-    settings = method.resolve()
-    if keyframes is not None:
-        from dvrk_cmaes.track.keyframes import solved_with
+    with output_folder(out, session, "calibration") as target:
+        settings = method.resolve()
+        if keyframes is not None:
+            from dvrk_cmaes.track.keyframes import solved_with
 
-        settings = solved_with(settings)
-    arms: dict[str, ArmInSession] = {}
-    solved: dict[str, SolvedSession] = {}
-    for name, tool in session_tools(session, instrument, only).items():
-        arms[name] = _share(tool.read(session, camera, joints=joints), every, keyframes)
-        if results is not None and (results / name).resolve() == (target / name).resolve():
-            raise InputError(
-                f"--out: expected another folder than --results, whose frames stay as they are, got {target / name}"
+            settings = solved_with(settings)
+        arms: dict[str, ArmInSession] = {}
+        solved: dict[str, SolvedSession] = {}
+        for name, tool in session_tools(session, instrument, only).items():
+            arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), every, keyframes)
+            if results is not None and (results / name).resolve() == (target / name).resolve():
+                raise InputError(
+                    f"--out: expected another folder than --results, whose frames stay as they are, got {target / name}"
+                )
+            check_output_folder(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,))
+            check_same_session(target / name, arms[name].session)
+        for name, arm in arms.items():
+            others: dict[str, Predictions | str] = {}
+            for path in _candidates(instrument_candidates):
+                tool = session_tools(session, replace(instrument, instrument=str(path)), only)[name]
+                other = tool.read(session, camera, joints=joints, reading=reading)
+                if other.body.instrument.name != arm.body.instrument.name:
+                    with_other = _share(other, every, keyframes)
+                    found = _predicted_with(with_other, refine_camera=refine_camera, workers=workers, settings=settings)
+                    if found is None:
+                        return _INTERRUPTED
+                    others[other.body.instrument.name] = found
+            solution = _calibrate_arm(
+                arm,
+                target / name,
+                None if results is None else results / name,
+                refine_camera=refine_camera,
+                workers=workers,
+                settings=settings,
+                others=others,
             )
-        check_owned(target / name, "calibrate", replaces=True)
-        check_same_session(target / name, arms[name].session)
-    for name, arm in arms.items():
-        others: dict[str, Predictions | str] = {}
-        for path in _candidates(instrument_candidates):
-            options = replace(instrument, instrument=str(path))
-            other = session_tools(session, options, only)[name].read(session, camera, joints=joints)
-            if other.body.instrument.name != arm.body.instrument.name:
-                with_other = _share(other, every, keyframes)
-                found = _predicted_with(with_other, refine_camera=refine_camera, workers=workers, settings=settings)
-                if found is None:
-                    return _INTERRUPTED
-                others[other.body.instrument.name] = found
-        solution = _calibrate_arm(
-            arm,
-            target / name,
-            None if results is None else results / name,
-            refine_camera=refine_camera,
-            workers=workers,
-            settings=settings,
-            others=others,
-        )
-        if solution is None:
-            return _INTERRUPTED
-        solved[name] = solution
-    for name, solution in solved.items():
-        for text in solution.calibration.remarks if not json else solution.calibration.warnings:
-            warn(f"{name}: {text}" if name else text)
-    if json:
-        documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
-        print(json_text(alone_or_by_arm(documents)), end="")
-    else:
+            if solution is None:
+                return _INTERRUPTED
+            solved[name] = solution
         for name, solution in solved.items():
-            show([*([Line(name, "bold")] if name else []), *_lines(solution, target / name)])
-    if len(solved) > 1:
-        _write_bases({name: solution.calibration for name, solution in solved.items()}, target, quiet=json)
-        page = write_arms(target, arms)
-        if not json:
-            show([Line(f"all arms: {page}")])
-    return _DOUBTFUL if any(_is_doubtful(solution) for solution in solved.values()) else 0
+            for text in solution.calibration.remarks if not json else solution.calibration.warnings:
+                warn(f"{name}: {text}" if name else text)
+        if json:
+            documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
+            print(json_text(alone_or_by_arm(documents)), end="")
+        else:
+            for name, solution in solved.items():
+                show([*([Line(name, "bold")] if name else []), *_lines(solution, target / name)])
+        if len(solved) > 1:
+            with output(target, "calibrate"):
+                _write_bases({name: solution.calibration for name, solution in solved.items()}, target, quiet=json)
+                page = write_arms(target, arms)
+            if not json:
+                show([Line(f"all arms: {page}")])
+        return _DOUBTFUL if any(_is_doubtful(solution) for solution in solved.values()) else 0
 
 
 def _share(arm: ArmInSession, every: int, keyframes: int | None) -> ArmInSession:
@@ -236,16 +243,16 @@ def _calibrate_arm(
     others: Mapping[str, Predictions | str],
 ) -> SolvedSession | None:
     """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
+    from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE, read_results
     from dvrk_cmaes.runs.backgrounds import segment_settings
     from dvrk_cmaes.runs.instrument_processes import instrument_processes, worker_processes
-    from dvrk_cmaes.runs.output import locked
     from dvrk_cmaes.runs.processes import usable_cores
 
     session, model = arm.session, arm.body.instrument
     count = workers or usable_cores()
     used = worker_processes(model, count) if results is None else instrument_processes(model, count, session.frames)
-    with locked(target), used as processes:
+    with output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)) as own, used as processes:
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
@@ -284,6 +291,7 @@ def _calibrate_arm(
             segment=segment,
             workers=count,
             processes=processes,
+            opened=own,
             others=others,
             progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
         )

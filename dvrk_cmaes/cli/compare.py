@@ -77,7 +77,8 @@ def compare(
     from dvrk_cmaes.evaluate.compared_set import read_compared_set
     from dvrk_cmaes.evaluate.comparison import compare_sets
     from dvrk_cmaes.io.atomic import json_text, write_text
-    from dvrk_cmaes.report.compare_page import write_compare_page
+    from dvrk_cmaes.io.output import LONG, check_output_folder, output
+    from dvrk_cmaes.report.compare_page import PAGE, write_compare_page
     from dvrk_cmaes.report.compare_picture import draw_comparison
     from dvrk_cmaes.results.paths import check_writable
 
@@ -87,6 +88,7 @@ def compare(
         check_figure_path(picture)
     if out is not None:
         check_writable(out)
+        check_output_folder(out, "compare", names=(_TABLE, PAGE), owns=False)
     if points is not None and labels is None:
         raise InputError("--points: expected --labels SESSION with it, got none")
     if len(results) < (2 if labels is None else 1):
@@ -106,8 +108,9 @@ def compare(
     found = compare_sets(sets, loaded)
     written = []
     if out is not None:
-        write_text(out / _TABLE, _csv_text(found))
-        written += [out / _TABLE, write_compare_page(out, found)]
+        with output(out, "compare", owns=False, wait=LONG):
+            write_text(out / _TABLE, _csv_text(found))
+            written += [out / _TABLE, write_compare_page(out, found)]
     if json:
         more = {} if of_labels is None else {"labels": of_labels.to_dict()}
         print(json_text({**found.to_dict(), **more}), end="")

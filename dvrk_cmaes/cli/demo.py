@@ -116,7 +116,9 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
     config, body = method.resolve(), prepare("lnd")
     console = Console(stderr=True)
     for files in track(session.frames, "Estimating", console=console, disable=not console.is_terminal):
-        result = run_frame(files, read_frame(files, session.camera), body, arm="classic", config=config, out=out).result
+        result = run_frame(
+            files, read_frame(files, session.camera), body, arm="classic", config=config, out=out, command="demo"
+        ).result
         assert result.camera_from_root is not None
         truth = session.truth.frames[files.name]
         error = compare_poses(

@@ -13,8 +13,10 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    DEFAULT_READING,
     DEFAULT_SEGMENT,
     FRAME,
+    NO_READINGS,
     OUTPUT,
     DoubtfulSessionOption,
     Flag,
@@ -22,8 +24,10 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
+    ReadingOptions,
     SegmentOptions,
     SessionOption,
+    joint_files,
     parse_pixel,
 )
 from dvrk_cmaes.cli.terminal import show, warn
@@ -35,10 +39,9 @@ if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile
     from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.joints.reading import FrameReadings
+    from dvrk_cmaes.joints.reading import FrameReadings, ReadAs
 
 EXIT_CODES = {"ok": 0, "failed": 1, "doubtful": 3}
-NO_READINGS = "none"
 
 _Hyphens = Parameter(allow_leading_hyphen=True)
 
@@ -55,12 +58,14 @@ def estimate(
     image_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
     ignore_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
     keypoints: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
-    label: Annotated[int | None, Parameter(group=FRAME)] = None,
+    label: Annotated[str | None, Parameter(group=FRAME)] = None,
     pick: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
+    only: Annotated[str | None, Parameter(group=FRAME)] = None,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: FrameCameraOptions,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -117,9 +122,10 @@ def estimate(
     keypoints
         Pixels of the two jaw tips, u1,v1,u2,v2, in either order.
     label
-        Value of the instrument in a mask of labels, 0 to 255.
+        Part of a mask of labels that is the instrument: a value (the index, in an image with a palette), several such
+        as 10,20,30, a colour such as '#00ff00', or any, for all values but 0.
     pick
-        Pixel u,v on the instrument: use only the connected region of the mask at this pixel.
+        Pixel u,v on the instrument: use only the connected region of the mask, or of the label, at this pixel.
     model
         Segmentation of the image.
     prompts
@@ -130,6 +136,10 @@ def estimate(
         frame's time less the lag; readings given as values are not changed.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
+    only
+        Arm, such as PSM1, whose joints are read of files with those of several.
+    reading
+        How files of readings are read.
     camera
         The camera.
     instrument
@@ -142,10 +152,6 @@ def estimate(
     json
         Print only the result, as JSON, on stdout.
     """
-    if label is not None and pick is not None:
-        raise InputError("--label, --pick: expected one of the two, got both")
-    if label is not None and not 0 <= label <= 255:
-        raise InputError(f"--label: expected a value of an 8-bit mask, 0 to 255, got {label}")
     named = image if mask is None else mask
     if named is None:
         raise InputError("--mask: expected a mask, or an image to find it in (--image FILE), got neither")
@@ -154,34 +160,37 @@ def estimate(
     if mask is not None and (prompts, model) != (DEFAULT_PROMPTS, DEFAULT_SEGMENT):
         raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
     from dvrk_cmaes.cli.session_tools import read_calibration_of
-    from dvrk_cmaes.frames.frame import FrameFiles, frame_size
+    from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.keypoints import parse_keypoints
+    from dvrk_cmaes.frames.label import parse_label
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import read_any_frame, run_frame
+    from dvrk_cmaes.segment.segmentation import hints_within
 
     settings = method.resolve()
     tips = None if keypoints is None else parse_keypoints(keypoints)
+    wanted = None if label is None else parse_label("--label", label)
     picked = None if pick is None else parse_pixel("pick", pick)
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
-    files = FrameFiles(name, mask, {}, image, ignore, tips, label, picked, moment)
+    files = FrameFiles(name, mask, {}, image, ignore, tips, wanted, picked, moment, crop=camera.fit.crop)
     if out is not None:
-        from dvrk_cmaes.runs.ownership import check_frame_files, record_frame_files
+        from dvrk_cmaes.io.output import check_output_folder
 
         kinds = (result_path, overlay_path, *(() if mask is not None else (mask_path,)))
-        check_frame_files(out, [path(out, name) for path in kinds])
+        check_output_folder(out, "estimate", names=[path(Path(), name).as_posix() for path in kinds], owns=False)
     camera_file: CameraFile | RigFile
     if mask_right is None and image_right is None:
-        camera_file = camera.read(lambda: frame_size(files))
+        camera_file = camera.read(files)
     else:
-        other = FrameFiles(files.name, mask_right, {}, image_right, ignore_right, None, label)
+        other = FrameFiles(files.name, mask_right, {}, image_right, ignore_right, None, wanted, crop=files.crop)
         files = replace(files, others={"right": other})
-        camera_file = camera.read_rig(lambda: frame_size(files))
+        camera_file = camera.read_rig(files)
     data = read_any_frame(files, camera_file.rig)
     body = instrument.load()
-    known = read_calibration_of(calibration, doubtful=doubtful_session)
+    known = read_calibration_of(calibration, body, instrument.arm, doubtful=doubtful_session)
     lag = None if known is None else known.applied_lag
-    read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag)
+    read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag, reading.read_as(only))
     files = replace(files, readings=read.readings)
     data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
     run = run_frame(
@@ -193,10 +202,8 @@ def estimate(
         out=out,
         session=known,
         settings=model.resolve(),
-        hints=prompts.resolve(),
+        hints=hints_within(prompts.resolve(), files.crop),
     )
-    if out is not None:
-        record_frame_files(out, run.written)
     for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
         warn(text)
     if json:
@@ -216,7 +223,13 @@ def _moment(time: str | None, image: str) -> float | None:
 
 
 def _readings(
-    joints: Sequence[str], frame: str | None, image: str, time: str | None, known: Sequence[str], lag: Lag | None
+    joints: Sequence[str],
+    frame: str | None,
+    image: str,
+    time: str | None,
+    known: Sequence[str],
+    lag: Lag | None,
+    read_as: ReadAs,
 ) -> FrameReadings:
     """Read the readings of a frame; empty if ``--joints none`` is given."""
     from dvrk_cmaes.joints.reading import FrameReadings, read_frame_joints
@@ -224,5 +237,11 @@ def _readings(
 
     if tuple(joints) == (NO_READINGS,):
         return FrameReadings()
+    from dvrk_cmaes.joints.reading import is_written_out
+
+    texts = [text for text in joints if is_written_out(text)]
+    files = joint_files([Path(text) for text in joints if text not in texts], read_as.arm) or ()
     moment = None if time is None else parse_time("--time", time)
-    return read_frame_joints(joints, frame=frame, image=image, time=moment, known=known, lag=lag)
+    return read_frame_joints(
+        [*texts, *files], frame=frame, image=image, time=moment, known=known, lag=lag, read_as=read_as
+    )

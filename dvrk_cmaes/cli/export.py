@@ -149,12 +149,14 @@ def export(
         raise InputError(f"--ecm-pose: expected the format dvrk, got --to {to}")
     if bag != _DEFAULT_BAG and to not in ("ros1-bag", "ros2-bag") and (to, bag.tool) != ("tum", None):
         raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {to}")
+    from dvrk_cmaes.cli.session_tools import output_folder
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
     from dvrk_cmaes.export.formats import export as exported_files
     from dvrk_cmaes.export.frames import FrameNames
     from dvrk_cmaes.export.request import ExportRequest, FormatOptions
     from dvrk_cmaes.export.source import read_source
-    from dvrk_cmaes.io.atomic import json_text, write_bytes
+    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.output import LONG, output, write_bytes
     from dvrk_cmaes.results.folder import folder_of_arm
 
     results = folder_of_arm(results, arm)
@@ -164,11 +166,16 @@ def export(
     times = bag.read_times(source.results)
     options = FormatOptions(scene, object_id, dvrk_version, pose, times, bag.read_tip())
     exported = exported_files(ExportRequest(source, to, names, options))
-    folder = _results_folder(results) / "exports" if out is None else out
-    to_stdout = to == "tf" and out is None
-    written = [] if to_stdout else [folder / name for name in exported.files]
-    for path, data in zip(written, exported.files.values(), strict=False):
-        write_bytes(path, data)
+    written = []
+    if to != "tf" or out is not None:
+        with (
+            output_folder(out, _results_folder(results), "exports") as folder,
+            output(folder, "export", owns=False, wait=LONG) as own,
+        ):
+            own.refuse(exported.files)
+            written = [folder / name for name in exported.files]
+            for path, data in zip(written, exported.files.values(), strict=True):
+                write_bytes(path, data)
     for text in _warnings(exported):
         warn(text)
     if json:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,14 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.cli.options import AUTO, LATEST, MOST_SKIPPED, OUTPUT, Flag, check_range
+from dvrk_cmaes.cli.options import AUTO, LATEST, MOST_SKIPPED, OUTPUT, Flag, LayoutOption, check_range, joint_files
 from dvrk_cmaes.cli.terminal import Line, show, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import Side
+    from dvrk_cmaes.frames.frame import Window
     from dvrk_cmaes.joints.lag import Lag
+    from dvrk_cmaes.joints.rows import JointFile
     from dvrk_cmaes.recording.pose_table import PoseTable
     from dvrk_cmaes.recording.recording import Recording
     from dvrk_cmaes.recording.write_session import ImportSummary
@@ -53,6 +55,8 @@ class TopicOptions:
         or state_jaw_current in the namespace of the arm's topic.
     recorded_times
         Use the times at which the messages were recorded instead of those in their headers.
+    rectified
+        The images are rectified: session.toml says so, and the other commands use the projection matrix.
     """
 
     image_topic: str | None = None
@@ -61,6 +65,7 @@ class TopicOptions:
     joints_topic: str | None = None
     jaw_topic: str | None = None
     recorded_times: Flag = False
+    rectified: Flag = False
 
 
 _DEFAULT_TOPICS = TopicOptions()
@@ -108,8 +113,11 @@ def import_recording(
     camera: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     joints: Annotated[Path | None, Parameter(group=VIDEO)] = None,
     video_start: Annotated[float, Parameter(group=VIDEO)] = 0.0,
+    layout: Annotated[LayoutOption, Parameter(group=VIDEO)] = None,
+    crop: Annotated[str | None, Parameter(group=VIDEO)] = None,
+    interlaced: Annotated[Literal["top", "bottom"] | None, Parameter(group=VIDEO)] = None,
     side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None,
-    arm: Annotated[str | None, Parameter(group=FOLDER)] = None,
+    arm: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     episode: Annotated[int, Parameter(group=FOLDER)] = 0,
     topics: TopicOptions = _DEFAULT_TOPICS,
     poses: PoseOptions = _DEFAULT_POSES,
@@ -141,8 +149,8 @@ def import_recording(
     recording
         ROS 1 .bag file, ROS 2 folder (or its .mcap or .db3 file), or any video that OpenCV reads. Or the folder of a
         clip in SurgSync's raw layout or of a packed episode (timestamp.parquet), a folder of SurgPose
-        (regular/left_video.mp4, api_jp_data.yaml), a LeRobot data set (meta/info.json), or one with the videos of a
-        stereo endoscope (left.mp4 and right.mp4).
+        (regular/left_video.mp4, api_jp_data.yaml), a LeRobot data set (meta/info.json), one with the videos of a stereo
+        endoscope (left.mp4 and right.mp4), or one of pictures.
     out
         Session folder to write; it must be new or empty unless --overwrite is given.
     every
@@ -167,11 +175,19 @@ def import_recording(
         replaces their own.
     video_start
         Time of the first image of a video, or of stereo videos, on the clock of the readings, in seconds.
+    layout
+        Where the eyes are in the pictures of a stereo video, or of a folder of pictures; --side chooses one or both. By
+        default found from the size of the camera's images. A squeezed picture has both eyes in the size of one.
+    crop
+        x,y,w,h: the part of the pictures of a video, or of a folder of pictures, that is the camera's, in pixels.
+    interlaced
+        The pictures of the video are interlaced: make an image of each field, the top or the bottom one first.
     side
         Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
         in the name of the images' topic.
     arm
-        Arm of a SurgSync clip or a SurgPose folder, or of a LeRobot data set, whose readings are imported, e.g. PSM1.
+        Arm, such as PSM1, whose readings are imported, where a recording has those of several. Of a ROS recording, it
+        may be given several times: then session.toml names all of them, each with its own readings.
     episode
         Number of the episode of a LeRobot data set.
     topics
@@ -193,12 +209,23 @@ def import_recording(
         raise InputError(f"--video-start: expected a finite number of seconds, got {video_start:g}")
     check_range("--video-start", video_start, -LATEST, LATEST, "seconds")
     check_range("--episode", episode, 0, MOST_EPISODES)
+    from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 
-    with _opened(recording, topics, camera, _table(joints, poses), video_start, side, arm, episode) as opened:
+    with _opened(
+        recording,
+        topics,
+        camera,
+        _table(joints, poses, arm[0] if len(arm) == 1 else None),
+        video_start,
+        side,
+        arm,
+        episode,
+        (layout, interlaced, None if crop is None else parse_crop("--crop", crop)),
+    ) as opened:
         summary = write_session(
-            _with_progress(opened),
+            replace(_with_progress(opened), rectified=topics.rectified),
             out,
             selection=Selection(every, start, end),
             tolerance=tolerance,
@@ -207,11 +234,10 @@ def import_recording(
         )
     for source in summary.readings:
         if source.without:
-            warn(
-                f"{source.source}: {source.without} of {summary.frames} frames have no readings within {tolerance:g} s"
-            )
-    if said:
-        warn(said)
+            total = source.frames + source.without
+            warn(f"{source.source}: {source.without} of {total} frames have no readings within {tolerance:g} s")
+    for text in (*summary.warnings, *([said] if said else [])):
+        warn(text)
     if json:
         print(json_text(summary.to_dict()), end="")
     else:
@@ -219,12 +245,12 @@ def import_recording(
     return 0
 
 
-def _table(joints: Path | None, poses: PoseOptions) -> Path | PoseTable | None:
+def _table(joints: Path | None, poses: PoseOptions, arm: str | None) -> Path | PoseTable | JointFile | None:
     """Return the file of readings, or the table of poses with its meaning if --pose-of is given."""
     if poses.pose_of is None:
         if poses != _DEFAULT_POSES:
             raise InputError("--pose-of: expected tip or wrist-yaw with --pose-base, --kinematics and --tool, got none")
-        return joints
+        return None if joints is None else (joint_files([joints], arm) or (None,))[0]
     if joints is None:
         raise InputError("--joints: expected a table of poses with --pose-of, got none")
     if poses.pose_base is None:
@@ -273,14 +299,16 @@ def _opened(
     path: Path,
     topics: TopicOptions,
     camera: Path | None,
-    joints: Path | PoseTable | None,
+    joints: Path | PoseTable | JointFile | None,
     video_start: float,
     side: Literal["left", "right", "both"] | None,
-    arm: str | None,
+    arms: Sequence[str],
     episode: int,
+    of_video: tuple[LayoutOption, Literal["top", "bottom"] | None, Window | None],
 ) -> AbstractContextManager[Recording]:
     """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
-    from dvrk_cmaes.recording.bag import SUFFIXES, open_bag
+    from dvrk_cmaes.frames.session_folder import is_session_layout
+    from dvrk_cmaes.recording.bag import SUFFIXES, is_bag, open_bag
     from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
     from dvrk_cmaes.recording.pose_table import PoseTable
@@ -289,8 +317,9 @@ def _opened(
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
     from dvrk_cmaes.recording.surgsync_packed import is_packed, open_packed
     from dvrk_cmaes.recording.topics import TopicRequest
-    from dvrk_cmaes.recording.video import open_video
+    from dvrk_cmaes.recording.video import Pictures, open_pictures, open_video
 
+    arm = arms[0] if arms else None
     if path.is_dir() and is_lerobot(path):
         if side == "both" or isinstance(joints, PoseTable) or topics != _DEFAULT_TOPICS or video_start:
             raise InputError(
@@ -303,18 +332,19 @@ def _opened(
     packed = path.is_dir() and is_packed(path)
     clip = packed or (path.is_dir() and is_surgsync(path))
     stereo = surgpose or clip or (path.is_dir() and has_stereo_videos(path))
-    bag = not stereo and (path.is_dir() or path.suffix.lower() in SUFFIXES)
-    if arm is not None and not (clip or surgpose):
+    if not stereo and path.is_dir() and is_session_layout(path):
+        raise InputError(f"{path}: expected a recording, got a session folder (masks or images): no import is needed")
+    bag = not stereo and is_bag(path)
+    pictures = not stereo and not bag and path.is_dir()
+    if arm is not None and not (clip or surgpose or bag):
+        raise InputError(f"{path}: --arm: expected a ROS recording, a clip of SurgSync or a folder of SurgPose")
+    if len(arms) > 1 and not bag:
+        raise InputError(f"{path}: --arm: expected one arm, but of a ROS recording, got {', '.join(arms)}")
+    if of_video != (None, None, None) and (stereo or bag or (pictures and of_video[1])):
         raise InputError(
-            f"{path}: --arm: expected a clip of SurgSync, with image and kinematic folders or timestamp.parquet, or a "
-            "folder of SurgPose, with regular/left_video.mp4 and api_jp_data.yaml"
+            f"{path}: --layout, --crop, --interlaced: expected a video, or with the first two a folder of pictures"
         )
-    of_ros = bag and (path.is_file() or (path / "metadata.yaml").exists())
-    if side not in (None, "left") and not (stereo or of_ros):
-        raise InputError(
-            f"{path}: --side: expected a ROS recording, a SurgSync clip, or a folder with left and right videos"
-        )
-    if side == "both" and camera is not None:
+    if side == "both" and camera is not None and (stereo or bag):
         raise InputError("--camera: expected none with --side both, whose cameras are those of the recording")
     if not bag and topics != _DEFAULT_TOPICS:
         raise InputError(f"{path}: topics were asked for; expected a ROS recording ({', '.join(SUFFIXES)} or a folder)")
@@ -329,6 +359,11 @@ def _opened(
             return open_surgsync(path, side=eye, arm=arm, camera=camera, joints=joints)
         if stereo:
             return open_stereo_videos(path, side=eye, camera=camera, joints=joints, start=video_start)
+        if not bag:
+            shown = Pictures(of_video[0], eye, of_video[1], of_video[2])
+            if pictures:
+                return open_pictures(path, camera=camera, joints=joints, pictures=shown)
+            return open_video(path, camera=camera, joints=joints, start=video_start, pictures=shown)
         own = TopicRequest(
             topics.image_topic, topics.camera_topic, topics.joints_topic, topics.jaw_topic, topics.image_topic_right
         )
@@ -340,13 +375,12 @@ def _opened(
             camera=camera,
             joints=joints if eye == "left" or side == "right" else None,
             side=eye if named else None,
+            arms=() if eye == "right" and side == "both" else arms,
         )
 
     if side == "both":
         return both_eyes(of_eye)
-    if stereo or bag:
-        return of_eye(side or "left", named=side is not None)
-    return open_video(path, camera=camera, joints=joints, start=video_start)
+    return of_eye(side or "left", named=side is not None)
 
 
 def _with_progress(recording: Recording) -> Recording:
@@ -364,7 +398,8 @@ def _with_progress(recording: Recording) -> Recording:
 def _lines(summary: ImportSummary) -> Iterator[Line]:
     """Yield the lines of an import: images, notes, and distances in time of the readings used."""
     width, height = summary.size
-    yield Line(f"{summary.frames} frames of {summary.images} images, {width} x {height}", "bold")
+    if summary.frames:
+        yield Line(f"{summary.frames} frames of {summary.images} images, {width} x {height}", "bold")
     for note in summary.notes:
         yield Line(f"  {note}")
     for source in summary.readings:

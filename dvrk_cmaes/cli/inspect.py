@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import DEFAULT_CAMERA, INSTRUMENT, OUTPUT, CameraOptions, Flag, split_packages
+from dvrk_cmaes.cli.options import (
+    DEFAULT_CAMERA,
+    DEFAULT_READING,
+    INSTRUMENT,
+    OUTPUT,
+    CameraOptions,
+    Flag,
+    ReadingOptions,
+    split_packages,
+)
 from dvrk_cmaes.cli.terminal import Line, print_error, show
 from dvrk_cmaes.errors import InputError
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.inspection import Finding
 
 
 def inspect(
@@ -17,13 +29,14 @@ def inspect(
     /,
     *,
     camera: CameraOptions = DEFAULT_CAMERA,
+    reading: ReadingOptions = DEFAULT_READING,
     package_path: Annotated[tuple[str, ...], Parameter(group=INSTRUMENT, negative=(), show_default=False)] = (),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     r"""Print what each file is taken for, what is read from it, and the rules that were applied to ambiguous content.
 
     Files of cameras, joint readings, masks, images, jaw tips, URDFs, meshes, the dVRK's tools, kinematics and
-    registrations, and results; folders of sessions and of results. Of a ROS recording only its kind is printed. A
+    registrations, and results; folders of sessions and of results; the topics of a ROS recording. A
     folder of frames in the published layout is read with the camera of --camera. Exit codes: 0 ok, 2 a file could not
     be read.
 
@@ -40,6 +53,8 @@ def inspect(
         Files or folders of any kind.
     camera
         How camera files are read; the camera of a folder of frames in the published layout.
+    reading
+        How files of readings are read.
     package_path
         NAME=DIR: folder of the ROS package NAME, for package://NAME/... paths in a URDF. May be given several times.
     json
@@ -48,12 +63,12 @@ def inspect(
     from dvrk_cmaes.inspection import Options, inspect_path
     from dvrk_cmaes.io.atomic import json_text
 
-    options = Options(camera.rectified, camera.side, split_packages(package_path), camera.camera)
+    options = Options(camera.rectified, camera.side, split_packages(package_path), camera.camera, reading.read_as())
     code = 0
     documents = []
     for number, file in enumerate(files):
         try:
-            found = inspect_path(file, options)
+            found = _recording(file) or inspect_path(file, options)
         except InputError as error:
             code = error.exit_code
             documents.append({"path": str(file), "kind": None, "error": str(error)})
@@ -67,3 +82,23 @@ def inspect(
     if json:
         print(json_text(documents), end="")
     return code
+
+
+def _recording(path: Path) -> Finding | None:
+    """Describe the topics of a ROS recording; None for other files, and without the library that reads recordings."""
+    from importlib.util import find_spec
+
+    from dvrk_cmaes.inspection.suffixes import RECORDINGS
+
+    if not (path.is_dir() or path.suffix.lower() in RECORDINGS) or not path.exists() or find_spec("rosbags") is None:
+        return None
+    from dvrk_cmaes.inspection import Finding
+    from dvrk_cmaes.recording.bag import is_bag, list_topics
+
+    if not is_bag(path):
+        return None
+    seconds, topics = list_topics(path)
+    lines = [f"{seconds:.3f} s, {len(topics)} topics"]
+    lines += [f"{own.name}: {own.kind}, {own.count} messages, {own.rate:.1f} a second" for own in topics]
+    read = {"seconds": seconds, "topics": {own.name: {"type": own.kind, "messages": own.count} for own in topics}}
+    return Finding("ROS recording", tuple(lines), read, ("dvrk-cmaes import reads images, camera and readings of it",))

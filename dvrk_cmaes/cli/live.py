@@ -134,11 +134,13 @@ def live(
     from dvrk_cmaes.camera.files import read_camera
     from dvrk_cmaes.cli.session_tools import read_calibration_of
     from dvrk_cmaes.export.frames import FrameNames
+    from dvrk_cmaes.io.output import output
     from dvrk_cmaes.live.follow import LiveSetup, follow
     from dvrk_cmaes.live.inputs import InputTopics
     from dvrk_cmaes.live.rclpy_node import RclpyConnection
     from dvrk_cmaes.live.repeated_lines import RepeatedLines
     from dvrk_cmaes.live.rosbridge import RosbridgeConnection
+    from dvrk_cmaes.results.folder import SESSION
     from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
     from dvrk_cmaes.runs.long_run import prepare_long_run
     from dvrk_cmaes.runs.solver_process import SolverProcess
@@ -161,7 +163,7 @@ def live(
         names,
         body,
         instrument.kinematics,
-        read_calibration_of(calibration, doubtful=doubtful_session),
+        read_calibration_of(calibration, body, instrument.arm, doubtful=doubtful_session),
         method.resolve(),
         lag,
         None if camera is None else read_camera(camera, rectified=rectified),
@@ -174,6 +176,8 @@ def live(
     connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
     prepare_long_run()
     with ExitStack() as stack:
+        if out is not None:
+            stack.enter_context(output(out, "live", owns=False)).refuse((SESSION,))
         stop = stack.enter_context(_stopped(seconds))
         if keeps:
             solver = stack.enter_context(SolverProcess(body.instrument, background=True))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -16,9 +17,12 @@ if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile
     from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.frames.frame import FrameFiles
+    from dvrk_cmaes.frames.picture_fit import PictureFit
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.joints.rows import JointFile, ReadAs
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
 
@@ -26,6 +30,7 @@ FOLDER = Group.create_ordered("Folder")
 WORKERS = Group.create_ordered("Workers")
 FRAME = Group.create_ordered("Frame")
 CAMERA = Group.create_ordered("Camera")
+READINGS = Group.create_ordered("Readings")
 INSTRUMENT = Group.create_ordered("Instrument")
 METHOD = Group.create_ordered("Method")
 SEGMENT = Group.create_ordered("Segmentation")
@@ -35,8 +40,10 @@ LARGEST_SEED = 2**32 - 1
 MOST_THREADS = MOST_WORKERS = 1000
 MOST_SKIPPED = 1_000_000  # of --every
 AUTO = "auto"  # of --lag
+NO_READINGS = "none"  # of --joints
 LATEST = 1e11  # s, of times since any clock's start
 
+LayoutOption = Literal["mono", "side-by-side", "top-bottom", "squeezed-side-by-side", "squeezed-top-bottom"] | None
 Flag = Annotated[bool, Parameter(negative=())]
 SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)]
 DoubtfulSessionOption = Annotated[bool, Parameter(name="--doubtful-session", negative=(), group=METHOD)]
@@ -66,59 +73,84 @@ class CameraOptions:
     camera_right
         File of the right camera, where both eyes are used and the files are two. A stereo session folder's own
         right.yaml by default.
+    crop
+        x,y,w,h: the part of masks and images that is the camera's picture, in pixels of the files. Of a camera file for
+        the whole images, the principal point is moved. Results are in pixels of the part.
+    stretch
+        The images were resized unevenly: scale the camera to their size, though that has another aspect.
     """
 
     camera: Path | None = None
     camera_right: Path | None = None
     rectified: Flag = False
     side: Literal["left", "right"] = "left"
+    crop: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    stretch: Flag = False
 
-    def read(self, size: Callable[[], tuple[int, int]] | None = None) -> CameraFile:
-        """Read the camera file; ``size`` returns the images' width and height, px, if the file does not state them."""
+    @property
+    def fit(self) -> PictureFit:
+        """How the pictures fit the camera; InputError if the crop is none."""
+        from dvrk_cmaes.frames.picture_fit import PictureFit, parse_crop
+
+        return PictureFit(None if self.crop is None else parse_crop("--crop", self.crop), self.stretch)
+
+    def read(self, frame: FrameFiles | None = None) -> CameraFile:
+        """Read the camera file for a ``frame``, which has its size where the file does not state it."""
         from dvrk_cmaes.camera.files import read_camera_file
+        from dvrk_cmaes.frames.frame import frame_size
 
         if self.camera is None:
             raise InputError("--camera: expected a camera file, got none")
-        return read_camera_file(self.camera, rectified=self.rectified, side=self.side, size=size)
+        size = None if frame is None else partial(frame_size, frame)
+        lens = read_camera_file(self.camera, rectified=self.rectified, side=self.side, size=size)
+        return lens if frame is None else self.fit.lens(lens, frame)
 
-    def read_rig(self, size: Callable[[], tuple[int, int]] | None = None) -> RigFile:
-        """Read the cameras of both eyes; ``size`` is as in `read`."""
+    def read_rig(self, frame: FrameFiles) -> RigFile:
+        """Read the cameras of both eyes; ``frame`` is as in `read`."""
         from dvrk_cmaes.camera.rig_files import read_rig
+        from dvrk_cmaes.frames.frame import frame_size
 
         if self.camera is None:
             raise InputError("--camera: expected the camera file of the left eye, or of both, got none")
-        return read_rig(self.camera, self.camera_right, rectified=self.rectified, size=size)
+        lens = read_rig(self.camera, self.camera_right, rectified=self.rectified, size=partial(frame_size, frame))
+        return self.fit.lens(lens, frame)
 
     def read_session(
         self,
         folder: Path,
         *,
         known: Iterable[str],
-        joints: Sequence[Path] = (),
+        joints: Sequence[Path | JointFile] | None = (),
+        reading: ReadingOptions,
         entries: SessionEntries | None,
         tool: ToolEntry,
         video: SessionVideo | None = None,
+        labelled: bool = False,
     ) -> Session:
         """Read a session folder with this camera; ``known``, ``joints`` and ``video`` as in `frames.session_folder`.
 
         ``entries`` are those of its session.toml, which count where the command line says nothing; the frames are those
-        of ``tool``.
+        of ``tool``. Masks of labels, as those of a session that is ``labelled``, may be in the folder labels.
+        ``reading`` tells how its readings are read.
         """
-        from dvrk_cmaes.frames.session_folder import read_session
+        from dvrk_cmaes.frames.session_folder import read_session_as
         from dvrk_cmaes.frames.session_toml import CameraEntry
         from dvrk_cmaes.frames.tool_frames import frames_of_tool
 
         said = CameraEntry() if entries is None or self.camera is not None else entries.camera
+        labels = folder / ("labels" if labelled or tool.label is not None else "masks")
         own = () if tool.joints is None else (tool.joints,)
-        session = read_session(
+        session = read_session_as(
             folder,
             camera=self.camera or said.file or said.left,
             camera_right=self.camera_right or said.right,
             rectified=self.rectified or said.rectified,
             side=self.side,
             known=known,
-            joints=joints or own,
-            masks=tool.masks,
+            joints=joints if joints is None else joints or own,
+            read_as=reading.read_as(tool.arm, tool.columns),
+            fit=self.fit if self.crop or self.stretch else said.fit,
+            masks=tool.masks or (labels if labels.is_dir() and not (folder / "masks").exists() else None),
             video=video,
         )
         return frames_of_tool(session, entries, tool.arm) if entries is not None and entries.tools else session
@@ -140,9 +172,55 @@ class FrameCameraOptions(CameraOptions):
         Camera to use if the file describes a stereo pair and one view is used.
     camera_right
         File of the right camera, where both eyes are used and the files are two.
+    crop
+        x,y,w,h: the part of masks and images that is the camera's picture, in pixels of the files. Of a camera file for
+        the whole images, the principal point is moved. Results are in pixels of the part.
+    stretch
+        The images were resized unevenly: scale the camera to their size, though that has another aspect.
     """
 
     camera: Path = field()
+
+
+@Parameter(name="*", group=READINGS)
+@dataclass(frozen=True, kw_only=True)
+class ReadingOptions:
+    """Options of files of joint readings.
+
+    Parameters
+    ----------
+    columns
+        Names of the columns of a CSV of readings, in place of its header, such as
+        time,yaw,pitch,insertion,roll,wrist_pitch,wrist_yaw; - for a column that is not read. Without frame or time, the
+        rows are counted from 0.
+    frame_offset
+        Number of the row that frame 0 has: frame N has the row OFFSET + STEP N. By default, rows are found by the names
+        of the frames.
+    frame_step
+        Number of rows from a frame to the next one, with --frame-offset.
+    """
+
+    columns: str | None = None
+    frame_offset: Annotated[int | None, Parameter(allow_leading_hyphen=True)] = None
+    frame_step: int = 1
+
+    def read_as(self, arm: str | None = None, columns: tuple[str, ...] = ()) -> ReadAs:
+        """Return how files are read; ``arm`` and ``columns`` are those of session.toml."""
+        from dvrk_cmaes.joints.rows import ReadAs
+
+        check_range("--frame-step", self.frame_step, 1, MOST_SKIPPED)
+        offset = 0 if self.frame_offset is None and self.frame_step > 1 else self.frame_offset
+        named = columns if self.columns is None else tuple(name.strip() for name in self.columns.split(","))
+        return ReadAs(arm or None, named, offset, self.frame_step)
+
+
+def joint_files(given: Sequence[Path], arm: str | None = None) -> Sequence[Path | JointFile] | None:
+    """Return the files that --joints names, or None for none; the readings of an arm in a ROS recording are read."""
+    if not given or tuple(given) == (Path(NO_READINGS),):
+        return None if given else ()
+    from dvrk_cmaes.recording.bag import is_bag, read_bag_joints
+
+    return [read_bag_joints(path, arm) if path.exists() and is_bag(path) else path for path in given]
 
 
 @Parameter(name="*", group=INSTRUMENT)
@@ -291,6 +369,7 @@ class MethodOptions:
 
 
 DEFAULT_CAMERA = CameraOptions()
+DEFAULT_READING = ReadingOptions()
 
 
 @Parameter(name="*", group=SEGMENT)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.segment import Segmentation
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 
-_DOUBTFUL = 3
+_FAILED, _DOUBTFUL = 1, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +89,8 @@ def segment(
     `estimate` and `batch` find masks in images themselves, and more accurately, because they use the instrument's
     shape. Of a stereo session, the images of both eyes are segmented, into OUT/masks/left and OUT/masks/right.
 
-    Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 a mask is a guess (its confidence is low), or no mask was
-    found in an image of a folder.
+    Exit codes: 0 ok, 1 failed, as is a folder without any mask found, 2 wrong usage or input, 3 a mask is a guess (its
+    confidence is low), or no mask was found in some images of a folder.
 
     Example:
 
@@ -120,11 +120,9 @@ def segment(
 
     from dvrk_cmaes.frames.session_folder import find_images
     from dvrk_cmaes.io.atomic import json_text
-    from dvrk_cmaes.io.atomic_folder import replaced_folder
+    from dvrk_cmaes.io.output import check_output_folder, whole_folder
     from dvrk_cmaes.results.paths import check_output
     from dvrk_cmaes.runs.backgrounds import learned_backgrounds
-    from dvrk_cmaes.runs.output import locked
-    from dvrk_cmaes.runs.ownership import check_owned, record_masks
 
     hints = prompts.resolve()
     cv2.setNumThreads(threads)
@@ -137,8 +135,8 @@ def segment(
         note(f"images{where}: the instrument is told from a background learned from all of them")
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
-    check_owned(out, "segment", replaces=True)
-    with locked(out), replaced_folder(out, kept=("masks", "overlays", "scores")) as beside:
+    check_output_folder(out, "segment", whole=True, replaces=True)
+    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as beside:
         outcomes = []
         for frame, path in images.items():
             try:
@@ -147,14 +145,14 @@ def segment(
                 if single:
                     raise
                 outcomes.append(ImageOutcome(frame, None, {}, problem=str(error)))
-        record_masks(beside, "segment")
-        check_owned(out, "segment", replaces=True)  # masks may have been corrected meanwhile
     outcomes = [outcome.moved(beside, out) for outcome in outcomes]
     if json:
         document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}
         print(json_text(document), end="")
     else:
         show(line for outcome in outcomes for line in _lines(outcome))
+    if all(outcome.status == "failed" for outcome in outcomes):
+        return _FAILED
     return 0 if all(outcome.status == "ok" for outcome in outcomes) else _DOUBTFUL
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
 from dvrk_cmaes.cli.terminal import warn
 from dvrk_cmaes.errors import InputError
 
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
     from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.instrument.arm import Arm
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+    from dvrk_cmaes.silhouette import Body
 
 T = TypeVar("T")
 
@@ -54,25 +57,46 @@ class SessionTool:
         folder: Path,
         camera: CameraOptions,
         *,
-        joints: Sequence[Path] = (),
+        joints: Sequence[Path] | None = (),
+        reading: ReadingOptions = DEFAULT_READING,
         video: SessionVideo | None = None,
+        labelled: bool = False,
     ) -> ArmInSession:
         """Load the instrument, and read the session with the masks and readings of the tool.
 
         Arguments as in `CameraOptions.read_session`.
         """
+        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER
         from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
         body = self.options.load()
+        files = None if joints is None else joint_files(joints, self.tool.arm or None)
         session = camera.read_session(
             folder,
             known=body.instrument.joint_names,
-            joints=joints,
+            joints=files,
+            reading=reading,
             entries=self.entries,
             tool=self.tool,
             video=video,
+            labelled=labelled,
         )
+        for note in session.notes:
+            if note.startswith(COUNTS_DIFFER):
+                warn(f"{folder}: {note}")
         return ArmInSession(session, body, self.options.kinematics)
+
+
+@contextmanager
+def output_folder(out: Path | None, inside: Path, name: str) -> Iterator[Path]:
+    """Yield the folder to write to, which is opened: OUT, or a folder of a name inside another one by default.
+
+    A folder that the user did not name must have no links, and no files but those that earlier runs have written.
+    """
+    from dvrk_cmaes.io.output import base
+
+    with base(inside if out is None else out, strict=out is None):
+        yield inside / name if out is None else out
 
 
 def session_tools(folder: Path, options: InstrumentOptions, only: Sequence[str] = ()) -> dict[str, SessionTool]:
@@ -120,20 +144,23 @@ def alone_or_by_arm(values: Mapping[str, T]) -> T | Mapping[str, T]:
     return values.get("", values)
 
 
-def read_calibration_of(path: Path | None, arm: str = "", *, doubtful: bool = False) -> SessionCalibration | None:
+def read_calibration_of(
+    path: Path | None, body: Body, kinematics: Arm | None, arm: str = "", *, doubtful: bool = False
+) -> SessionCalibration | None:
     """Read the calibration that ``--session`` names: a session.json, or the folder that `calibrate` wrote.
 
     ``arm`` is one of a session with several: its own is in the folder's subfolder of that name. None without a path.
-    With ``doubtful``, one that predicts frames badly is read with a warning.
+    With ``doubtful``, one that predicts frames badly is read with a warning. ``body`` is the instrument that it is used
+    with, ``kinematics`` those of its arm, if they were given.
 
     Raises
     ------
     InputError
-        There is no session.json, it is not valid, or it predicts frames badly.
+        There is no session.json, it is not valid, of another instrument or arm, or it predicts frames badly.
     """
     if path is None:
         return None
-    from dvrk_cmaes.calibration.document import read_calibration
+    from dvrk_cmaes.calibration.document import check_made_for, read_calibration
     from dvrk_cmaes.calibration.session_doubts import bad_predictions
     from dvrk_cmaes.results.folder import SESSION
 
@@ -141,6 +168,7 @@ def read_calibration_of(path: Path | None, arm: str = "", *, doubtful: bool = Fa
         own = path / arm / SESSION
         path = own if own.exists() else path / SESSION
     calibration = read_calibration(path)
+    check_made_for(f"{path}", calibration, body.instrument.name, kinematics)
     bad = bad_predictions(calibration)
     if bad and not doubtful:
         raise InputError(f"{path}: {bad}; --doubtful-session uses it all the same")

@@ -17,6 +17,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
+    DEFAULT_READING,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
@@ -27,13 +28,15 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
+    ReadingOptions,
     SessionOption,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import alone_or_by_arm, read_calibration_of, session_tools
+from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, read_calibration_of, session_tools
 from dvrk_cmaes.cli.terminal import Line, frames_text, show, warn
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import listed
 
 if TYPE_CHECKING:
     from dvrk_cmaes.results.tracked import TrackResult
@@ -70,6 +73,7 @@ def track(
     recording: VideoOptions = DEFAULT_VIDEO,
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
+    reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -151,6 +155,8 @@ def track(
         it is used instead of the keyframes' solution. With --causal its base, offsets and lag are the start.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
+    reading
+        How files of readings are read.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -174,81 +180,90 @@ def track(
         check_rerun("--rerun", rerun)
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
     from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.io.output import output
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
     from dvrk_cmaes.runs.track_folder import track_folder
-    from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask
+    from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask, with_increasing_times
     from dvrk_cmaes.runs.worker import hints_of
+    from dvrk_cmaes.segment.segmentation import hints_within
 
     seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
-    target = out or (session if session.is_dir() else session.parent) / "tracks"
-    readings = None if joints is None or joints == "none" else Path(joints)
-    source = Source.of(session, evidence, target, camera=camera.camera, joints=readings)
-    tools = session_tools(source.folder, instrument, only)
-    if len(tools) > 1:
-        of_one = {"--first-mask": first_mask, "--rerun": rerun, "--joints FILE": readings}
-        _check_of_several(of_one, calibration, prompts)
-    files = () if readings is None else (readings,)
-    finished: dict[str, TrackSummary] = {}
-    arms: dict[str, ArmInSession] = {}
-    settings: dict[str, TrackSettings] = {}
-    for name, tool in tools.items():
-        arm = source.read(tool, camera, recording, joints=files)
-        followed, used = used_session(arm.session, evidence)
-        arms[name] = replace(arm, session=with_first_mask(followed, first_mask))
-        settings[name] = TrackSettings(
-            method.resolve(),
-            arm.kinematics,
-            read_calibration_of(calibration, tool.tool.arm, doubtful=doubtful_session),
-            seconds,
-            every,
-            joints != "none",
-            fps,
-            causal,
-            used,
-            (hints_of(followed.frames[0]) if prompts == DEFAULT_PROMPTS else None) or prompts.resolve(),
-            workers,
-        )
-    with stopping_on_interrupt() as stop:
-        for name, arm in arms.items():
-            finished[name] = done = track_folder(
-                arm.session,
-                target / name,
-                arm.body,
-                settings[name],
-                resume=resume,
-                video=video,
-                page=page,
-                rerun=rerun,
-                stop=stop,
-                progress=_progress(name),
-                notice=_notice(name),
+    with output_folder(out, session if session.is_dir() else session.parent, "tracks") as target:
+        readings = None if joints is None or joints == "none" else Path(joints)
+        source = Source.of(session, evidence, target, camera=camera.camera, joints=readings)
+        tools = session_tools(source.folder, instrument, only)
+        if len(tools) > 1:
+            of_one = {"--first-mask": first_mask, "--rerun": rerun, "--joints FILE": readings}
+            _check_of_several(of_one, calibration, prompts)
+        files = () if readings is None else (readings,)
+        finished: dict[str, TrackSummary] = {}
+        arms: dict[str, ArmInSession] = {}
+        settings: dict[str, TrackSettings] = {}
+        for name, tool in tools.items():
+            arm = source.read(tool, camera, recording, joints=None if joints == "none" else files, reading=reading)
+            timed, doubled = with_increasing_times(arm.session)
+            if doubled:
+                warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
+            followed, used = used_session(timed, evidence)
+            arms[name] = replace(arm, session=with_first_mask(followed, first_mask))
+            settings[name] = TrackSettings(
+                method.resolve(),
+                arm.kinematics,
+                read_calibration_of(calibration, arm.body, instrument.arm, tool.tool.arm, doubtful=doubtful_session),
+                seconds,
+                every,
+                joints != "none",
+                fps,
+                causal,
+                used,
+                (hints_of(followed.frames[0]) if prompts == DEFAULT_PROMPTS else None)
+                or hints_within(prompts.resolve(), followed.frames[0].crop),
+                workers,
             )
-            if done.interrupted:
-                break
-    exchanged: list[str] = []
-    if len(tools) > 1 and not done.interrupted:
-        of_arms = {name: summary.readings for name, summary in finished.items()}
-        exchanged = exchanged_arms(target, of_arms, arms, replace(method.resolve(), threads=1))
-        write_track_arms(target, arms, every=every, frames_a_second=done.frames_a_second, video=video, page=page)
-    if json:
-        counts = {name: summary.counts for name, summary in finished.items()}
-        print(json_text(alone_or_by_arm(counts)), end="")
-    else:
+        with stopping_on_interrupt() as stop:
+            for name, arm in arms.items():
+                finished[name] = done = track_folder(
+                    arm.session,
+                    target / name,
+                    arm.body,
+                    settings[name],
+                    resume=resume,
+                    video=video,
+                    page=page,
+                    rerun=rerun,
+                    stop=stop,
+                    progress=_progress(name),
+                    notice=_notice(name),
+                )
+                if done.interrupted:
+                    break
+        exchanged: list[str] = []
+        if len(tools) > 1 and not done.interrupted:
+            of_arms = {name: summary.readings for name, summary in finished.items()}
+            exchanged = exchanged_arms(target, of_arms, arms, replace(method.resolve(), threads=1))
+            with output(target, "track"):
+                write_track_arms(
+                    target, arms, every=every, frames_a_second=done.frames_a_second, video=video, page=page
+                )
+        if json:
+            counts = {name: summary.counts for name, summary in finished.items()}
+            print(json_text(alone_or_by_arm(counts)), end="")
+        else:
+            for name, summary in finished.items():
+                show([Line(name, "bold")] if name else [])
+                show(_lines(summary, target / name, page=page, rerun=rerun))
+            if len(tools) > 1 and page and not done.interrupted:
+                show([Line(f"all arms: {target / 'report.html'}")])
         for name, summary in finished.items():
-            show([Line(name, "bold")] if name else [])
-            show(_lines(summary, target / name, page=page, rerun=rerun))
-        if len(tools) > 1 and page and not done.interrupted:
-            show([Line(f"all arms: {target / 'report.html'}")])
-    for name, summary in finished.items():
-        found = () if summary.calibration is None else summary.calibration.warnings
-        for text in dict.fromkeys((*arms[name].session.rig.remarks, *found)):
-            warn(f"{name}: {text}" if name else text)
-    for text in exchanged:
-        warn(text)
-    if done.interrupted:
-        return _INTERRUPTED
-    return _DOUBTFUL if exchanged or any(set(summary.counts) - {"ok"} for summary in finished.values()) else 0
+            told = () if summary.calibration is None else summary.calibration.warnings
+            for text in dict.fromkeys((*arms[name].session.rig.remarks, *told)):
+                warn(f"{name}: {text}" if name else text)
+        for text in exchanged:
+            warn(text)
+        if done.interrupted:
+            return _INTERRUPTED
+        return _DOUBTFUL if exchanged or any(set(summary.counts) - {"ok"} for summary in finished.values()) else 0
 
 
 def _check_of_several(of_one: Mapping[str, Path | None], calibration: Path | None, prompts: PromptOptions) -> None:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.cli.options import LATEST, check_range
+from dvrk_cmaes.cli.options import LATEST, LayoutOption, check_range
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.cli.options import CameraOptions
+    from dvrk_cmaes.cli.options import CameraOptions, ReadingOptions
     from dvrk_cmaes.cli.session_tools import SessionTool
     from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
@@ -33,12 +33,12 @@ class VideoOptions:
     ----------
     layout
         Where the eyes are in the picture of a stereo video; --side chooses one. By default found from the size of the
-        camera's images.
+        camera's images. A squeezed picture has both eyes in the size of one.
     video_start
         Time of the video's first image on the clock of the readings, in seconds, if these have no column frame.
     """
 
-    layout: Literal["mono", "side-by-side", "top-bottom"] | None = None
+    layout: LayoutOption = None
     video_start: float = 0.0
 
     def open(self, path: Path, side: Literal["left", "right"]) -> SessionVideo:
@@ -76,11 +76,11 @@ class Source:
         """
         from dvrk_cmaes.frames.session_video import own_video
         from dvrk_cmaes.frames.video_frames import SUFFIXES
-        from dvrk_cmaes.recording.bag import SUFFIXES as BAGS
+        from dvrk_cmaes.recording.bag import is_bag
 
         if path.suffix.lower() in SUFFIXES and not path.is_dir():
             return Source(path.parent, path)
-        if path.suffix.lower() in BAGS or (path / "metadata.yaml").exists():
+        if is_bag(path):
             return Source(_imported(path, out / _IMPORTED, camera, joints))
         if not path.is_dir():
             raise InputError(f"{path}: expected a session folder, a video or a ROS recording, got neither")
@@ -93,14 +93,16 @@ class Source:
         camera: CameraOptions,
         video: VideoOptions,
         *,
-        joints: Sequence[Path],
+        joints: Sequence[Path] | None,
+        reading: ReadingOptions,
     ) -> ArmInSession:
         """Read the session of a tool."""
         if self.video is None:
             if video != DEFAULT_VIDEO:
                 raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
-            return tool.read(self.folder, camera, joints=joints)
-        return tool.read(self.folder, camera, joints=joints, video=video.open(self.video, camera.side))
+            return tool.read(self.folder, camera, joints=joints, reading=reading)
+        opened = video.open(self.video, camera.side)
+        return tool.read(self.folder, camera, joints=joints, reading=reading, video=opened)
 
 
 def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.io.output import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,7 +44,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def write_figure(path: str | Path, figure: Figure, dots_per_inch: int = 110) -> None:
-    """Write a figure in the format of the file name's suffix; errors as in ``dvrk_cmaes.io.atomic.write_bytes``.
+    """Write a figure in the format of the file name's suffix; errors as in ``dvrk_cmaes.io.output.write_bytes``.
 
     A PNG has no alpha channel, which would take a sixth of its size.
     """

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.estimation.one_tool import estimate_views
+from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
-from dvrk_cmaes.segment.field_of_view import outside_view
 from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
@@ -144,7 +144,7 @@ def _find_mask(
     notes: tuple[str, ...] = ()
     if outside.any():
         view = replace(view, ignore=outside if view.ignore is None else view.ignore | outside)
-        notes = ("the image is a round picture in black: what is outside of it is ignored",)
+        notes = (IGNORED,)
     found = segment_first(image, view.ignore, settings=settings, hints=hints, threads=threads, view=view.name)
     result = None
     by_colours = settings.model == "classic" and found.before is None

@@ -141,7 +141,7 @@ def estimate_views(
     check_config(settings)
     check_arm(arm)
     if session is not None:
-        _check_session(session)
+        _check_session(session, prepare(instrument).instrument.name, None if arm == "classic" else arm)
     if start is not None:
         check_type("start", start, Result, "a Result")
     body = body_by(prepare(instrument), settings.silhouette.method)
@@ -222,11 +222,15 @@ def _modes(start: Result, view: SeenView, model: Instrument) -> list[Candidate]:
     ]
 
 
-def _check_session(session: object) -> None:
-    """Raise an InputError for what is not a calibration; the solver of sessions is imported only for those."""
-    from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration
+def _check_session(session: SessionCalibration, instrument: str, arm: Arm | None) -> None:
+    """Raise an InputError for what is not a calibration, or not of the instrument, or not of an arm that is given.
+
+    The solver of sessions is imported only where there is one.
+    """
+    from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration, check_made_for
 
     check_type("session", session, SessionCalibration, CALIBRATION_EXPECTED)
+    check_made_for("session", session, instrument, arm)
 
 
 def _frame_views(seen: Sequence[SeenView], body: Body, settings: EstimateConfig) -> list[FrameView]:

@@ -1,11 +1,14 @@
-"""Export of ``camera_from_base`` as a calibration of easy_handeye2, ``NAME.calib``, of type eye_on_base.
+"""Export of ``camera_from_base`` as a calibration of easy_handeye, of type eye_on_base.
 
-The file's transform is ``base_from_camera``, the camera's pose in the robot's base frame, which is the inverse of the
-transform in all other exports. easy_handeye2 publishes it with the robot's base frame as parent and the camera frame as
+There are ``NAME.calib``, of easy_handeye2 for ROS 2, and ``NAME_eye_on_base.yaml``, of easy_handeye for ROS 1. Their
+transform is ``base_from_camera``, the camera's pose in the robot's base frame, which is the inverse of the
+transform in all other exports. Both publish it with the robot's base frame as parent and the camera frame as
 child.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import yaml
@@ -17,12 +20,15 @@ from dvrk_cmaes.geometry import inverse
 
 
 def calibration_file(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
-    """Return the text of the file by file name; easy_handeye2 reads it from ``~/.ros2/easy_handeye2/calibrations``."""
+    """Return the texts of the files by file name.
+
+    easy_handeye2 reads its own from ``~/.ros2/easy_handeye2/calibrations``, easy_handeye from ``~/.ros/easy_handeye``.
+    """
     names.check_tf()
     name = f"{names.arm}_camera"
     base_from_camera = inverse(camera_from_base)
     translation = base_from_camera[:3, 3].tolist()
-    document = {
+    document: dict[str, dict[str, Any]] = {
         "parameters": {
             "name": name,
             "calibration_type": "eye_on_base",
@@ -36,7 +42,17 @@ def calibration_file(camera_from_base: NDArray[np.float64], names: FrameNames) -
             "rotation": dict(zip("xyzw", quaternion_xyzw(base_from_camera), strict=True)),
         },
     }
-    return {f"{name}.calib": yaml.safe_dump(document, sort_keys=False, allow_unicode=True)}
+    transform = document["transform"]
+    ros1 = {
+        "parameters": {
+            "namespace": f"/{name}_eye_on_base/",
+            "eye_on_hand": False,
+            **{key: value for key, value in document["parameters"].items() if key.endswith("_frame")},
+        },
+        "transformation": {**transform["translation"], **{f"q{k}": v for k, v in transform["rotation"].items()}},
+    }
+    files = {f"{name}.calib": document, f"{name}_eye_on_base.yaml": ros1}
+    return {file: yaml.safe_dump(own, sort_keys=False, allow_unicode=True) for file, own in files.items()}
 
 
 def exported(request: ExportRequest) -> Exported:

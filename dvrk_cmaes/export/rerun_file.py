@@ -21,7 +21,8 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.atomic import not_written, written_beside
+from dvrk_cmaes.io.handles import not_written
+from dvrk_cmaes.io.output import written_beside
 
 Bool = NDArray[np.bool_]
 

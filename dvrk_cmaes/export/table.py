@@ -36,7 +36,7 @@ _ROWS: Final = (
     ExportFormat(
         "easy-handeye",
         "base_from_camera, m: the camera in the arm's base",
-        "base_from_camera, m; a .calib file of easy_handeye2, type eye_on_base.",
+        "base_from_camera, m; a .calib file of easy_handeye2, a .yaml file of easy_handeye (ROS 1), type eye_on_base.",
         "easy_handeye",
     ),
     ExportFormat(

@@ -19,12 +19,17 @@ from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts
+from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
+from dvrk_cmaes.frames.label import Label
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_by, seen_views
 from dvrk_cmaes.frames.video_frames import VideoFrame
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
 from dvrk_cmaes.results.result import Result
+
+Window = tuple[int, int, int, int]
+"""Left, top, width and height of a part of a picture, px."""
 
 _LARGEST = 400_000_000  # bytes
 _BESIDE = 2  # px beside another tool, where its outline and this one's cannot be told apart
@@ -32,15 +37,16 @@ _BESIDE = 2  # px beside another tool, where its outline and this one's cannot b
 
 @dataclass(frozen=True)
 class OtherTool:
-    """The mask of another tool in a frame, or its value in a mask of labels.
+    """The mask of another tool in a frame, or its ``label`` in a mask of labels, and the pixel that picks it there.
 
     Its pixels count neither way, as long as it is not known to be ``behind`` this tool: then they are background.
     """
 
     mask: Path
-    label: int | None = None
+    label: Label | None = None
     arm: str = ""
     behind: bool = False
+    pick: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +59,9 @@ class FrameFiles:
     ``time`` is that of the image, s, if it is known. ``notes`` state how camera and readings were chosen; ``problem``
     states why this frame cannot be used, None if it can. ``others`` are the files of the further views of a rig, by
     name; ``other_tools`` are other tools in the frame. ``video`` is the frame's image where that is in a video, and
-    there is no ``image``. ``start`` is an earlier result of the frame, which is refined instead of a search.
+    there is no ``image``. ``start`` is an earlier result of the frame, which is refined instead of a search. ``crop``
+    is the part of the pictures that is used, left, top, width and height, px; ``pick``, ``keypoints`` and ``prompts``
+    are in pixels of the whole pictures.
     """
 
     name: str
@@ -62,7 +70,7 @@ class FrameFiles:
     image: Path | None = None
     ignore: Path | None = None
     keypoints: NDArray[np.float64] | None = None
-    label: int | None = None
+    label: Label | None = None
     pick: tuple[float, float] | None = None
     time: float | None = None
     prompts: FramePrompts | None = None
@@ -72,6 +80,7 @@ class FrameFiles:
     other_tools: tuple[OtherTool, ...] = ()
     video: VideoFrame | None = None
     start: Result | None = None
+    crop: Window | None = None
 
     @property
     def has_mask(self) -> bool:
@@ -214,17 +223,21 @@ def _read_view(files: FrameFiles, view: View, *, blank: bool) -> tuple[SeenView,
     """Read the files of a view, and notes on them; without a mask, that is empty and there is no image."""
     if files.mask is None:
         return replace(seen_by(view, None), given=True), files.notes
-    mask = read_mask(files.mask, label=files.label, pick=files.pick, blank=blank)
+    mask = mask_of(files, files.mask, blank=blank)
     fitted, notes = _fit(view.camera, mask.shape, files.mask, "mask")
     ignore = _ignored(files, mask.shape, "mask")
-    image = _image_of(files)
+    image = image_of(files)
     if image is not None and abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
         raise InputError(
             f"{image_path(files)}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
             f"got {_size(image.shape)}"
         )
+    border = None if image is None else outside_view(image)
+    if border is not None and border.any():
+        border = cv2.resize(border.astype(np.uint8), mask.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.bool_)
+        ignore, notes = border if ignore is None else ignore | border, (*notes, IGNORED)
     view = replace(view, camera=fitted)
-    return seen_by(view, mask, ignore=ignore, image=image, keypoints=files.keypoints), (*files.notes, *notes)
+    return seen_by(view, mask, ignore=ignore, image=image, keypoints=_moved(files)), (*files.notes, *notes)
 
 
 def read_frame_image(files: FrameFiles, camera: Camera | Rig) -> FrameData:
@@ -243,14 +256,14 @@ def read_frame_image(files: FrameFiles, camera: Camera | Rig) -> FrameData:
     views, notes = [], files.notes
     for view in rig.views:
         own = of_views[view.name]
-        image, path = _image_of(own), image_path(own)
+        image, path = image_of(own), image_path(own)
         if image is None:
             views.append(seen_by(view, None))
             continue
         fitted, more = _fit(view.camera, image.shape, path, "image")
         notes = notes if views else (*notes, *more)
         ignore = _ignored(own, image.shape, "image")
-        views.append(seen_by(replace(view, camera=fitted), None, ignore=ignore, image=image, keypoints=own.keypoints))
+        views.append(seen_by(replace(view, camera=fitted), None, ignore=ignore, image=image, keypoints=_moved(own)))
     return FrameData(tuple(views), notes)
 
 
@@ -259,11 +272,34 @@ def image_path(files: FrameFiles) -> Path | None:
     return files.video.video.path if files.image is None and files.video is not None else files.image
 
 
-def _image_of(files: FrameFiles) -> NDArray[np.uint8] | None:
-    """Read the image of a frame; None if it has none."""
+def mask_of(files: FrameFiles, path: Path, *, blank: bool = False) -> NDArray[np.bool_]:
+    """Read the mask (H, W) of a view of a frame from its file."""
+    mask = read_mask(path, label=files.label, pick=files.pick, blank=blank, name=files.name)
+    return _cropped(files, mask, path)
+
+
+def image_of(files: FrameFiles) -> NDArray[np.uint8] | None:
+    """Read the image (H, W, 3), BGR, of a view of a frame; None if it has none."""
     if files.image is None:
-        return None if files.video is None else files.video.image()
-    return read_image(files.image)
+        return None if files.video is None else _cropped(files, files.video.image(), files.video.video.path)
+    return _cropped(files, read_image(files.image), files.image)
+
+
+def _cropped(files: FrameFiles, pixels: NDArray[Any], path: Path) -> NDArray[Any]:
+    """Return the part of a picture (H, W, ...) that is used; InputError if that is not inside."""
+    if files.crop is None:
+        return pixels
+    left, top, width, height = files.crop
+    if left + width > pixels.shape[1] or top + height > pixels.shape[0]:
+        raise InputError(
+            f"{path}: --crop: expected a part of {_size(pixels.shape)} px, got {','.join(map(str, files.crop))}"
+        )
+    return np.ascontiguousarray(pixels[top : top + height, left : left + width])
+
+
+def _moved(files: FrameFiles) -> NDArray[np.float64] | None:
+    """Return the jaw tips (2, 2) in pixels of the part of the picture that is used."""
+    return files.keypoints if files.keypoints is None or files.crop is None else files.keypoints - files.crop[:2]
 
 
 def _fit(camera: Camera, shape: tuple[int, ...], path: Path | None, what: str) -> tuple[Camera, tuple[str, ...]]:
@@ -277,7 +313,7 @@ def _fit(camera: Camera, shape: tuple[int, ...], path: Path | None, what: str) -
 
 def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> NDArray[np.bool_] | None:
     """Read the pixels that count neither way."""
-    ignore = None if files.ignore is None else read_ignore(files.ignore)
+    ignore = None if files.ignore is None else _cropped(files, read_ignore(files.ignore), files.ignore)
     if ignore is not None and ignore.shape != shape[:2]:
         raise InputError(
             f"{files.ignore}: expected the {what}'s size {_size(shape)}, got {_size(ignore.shape)} (width x height)"
@@ -285,7 +321,9 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> NDArray[np
     for tool in files.other_tools:
         if tool.behind:
             continue
-        there = read_mask(tool.mask, label=tool.label, blank=True)
+        there = _cropped(
+            files, read_mask(tool.mask, label=tool.label, pick=tool.pick, blank=True, name=files.name), tool.mask
+        )
         if there.shape != shape[:2]:
             raise InputError(f"{tool.mask}: expected the {what}'s size {_size(shape)}, got {_size(there.shape)}")
         ignore = with_tool(ignore, there)
@@ -299,7 +337,9 @@ def with_tool(ignore: NDArray[np.bool_] | None, tool: NDArray[np.bool_]) -> NDAr
 
 
 def frame_size(files: FrameFiles) -> Size:
-    """Width and height in pixels of a frame's mask, or else its image, from the file's header.
+    """Width and height in pixels of a frame's mask, or else its image, or of its part that is used.
+
+    The file's header tells it.
 
     Raises
     ------
@@ -308,9 +348,14 @@ def frame_size(files: FrameFiles) -> Size:
     """
     path = files.mask or files.image
     if path is None and files.video is not None:
-        return files.video.window[2:]
+        return files.video.window.size if files.crop is None else files.crop[2:]
+    if files.crop is not None:
+        return files.crop[2:]
     if path is None:
         raise InputError(f"frame {files.name}: expected a mask or an image, got neither")
+    if path.suffix.lower() == ".json":
+        height, width = read_mask(path, blank=True, name=files.name).shape
+        return width, height
     expected = "a mask or an image (PNG or JPEG)"
     header = read_header(read_bytes(path, expected=expected, largest=_LARGEST))
     if header is None:

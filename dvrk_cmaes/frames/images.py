@@ -8,45 +8,56 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.coco_mask import read_coco_mask
+from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named, named_part, parse_label, selected
+from dvrk_cmaes.frames.label import EXPECTED as LABEL
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, read_header
-from dvrk_cmaes.io.quiet_stderr import native_messages
+from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, palette_as_grey, read_header
+from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 400_000_000  # bytes
 _THRESHOLD = 127
+_MOST_OF_EDGE, _MOST_OF_IMAGE = 0.7, 0.6  # shares in a mask from which on it is taken for an inverted one
 _ASPECT, _ROUNDED_ASPECT = 0.005, 0.02  # by which the aspects of mask and calibration may differ, as a share
-# libjpeg's words for data that it had to make up; other bytes before a marker are skipped without a loss
-_LOST = re.compile(r"Corrupt JPEG data(?!: \d+ extraneous bytes)|Premature end of JPEG")
+_SKIPPED = re.compile(r"Corrupt JPEG data: \d+ extraneous bytes")  # libjpeg's words for bytes skipped without a loss
 
 
 def read_mask(
     path: str | Path,
     *,
-    label: int | None = None,
+    label: LabelText | None = None,
     pick: tuple[float, float] | None = None,
     blank: bool = False,
+    name: str | None = None,
 ) -> NDArray[np.bool_]:
     """Read an instrument mask.
 
     Parameters
     ----------
     path
-        Grey image of 8 bits or of 1, or colour image with equal channels; values above 127 are instrument.
+        Grey image of 8 bits or of 1, or colour image with equal channels; values above 127 are instrument. Or JSON with
+        polygons or runs, as of `coco_mask`.
     label
-        For a mask of labels: the value, 0 to 255, of the instrument's pixels.
+        For a mask of labels: what selects the instrument's pixels, as in `label`. Of an image with a palette, the index
+        counts.
     pick
         A pixel (u, v): only its 8-connected component of the mask is returned.
     blank
         Accept a mask that is empty or full, as in images of a recording in which the instrument is not in view.
+    name
+        Name of the frame, for a file with the masks of many.
 
     Returns
     -------
@@ -58,21 +69,31 @@ def read_mask(
     InputError
         The file is not a valid mask; the message names the file and what was expected.
     """
-    grey = _read_grey(path, "a mask", values=label is not None)
-    if label is None:
+    if Path(path).suffix.lower() == ".json":
+        kinds = None if label is None else frozenset([label] if isinstance(label, str) else map(str, _parts(label)))
+        mask = read_coco_mask(Path(path), name, kinds)
+        missing = "expected annotations of the instrument, got none"
+    elif label is None:
+        grey = _read_grey(path, "a mask")
         mask = grey > _THRESHOLD
         missing = f"expected pixels above {_THRESHOLD} on the instrument, got none (the largest value is {grey.max()}"
-        missing += "; is it a mask of labels?)" if 0 < grey.max() <= _THRESHOLD else ")"
+        missing += "; of labels, say which: --label 1, or --label any)" if 0 < grey.max() <= _THRESHOLD else ")"
     else:
-        mask = grey == label
-        values = [str(value) for value in np.unique(grey)]
-        missing = f"expected pixels of label {label}, got only {', '.join(values[:8])}{', ...' if values[8:] else ''}"
+        wanted = parse_label(f"{path}: label", label)
+        values = _read_labels(path, wanted)
+        mask = selected(values, wanted)
+        missing = f"expected pixels of label {', '.join(map(str, wanted))}, got only {named(values)}"
     if blank and (mask.all() or not mask.any()):
         return np.asarray(mask)
     if not mask.any():
         raise InputError(f"{path}: mask is empty: {missing}")
     if mask.all():
         raise InputError(f"{path}: mask is full: expected background around the instrument, got none")
+    if label is None and not mask.all() and _is_inverted(mask):
+        raise InputError(
+            f"{path}: mask is inverted: expected pixels above {_THRESHOLD} on the instrument, got most of the edge and "
+            f"{mask.mean():.0%} of the image: --label 0 takes the pixels of value 0 for the instrument"
+        )
     return mask if pick is None else _component(path, mask, pick)
 
 
@@ -133,7 +154,10 @@ def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tu
     off = abs(across / down - 1)
     rounded = min(abs(width - down * camera.width), abs(height - across * camera.height)) <= 0.5
     if off > (_ROUNDED_ASPECT if rounded else _ASPECT):
-        raise InputError(f"{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]}")
+        raise InputError(
+            f"{what}: expected the calibration's size {sizes[1]}, or one of that aspect, got {sizes[0]} "
+            "(--crop x,y,w,h for a part of the picture, --stretch for one that was resized unevenly)"
+        )
     note = f"the {what} is {sizes[0]}, the calibration {sizes[1]}: intrinsics rescaled by {width / camera.width:.4g}"
     scaled = camera.scaled(width, height)
     return replace(scaled, remarks=(*camera.remarks, note)), note
@@ -155,34 +179,92 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
     return data, header
 
 
-def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[np.uint8]:
-    """Decode an image with OpenCV's flags; InputError if it cannot be decoded."""
-    try:
-        with native_messages() as messages:
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        pixels = None
-    if pixels is None or any(_LOST.search(message) for message in messages):
-        raise InputError(f"{path}: expected {what} (PNG or JPEG), got one that is damaged")
-    return np.asarray(pixels, np.uint8)
+def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[Any]:
+    """Decode an image with OpenCV's flags; InputError if it cannot be decoded, or not without a loss.
 
-
-def _read_grey(path: str | Path, what: str, *, values: bool = False) -> NDArray[np.uint8]:
-    """Read a grey image (H, W) of 8 bits or of 1, or one with equal channels.
-
-    With ``values``, palettes and single bits are refused.
+    The decoders print nothing: OpenCV's own JPEG decoder would print what it had to make up, and only gets those in the
+    colours of print, and PNG files without the chunks that do not change their pixels.
     """
+    pixels: Any
+    try:
+        pixels = _decode_jpeg(data, flags) if data.startswith(b"\xff\xd8") else None
+        if pixels is None:
+            pixels = cv2.imdecode(np.frombuffer(checked_png(data), np.uint8), flags)
+    except (cv2.error, ValueError):
+        pixels = None
+    if pixels is None:
+        raise InputError(f"{path}: expected {what} (PNG or JPEG), got one that is damaged")
+    return np.asarray(pixels)
+
+
+def _decode_jpeg(data: bytes, flags: int) -> Any:
+    """Decode a JPEG as OpenCV does, to the last bit; None for one in colours of print, ValueError if it is damaged."""
+    height, width, colours, _ = simplejpeg.decode_jpeg_header(data)
+    wanted = "GRAY" if flags == cv2.IMREAD_UNCHANGED and colours == "Gray" else "BGR"
+    if colours not in ("Gray", "YCbCr", "RGB"):
+        simplejpeg.decode_jpeg(data, "CMYK", strict=True)
+        return None
+    size = {}
+    if flags == cv2.IMREAD_REDUCED_COLOR_2 | cv2.IMREAD_IGNORE_ORIENTATION:
+        size = {"min_factor": 2, "min_height": (height + 1) // 2, "min_width": (width + 1) // 2}
+    try:
+        pixels = simplejpeg.decode_jpeg(data, wanted, strict=True, **size)
+    except ValueError as error:
+        if not _SKIPPED.search(str(error)):
+            raise
+        pixels = simplejpeg.decode_jpeg(data, wanted, strict=False, **size)
+    return pixels[:, :, 0] if wanted == "GRAY" else pixels
+
+
+def _parts(label: LabelText) -> Sequence[int | str]:
+    """Return the parts of a label."""
+    return [label] if isinstance(label, int | str) else label
+
+
+def _is_inverted(mask: NDArray[np.bool_]) -> bool:
+    """Whether a mask (H, W) has most of the image's edge and of its pixels, as no instrument has."""
+    edge = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+    return bool(edge.mean() > _MOST_OF_EDGE and mask.mean() > _MOST_OF_IMAGE)
+
+
+def _read_labels(path: str | Path, label: Label) -> NDArray[np.integer]:
+    """Read the values (H, W) of an image of labels, the indices of one with a palette, or colours (H, W, 3), BGR."""
+    what = "a mask of labels"
+    name = named_part(label)
+    if name is not None:
+        raise InputError(f"{path}: label: expected {LABEL}, got {shown(name)} (names are those of categories in JSON)")
     data, header = _read_file(path, what)
-    if values and header.palette:
-        raise InputError(f"{path}: label: expected a mask of labels in plain grey, got one with a palette")
-    if header.bits != 8 and (header.bits, values) != (1, False):  # of one bit, OpenCV makes 0 and 255
+    if is_of_colours(label):
+        if len(label) > 1 and not all(isinstance(part, str) for part in label):
+            raise InputError(f"{path}: label: expected either colours or values, got {', '.join(map(str, label))}")
+        return _decode(path, data, what, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    pixels = _decode(path, palette_as_grey(data) if header.palette else data, what, cv2.IMREAD_UNCHANGED)
+    if pixels.ndim == 2:
+        return pixels // (255 // (2**header.bits - 1)) if header.bits < 8 else pixels  # decoded to the range of 8 bits
+    colours = pixels[:, :, : min(pixels.shape[2], 3)]
+    if (colours == colours[:, :, :1]).all():
+        return np.ascontiguousarray(colours[:, :, 0])
+    if ANY in label:
+        return colours
+    raise InputError(
+        f"{path}: label: expected a mask of labels in grey or with a palette, got colours: say which, such as "
+        f"--label '#00ff00' (there are {named(colours)})"
+    )
+
+
+def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
+    """Read a grey image (H, W) of 8 bits or of 1, or one with equal channels."""
+    data, header = _read_file(path, what)
+    if header.bits not in (1, 8):  # of one bit, OpenCV makes 0 and 255
         raise InputError(f"{path}: not 8-bit: expected {what} of 8 bits a pixel, got {header.bits} bits")
     pixels = _decode(path, data, what, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 2:
         return pixels
     grey = pixels[:, :, 0]
     if any(not np.array_equal(grey, pixels[:, :, k]) for k in range(1, min(pixels.shape[2], 3))):
-        raise InputError(f"{path}: expected {what} in grey, got a colour image")
+        kind = "an image with a palette" if header.palette else "a colour image"
+        hint = ", of labels by --label 1 or '#00ff00'" if what == "a mask" else ""
+        raise InputError(f"{path}: expected {what} in grey{hint}, got {kind}")
     if pixels.shape[2] == 4 and pixels[:, :, 3].min() < 255:
         raise InputError(f"{path}: expected {what} in grey, got an image with transparency")
     return np.ascontiguousarray(grey)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.joints.reading import frame_readings, read_joint_file
 
 _IMAGE = re.compile(r"frame(\d+)\.(png|jpe?g)", re.IGNORECASE)
@@ -35,7 +36,7 @@ def find_published_frames(root: Path) -> tuple[FrameFiles, ...]:
     for number, image in images:
         name = number if numbers.count(number) == 1 else f"{image.parent.name}_{number}"
         frames.append(_frame(name, number, image))
-    return tuple(sorted(frames, key=lambda frame: frame.name))
+    return tuple(sorted(frames, key=lambda frame: natural(frame.name)))
 
 
 def _images(root: Path) -> Iterator[tuple[str, Path]]:

@@ -27,19 +27,35 @@ from dvrk_cmaes.camera.files import CameraFile, Side, read_camera_file
 from dvrk_cmaes.camera.rig_files import RigFile, read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
+from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import read_keypoints
+from dvrk_cmaes.frames.picture_fit import WHOLE, PictureFit
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_video import SessionVideo
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.io.arguments import PATH, check_type
+from dvrk_cmaes.io.natural_order import natural
+from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, frame_readings, read_joint_file
+from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, ReadAs, frame_readings, read_joint_file
+from dvrk_cmaes.joints.rows import BY_THEMSELVES, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
 
+COUNTS_DIFFER = "rows and frames differ in number"
+"""Beginning of the note of a session whose readings may be of more images than its frames."""
+
+NO_READINGS = "readings: none"
+
+_COUNTED = 3  # frames from which on their numbers may be those of every N-th image
+_MANY = 2  # times as many rows as frames that are the first of them
 _VIEWS = ("left", "right")
+_CAMERAS = (
+    *(f"camera.{suffix}" for suffix in ("yaml", "yml", "xml", "json", "mat", "txt")),
+    *("camera_info.yaml", "camera_calibration.txt", "calibration.yaml"),
+)
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 _TOPIC_DUMP = re.compile(r"(.*_)?(measured_js|state_joint_current|state_jaw_current)\.(csv|ya?ml|txt)", re.IGNORECASE)
 
@@ -160,7 +176,7 @@ def read_session(
     known
         Names of the instrument's joints, as in ``read_joints``.
     joints
-        Files of readings; by default those in the session folder.
+        Files of readings; by default those in the session folder, which may have none.
     masks
         Folder of the masks; ``masks`` in the session folder by default.
     video
@@ -174,17 +190,55 @@ def read_session(
         A file is missing or not valid (the message names it), there are no frames, two files have one frame's name, or
         no frame can be used.
     """
+    return read_session_as(
+        folder,
+        camera=camera,
+        camera_right=camera_right,
+        rectified=rectified,
+        side=side,
+        known=known,
+        joints=joints,
+        masks=masks,
+        video=video,
+        tolerance=tolerance,
+    )
+
+
+def read_session_as(
+    folder: str | Path,
+    *,
+    camera: Path | None = None,
+    camera_right: Path | None = None,
+    rectified: bool = False,
+    side: Side = "left",
+    known: Iterable[str] = (),
+    joints: Sequence[Path | JointFile] | None = (),
+    read_as: ReadAs = BY_THEMSELVES,
+    fit: PictureFit = WHOLE,
+    masks: Path | None = None,
+    video: SessionVideo | None = None,
+    tolerance: int = TIME_TOLERANCE,
+) -> Session:
+    """Read a session as `read_session`, of files that do not tell all of it.
+
+    ``joints`` may be files that were read already, or None to use no readings; ``read_as`` tells how the others are
+    read, and ``fit`` how the pictures fit the camera file.
+    """
     check_type("folder", folder, PATH, "the path of a session folder")
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
     mask_folder = root / "masks" if masks is None else masks
-    if masks is not None or video is not None or _is_session_layout(root) or not is_published_layout(root):
-        frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, video, tolerance)
+    if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
+        frames, readings, times, notes = _session_frames(
+            root, mask_folder, tuple(known), joints, read_as, video, tolerance
+        )
         notes = ("a session folder", *notes)
     else:
         frames, readings, times = find_published_frames(root), (), {}
         notes = ("frames in the published layout, a folder each",)
+    if fit.crop is not None:
+        frames = tuple(frame.changed(crop=fit.crop) for frame in frames)
     stereo = _is_stereo(root, mask_folder)
     if camera_right is not None and not stereo:
         raise InputError(
@@ -194,12 +248,13 @@ def read_session(
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
     lens: CameraFile | RigFile
     if stereo:
-        lens = _read_eyes(root, camera, camera_right, rectified, frames[0])
+        lens = fit.lens(_read_eyes(root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
     else:
-        path = camera or root / "camera.yaml"
+        path = camera or _camera_file(root)
         lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
         frames = frames if video is None else video.fitted(frames, lens.camera)
+        lens = fit.lens(lens, frames[0])
     golden = root / "golden.json"
     return Session(
         folder=root,
@@ -217,7 +272,12 @@ def _read_eyes(root: Path, left: Path | None, right: Path | None, rectified: boo
     if left is None and right is None and os.path.lexists(root / "left.yaml"):
         left, right = root / "left.yaml", root / "right.yaml"
     first = frame if frame.mask or frame.image else frame.others[_VIEWS[1]]
-    return read_rig(left or root / "camera.yaml", right, rectified=rectified, size=lambda: frame_size(first))
+    return read_rig(left or _camera_file(root), right, rectified=rectified, size=lambda: frame_size(first))
+
+
+def _camera_file(root: Path) -> Path:
+    """Return the camera file of a session: camera.yaml, or else another of a usual name."""
+    return next((root / name for name in _CAMERAS if os.path.lexists(root / name)), root / _CAMERAS[0])
 
 
 def _is_stereo(root: Path, masks: Path) -> bool:
@@ -225,16 +285,24 @@ def _is_stereo(root: Path, masks: Path) -> bool:
     return any((folder / view).is_dir() for folder in (masks, root / "images") for view in _VIEWS)
 
 
-def _is_session_layout(root: Path) -> bool:
+def is_session_layout(root: Path) -> bool:
     """Whether a folder has a folder ``masks`` or ``images``."""
     return (root / "masks").is_dir() or (root / "images").is_dir()
+
+
+def _masks_as_json(root: Path, folder: Path) -> Mapping[str, Path]:
+    """Find masks as JSON by frame name: a file for each frame, or one for all."""
+    found = {path.stem: path for path in sorted(folder.glob("*.json"), key=lambda path: natural(path.name))}
+    whole = next((root / name for name in FILES if (root / name).is_file()), None)
+    return found if found or whole is None else dict.fromkeys(frames_of(whole), whole)
 
 
 def _session_frames(
     root: Path,
     mask_folder: Path,
     known: tuple[str, ...],
-    joints: Sequence[Path],
+    joints: Sequence[Path | JointFile] | None,
+    read_as: ReadAs,
     video: SessionVideo | None,
     tolerance: int,
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
@@ -243,9 +311,14 @@ def _session_frames(
     folders = (mask_folder, root / "images", root / "ignore")
     of_views = [[image_files(folder / view) for folder in folders] for view in views]
     masks, images, ignore = of_views[0]
+    if views == (".",) and not masks:
+        masks = of_views[0][0] = _masks_as_json(root, mask_folder)
     if video is None and not any(files for kinds in of_views for files in kinds[:2]):
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got none")
-    files = [read_joint_file(path, known=known) for path in joints or _joint_files(root, optional=video is not None)]
+    files = [
+        source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
+        for source in (() if joints is None else joints or _joint_files(root))
+    ]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
@@ -255,8 +328,9 @@ def _session_frames(
         times = {name: video.time_of(film) for name, film in films.items()} if video.keeps_time(files) else times
     image_times = {
         name: times.get(name, time_in_name(name))
-        for name in sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])))
+        for name in sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])), key=natural)
     }
+    files, remarks = _meeting(files, image_times, read_as)
     frames, farthest = [], None
     for name, time in image_times.items():
         others = {
@@ -283,7 +357,7 @@ def _session_frames(
         farthest = max((d for d in (farthest, found.farthest) if d is not None), default=None)
     if all(frame.problem for frame in frames):
         raise InputError(str(frames[0].problem))
-    notes = (*_described(files), *_interpolation(farthest, tolerance))
+    notes = (*(_described(files) or (NO_READINGS,)), *remarks, *_interpolation(farthest, tolerance))
     return tuple(frames), tuple(files), image_times, notes
 
 
@@ -295,17 +369,57 @@ def _seconds_of(files: Sequence[JointFile], frame: str, image_time: int | None) 
     return None if known is None else known / NANOSECONDS
 
 
-def _joint_files(root: Path, *, optional: bool = False) -> list[Path]:
-    """List the files of readings of a session: its joints.csv, or else the files named after topics of an arm.
+def _meeting(
+    files: Sequence[JointFile], image_times: Mapping[str, int | None], read_as: ReadAs
+) -> tuple[list[JointFile], tuple[str, ...]]:
+    """Return files of readings by the names of the frames, and a remark where their rows seem to be of other images.
 
-    If they are ``optional``, there may be none; else joints.csv is expected.
+    Raises
+    ------
+    InputError
+        No row has a frame's name, and no times tell which row is a frame's.
     """
+    met: list[JointFile] = []
+    remarks: list[str] = []
+    frames = list(image_times)
+    for file in files:
+        if file.labels == "message" or (file.timed and any(time is not None for time in image_times.values())):
+            met.append(file)
+            continue
+        if read_as.offset is not None:
+            met.append(file.by_number(frames, read_as.offset, read_as.step))
+            continue
+        labels = list(file.rows)
+        common = [name for name in frames if _has_row(file, name)]
+        if not common and len(frames) > 1:  # a single frame may lack readings
+            raise InputError(
+                f"{file.path}: none of {len(labels)} rows ({listed(labels, 2)}) has a frame's name "
+                f"({listed(frames, 2)}): say which row frame 0 has (--frame-offset), and how many rows a frame is from "
+                "the next one (--frame-step), or give the times of images (images.csv) and rows (a column time)"
+            )
+        numbers = [number_of(name) for name in frames]
+        counted = numbers in (list(range(len(frames))), list(range(1, len(frames) + 1)))
+        if counted and len(common) == len(frames) >= _COUNTED and len(labels) >= _MANY * len(frames):
+            remarks.append(
+                f"{COUNTS_DIFFER}: {len(frames)} frames have the names of the first of {len(labels)} rows of "
+                f"{Path(file.path).name}; if they are every N-th image, say --frame-offset 0 --frame-step N"
+            )
+        met.append(file)
+    return met, tuple(remarks)
+
+
+def _has_row(file: JointFile, frame: str) -> bool:
+    """Whether a file has the row of a frame, by its name or its number."""
+    return (frame if file.labels == "frame" else str(number_of(frame))) in file.rows
+
+
+def _joint_files(root: Path) -> list[Path]:
+    """List the files of readings of a session: its joints.csv, or else those named after topics of an arm, if any."""
     joints_csv = root / "joints.csv"
     if os.path.lexists(joints_csv):
         return [joints_csv]
     folders = [root, *(path for path in (root / "jaw",) if path.is_dir())]
-    dumps = [path for folder in folders for path in sorted(folder.iterdir()) if _TOPIC_DUMP.fullmatch(path.name)]
-    return dumps or ([] if optional else [joints_csv])
+    return [path for folder in folders for path in sorted(folder.iterdir()) if _TOPIC_DUMP.fullmatch(path.name)]
 
 
 def _described(files: Sequence[JointFile]) -> tuple[str, ...]:
@@ -337,7 +451,7 @@ def find_images(folder: str | Path) -> dict[str, Path]:
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected images, or a session with images")
-    if not _is_session_layout(root) and is_published_layout(root):
+    if not is_session_layout(root) and is_published_layout(root):
         found = {frame.name: frame.image for frame in find_published_frames(root) if frame.image is not None}
     elif any((root / "images" / view).is_dir() for view in _VIEWS):
         views = {view: image_files(root / "images" / view) for view in _VIEWS}
@@ -354,7 +468,7 @@ def image_files(folder: Path) -> Mapping[str, Path]:
     if not folder.is_dir():
         return {}
     found: dict[str, Path] = {}
-    for path in sorted(folder.iterdir()):
+    for path in sorted(folder.iterdir(), key=lambda path: natural(path.name)):
         if path.suffix.lower() not in _IMAGE_SUFFIXES or path.name.startswith("."):
             continue
         if path.stem in found:

@@ -30,6 +30,9 @@ from typing import Final, Literal
 from msgspec import Struct
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.frames.frame import Window
+from dvrk_cmaes.frames.label import Label, parse_label
+from dvrk_cmaes.frames.picture_fit import PictureFit, parse_crop
 from dvrk_cmaes.io.toml_file import read_toml
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.paths import check_frame_name
@@ -40,19 +43,30 @@ _EXPECTED = {str: "text in quotes", dict: "a table", tuple: "a list of tables"}
 
 @dataclass(frozen=True)
 class CameraEntry:
-    """Camera files of a session: ``file`` of one camera or both eyes, or ``left`` and ``right``."""
+    """Camera files of a session: ``file`` of one camera or both eyes, or ``left`` and ``right``.
+
+    ``crop`` and ``stretch`` tell how the pictures fit them, as in `PictureFit`.
+    """
 
     file: Path | None = None
     left: Path | None = None
     right: Path | None = None
     rectified: bool = False
+    crop: Window | None = None
+    stretch: bool = False
+
+    @property
+    def fit(self) -> PictureFit:
+        """How the pictures fit the camera files."""
+        return PictureFit(self.crop, self.stretch)
 
 
 @dataclass(frozen=True)
 class ToolEntry:
     """One tool of a session: the arm that holds it, its kinematics and instrument, and its part of the files.
 
-    ``label`` is its value in the masks, or ``masks`` the folder of its own masks; ``joints`` are its readings.
+    ``label`` is its part of the masks, of which ``pick`` (u, v) px is on it, or ``masks`` the folder of its own masks;
+    ``joints`` are its readings, whose ``columns`` may be named.
     """
 
     arm: str
@@ -61,9 +75,11 @@ class ToolEntry:
     packages: dict[str, Path] = field(default_factory=dict)
     root_link: str | None = None
     tool: Path | None = None
-    label: int | None = None
+    label: Label | None = None
+    pick: tuple[float, float] | None = None
     masks: Path | None = None
     joints: Path | None = None
+    columns: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -88,6 +104,8 @@ class _Camera(Struct, forbid_unknown_fields=True, frozen=True):
     left: str | None = None
     right: str | None = None
     rectified: bool = False
+    crop: tuple[int, int, int, int] | None = None
+    stretch: bool = False
 
 
 class _Tool(Struct, forbid_unknown_fields=True, frozen=True):
@@ -97,9 +115,11 @@ class _Tool(Struct, forbid_unknown_fields=True, frozen=True):
     packages: dict[str, str] = {}
     root_link: str | None = None
     tool: str | None = None
-    label: int | None = None
+    label: int | str | tuple[int | str, ...] | None = None
+    pick: tuple[float, float] | None = None
     masks: str | None = None
     joints: str | None = None
+    columns: tuple[str, ...] = ()
 
 
 class _Document(Struct, forbid_unknown_fields=True, frozen=True):
@@ -124,7 +144,14 @@ def read_session_toml(folder: str | Path) -> SessionEntries | None:
     _check_keys(path, document)
     read = convert_document(str(path), document, _Document, _EXPECTED)
     own = read.camera
-    camera = CameraEntry(_within(root, own.file), _within(root, own.left), _within(root, own.right), own.rectified)
+    camera = CameraEntry(
+        _within(root, own.file),
+        _within(root, own.left),
+        _within(root, own.right),
+        own.rectified,
+        None if own.crop is None else parse_crop(f"{path}: camera.crop", own.crop),
+        own.stretch,
+    )
     tools = tuple(_tool(root, tool) for tool in read.tool)
     _check_tools(path, tools)
     return SessionEntries(path, camera, tools)
@@ -148,6 +175,10 @@ def _entries(table: CameraEntry | ToolEntry) -> Iterator[str]:
             yield f"{name} = {value}"
         elif isinstance(value, str | Path):
             yield f"{name} = {_quoted(value)}"
+        elif name == "label" and isinstance(value, tuple) and len(value) == 1:
+            yield f"{name} = {json.dumps(value[0])}"
+        elif isinstance(value, tuple) and value:
+            yield f"{name} = {json.dumps(value, ensure_ascii=False)}"
 
 
 def _quoted(value: str | Path) -> str:
@@ -183,9 +214,11 @@ def _tool(root: Path, read: _Tool) -> ToolEntry:
         packages={name: root / folder for name, folder in read.packages.items()},
         root_link=read.root_link,
         tool=_within(root, read.tool),
-        label=read.label,
+        label=None if read.label is None else parse_label(f"{root / SESSION_FILE}: tool.label", read.label),
+        pick=read.pick,
         masks=_within(root, read.masks),
         joints=_within(root, read.joints),
+        columns=read.columns,
     )
 
 
@@ -196,15 +229,13 @@ def _within(root: Path, name: str | None) -> Path | None:
 
 def _check_tools(path: Path, tools: tuple[ToolEntry, ...]) -> None:
     """Check that tools can be told from each other; errors as in `read_session_toml`."""
-    arms = [tool.arm for tool in tools]
-    labels = [tool.label for tool in tools if tool.label is not None]
-    for arm in arms:
-        check_frame_name(arm)
+    arms: list[object] = [tool.arm for tool in tools]
+    labels = [(tool.label, tool.pick) for tool in tools if tool.label is not None]
+    for tool in tools:
+        check_frame_name(tool.arm)
     for name, values in (("arm", arms), ("label", labels)):
         if len(set(values)) < len(values):
             raise InputError(f"{path}: tool.{name}: expected a different one for each tool, got {values}")
     for tool in tools:
-        if tool.label is not None and not 1 <= tool.label <= 255:
-            raise InputError(f"{path}: tool.label: expected a value of an 8-bit mask, 1 to 255, got {tool.label}")
         if (tool.label is None) == (tool.masks is None) and (len(tools) > 1 or tool.label is not None):
             raise InputError(f"{path}: tool {tool.arm}: expected either a label or a folder of masks for each tool")

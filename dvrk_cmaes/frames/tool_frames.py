@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, OtherTool
+from dvrk_cmaes.frames.label import Label
 from dvrk_cmaes.frames.session_folder import Session, image_files
 from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
 from dvrk_cmaes.results.result import Result
@@ -36,29 +37,30 @@ class _Masks:
     """Where the masks of another tool are: its label in the session's, or its own files by view and frame."""
 
     arm: str
-    label: int | None
+    label: Label | None
+    pick: tuple[float, float] | None
     files: Mapping[str, Mapping[str, Path]]
 
     @staticmethod
     def of(tool: ToolEntry, session: Session) -> _Masks:
         if tool.masks is None:
-            return _Masks(tool.arm, tool.label, {})
+            return _Masks(tool.arm, tool.label, tool.pick, {})
         files = {name: image_files(tool.masks / name) for name in session.view_names}
         if not any(files.values()):
             raise InputError(f"{tool.masks}: expected masks (PNG or JPEG) of {tool.arm}, got none")
-        return _Masks(tool.arm, None, files)
+        return _Masks(tool.arm, None, tool.pick, files)
 
     def of_frame(self, files: FrameFiles, view: str) -> OtherTool | None:
         """Return the tool in a view of a frame; None if it has no mask there."""
         path = self.files.get(view, {}).get(files.name) if self.files else files.mask
-        return None if path is None else OtherTool(path, self.label, self.arm)
+        return None if path is None else OtherTool(path, self.label, self.arm, pick=self.pick)
 
 
 def _of_tool(files: FrameFiles, view: str, tool: ToolEntry, others: Sequence[_Masks]) -> FrameFiles:
     """Return the files of one view of a frame for a tool, with those of its further views."""
     hiding = tuple(there for other in others if (there := other.of_frame(files, view)) is not None)
     more = {name: _of_tool(each, name, tool, others) for name, each in files.others.items()}
-    return replace(files, label=tool.label, other_tools=hiding, others=more)
+    return replace(files, label=tool.label, pick=tool.pick, other_tools=hiding, others=more)
 
 
 def with_start(files: FrameFiles, start: Result) -> FrameFiles:

@@ -72,7 +72,7 @@ def read_golden(path: str | Path) -> SessionTruth:
 
 
 def write_golden(path: str | Path, truth: SessionTruth) -> None:
-    """Write a golden.json atomically; errors as in `dvrk_cmaes.io.atomic.write_bytes`."""
+    """Write a golden.json atomically; errors as in `dvrk_cmaes.io.output.write_bytes`."""
     base = truth.camera_from_base
     write_json(
         path,

@@ -21,9 +21,12 @@ from dvrk_cmaes.io.image_header import MOST_PIXELS
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 
-Layout = Literal["mono", "side-by-side", "top-bottom"]
+Layout = Literal["mono", "side-by-side", "top-bottom", "squeezed-side-by-side", "squeezed-top-bottom"]
+"""Where the eyes are in a picture; squeezed pictures of both have the size of one, and half its resolution."""
+
 Window = tuple[int, int, int, int]
 
+_SILENT = 0  # level of the log of OpenCV
 SUFFIXES: Final = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ts", ".webm", ".wmv")
 EXPECTED: Final = "a video that OpenCV reads"
 _SAME_ASPECT = 0.02  # largest relative difference of two aspect ratios that count as one
@@ -38,8 +41,9 @@ def open_capture(path: Path, *, expected: str = EXPECTED) -> Iterator[Any]:
     InputError
         Not a video, or one of too large pictures.
     """
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    log = getattr(cv2.utils, "logging", cv2)  # from OpenCV 5 on in a module of its own
+    level = log.getLogLevel()
+    log.setLogLevel(_SILENT)
     quiet_ffmpeg()
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
@@ -51,7 +55,7 @@ def open_capture(path: Path, *, expected: str = EXPECTED) -> Iterator[Any]:
         yield capture
     finally:
         capture.release()
-        cv2.utils.logging.setLogLevel(level)
+        log.setLogLevel(level)
 
 
 class Video:
@@ -99,42 +103,95 @@ class Video:
             raise InputError(f"{self.path}: frame {number}: expected an image, got one that cannot be decoded")
         return np.asarray(pixels, np.uint8)
 
-    def window(self, camera: Camera | None, layout: Layout | None, side: Side) -> Window:
-        """Return left, top, width and height of one eye's picture, px.
+    def window(self, camera: Camera | None, layout: Layout | None, side: Side) -> EyeWindow:
+        """Return the part of the picture that is one eye's; arguments and errors as of `eye_window`."""
+        return eye_window(self.path, self.size, camera, layout, side)
 
-        ``layout`` is found from the aspect of the camera's images if it is None; without a camera it is ``mono``.
 
-        Raises
-        ------
-        InputError
-            The video's size fits the camera in no layout.
-        """
-        width, height = self.size
-        if layout is None:
-            layout = "mono" if camera is None else self._layout(camera)
-        second = side == "right"
-        if layout == "side-by-side":
-            return second * (width - width // 2), 0, width // 2, height
-        if layout == "top-bottom":
-            return 0, second * (height - height // 2), width, height // 2
-        return 0, 0, width, height
+@dataclass(frozen=True)
+class EyeWindow:
+    """The part of a picture that is one eye's: left, top, width and height, px; and how it is stretched, (u, v)."""
 
-    def _layout(self, camera: Camera) -> Layout:
-        """Find the layout in which a picture has the aspect of a camera's images."""
-        width, height = self.size
-        aspect = camera.width / camera.height
-        fitting: tuple[tuple[Layout, float], ...] = (
-            ("mono", width / height),
-            ("side-by-side", width / (2 * height)),
-            ("top-bottom", 2 * width / height),
-        )
-        for layout, own in fitting:
-            if abs(own / aspect - 1) < _SAME_ASPECT:
-                return layout
+    part: Window
+    stretch: tuple[int, int] = (1, 1)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the eye's picture, px."""
+        return self.part[2] * self.stretch[0], self.part[3] * self.stretch[1]
+
+    def of(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the eye's part of a picture (H, W, ...)."""
+        left, top, width, height = self.part
+        part = np.ascontiguousarray(picture[top : top + height, left : left + width])
+        if self.stretch == (1, 1):
+            return part
+        return np.asarray(cv2.resize(part, self.size, interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def eye_window(
+    path: Path,
+    size: tuple[int, int],
+    camera: Camera | None,
+    layout: Layout | None,
+    side: Side,
+    crop: Window | None = None,
+) -> EyeWindow:
+    """Return the part of a picture of a ``size`` (width, height), px, that is one eye's.
+
+    ``layout`` is found from the aspect of the camera's images if it is None; without a camera it is ``mono``. A
+    ``crop`` counts in its place.
+
+    Raises
+    ------
+    InputError
+        The picture's size fits the camera in no layout, or not in the one that is given.
+    """
+    width, height = size
+    if crop is not None:
+        if crop[0] + crop[2] > width or crop[1] + crop[3] > height:
+            raise InputError(
+                f"{path}: --crop: expected a part of {width} x {height} px, got {','.join(map(str, crop))}"
+            )
+        layout = "mono"
+    if layout is None:
+        layout = "mono" if camera is None else _layout(path, size, camera)
+    second = side == "right"
+    stretch = {"squeezed-side-by-side": (2, 1), "squeezed-top-bottom": (1, 2)}.get(layout, (1, 1))
+    part = (0, 0, width, height) if crop is None else crop
+    if layout.endswith("side-by-side"):
+        part = second * (width - width // 2), 0, width // 2, height
+    elif layout.endswith("top-bottom"):
+        part = 0, second * (height - height // 2), width, height // 2
+    window = EyeWindow(part, stretch)
+    if camera is not None and not _is_like(window.size[0] / window.size[1], camera):
         raise InputError(
-            f"{self.path}: expected the calibration's {camera.width} x {camera.height}, or two such pictures side by "
-            f"side or one above the other, got {width} x {height}"
+            f"{path}: --layout {layout}: expected pictures of the aspect of the calibration's {camera.width} x "
+            f"{camera.height}, got {window.size[0]} x {window.size[1]}"
         )
+    return window
+
+
+def _is_like(aspect: float, camera: Camera) -> bool:
+    """Whether an aspect is that of a camera's images."""
+    return abs(aspect * camera.height / camera.width - 1) < _SAME_ASPECT
+
+
+def _layout(path: Path, size: tuple[int, int], camera: Camera) -> Layout:
+    """Find the layout in which a picture has the aspect of a camera's images."""
+    width, height = size
+    fitting: tuple[tuple[Layout, float], ...] = (
+        ("mono", width / height),
+        ("side-by-side", width / (2 * height)),
+        ("top-bottom", 2 * width / height),
+    )
+    for layout, own in fitting:
+        if _is_like(own, camera):
+            return layout
+    raise InputError(
+        f"{path}: expected the calibration's {camera.width} x {camera.height}, or two such pictures side by side or "
+        f"one above the other, got {width} x {height} (--layout tells another arrangement, --crop a part)"
+    )
 
 
 @lru_cache(maxsize=4)
@@ -148,17 +205,16 @@ def _sent_video(path: Path, size: tuple[int, int], times: tuple[int, ...]) -> Vi
 
 @dataclass(frozen=True, eq=False)
 class VideoFrame:
-    """A frame of a video, by its number from zero; of its picture, the ``window`` (left, top, width, height), px."""
+    """A frame of a video, by its number from zero; of its picture, the ``window`` of one eye."""
 
     video: Video
     number: int
-    window: Window
+    window: EyeWindow
 
     def image(self) -> NDArray[np.uint8]:
         """Decode the frame's window, (H, W, 3) uint8 BGR."""
-        left, top, width, height = self.window
-        return np.ascontiguousarray(self.video.image(self.number)[top : top + height, left : left + width])
+        return self.window.of(self.video.image(self.number))
 
-    def within(self, window: Window) -> VideoFrame:
+    def within(self, window: EyeWindow) -> VideoFrame:
         """Return the frame with another window."""
         return replace(self, window=window)

@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from dvrk_cmaes.camera.files import is_camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import read_marker_table
 from dvrk_cmaes.frames.truth import read_golden
@@ -56,7 +57,7 @@ def inspect_json(path: Path, options: Options) -> Finding:
     document = read_json_object(path, expected="a JSON document", comments=True)
     if is_description(document):
         return inspect_kinematics(path) if is_arm(document) else inspect_tool(path)
-    if any(isinstance(value, dict) and "type_id" in value for value in document.values()):
+    if is_camera(document) or any(isinstance(value, dict) and "type_id" in value for value in document.values()):
         return inspect_camera(path, options)
     if document and all(isinstance(value, dict) and "position_m" in value for value in document.values()):
         return _markers(path)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.camera.fields import Side
+from dvrk_cmaes.joints.rows import BY_THEMSELVES, ReadAs
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Options:
     side: Side = "left"
     package_paths: Mapping[str, Path] = field(default_factory=dict)
     camera: Path | None = None
+    read_as: ReadAs = BY_THEMSELVES
 
 
 def counted(number: int, what: str) -> str:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
-from dvrk_cmaes.frames.session_folder import Session, read_session
-from dvrk_cmaes.frames.session_toml import SESSION_FILE, read_session_toml
+from dvrk_cmaes.frames.session_folder import Session, read_session_as
+from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.pictures import inspect_image
@@ -76,19 +77,23 @@ def inspect_recording(path: Path) -> Finding:
 def _session(path: Path, options: Options) -> Finding:
     """Describe a session folder; of several arms, what each of them sees and reads."""
     entries = read_session_toml(path)
-    if entries is None or len(entries.tools) < 2:
-        return _of_arm(read_session(path, camera=options.camera, rectified=options.rectified, side=options.side))
+    tools = (ToolEntry(""),) if entries is None or not entries.tools else entries.tools
+    said = CameraEntry() if entries is None or options.camera is not None else entries.camera
     findings: dict[str, Finding] = {}
-    for tool in entries.tools:
-        files = () if tool.joints is None else (tool.joints,)
-        session = read_session(
+    for tool in tools:
+        session = read_session_as(
             path,
-            camera=options.camera,
-            rectified=options.rectified,
+            camera=options.camera or said.file or said.left,
+            camera_right=said.right,
+            rectified=options.rectified or said.rectified,
             side=options.side,
-            joints=files,
+            joints=() if tool.joints is None else (tool.joints,),
+            read_as=replace(options.read_as, arm=tool.arm or None, columns=options.read_as.columns or tool.columns),
+            fit=said.fit,
             masks=tool.masks,
         )
+        if entries is None or len(tools) < 2:
+            return _of_arm(session)
         findings[tool.arm] = _of_arm(frames_of_tool(session, entries, tool.arm))
     lines = tuple(f"{arm}: {line}" for arm, finding in findings.items() for line in finding.lines)
     read = {"arms": {arm: finding.read for arm, finding in findings.items()}}

@@ -11,12 +11,14 @@ from pathlib import Path
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.inspection.finding import Finding, Options
 from dvrk_cmaes.inspection.suffixes import MESHES, RECORDINGS, VIDEOS
+from dvrk_cmaes.io.csv_file import is_number, separator_of
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.joints.joint_state import is_joint_state
 
 _EXPECTED = "a file or folder to look at"
 _KNOWN = "a camera file, joint readings, a mask, an image, a URDF, a mesh, or a JSON document of a known kind"
 _NUMPY = b"\x93NUMPY"
+MAT_FILE = b"MATLAB "
 _IMAGE_STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
 _TEXTS = (".md", ".rst", ".html", ".log")
 _START = 65536  # bytes read to recognise the format
@@ -61,10 +63,12 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
         from dvrk_cmaes.inspection.pictures import inspect_image
 
         return inspect_image(file)
+    if start.startswith(MAT_FILE):
+        return _inspect_camera(file, settings)
     if start.startswith(_NUMPY):
         from dvrk_cmaes.inspection.tables import inspect_joints, inspect_tracker_array
 
-        return inspect_tracker_array(file) if _TRACKER.fullmatch(file.stem) else inspect_joints(file)
+        return inspect_tracker_array(file) if _TRACKER.fullmatch(file.stem) else inspect_joints(file, settings)
     return _inspect_text(file, start.removeprefix(b"\xef\xbb\xbf"), settings)
 
 
@@ -88,11 +92,13 @@ def _inspect_text(path: Path, start: bytes, options: Options) -> Finding:
     if is_joint_state(text):
         from dvrk_cmaes.inspection.tables import inspect_joints
 
-        return inspect_joints(path)
+        return inspect_joints(path, options)
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    header = {name.strip() for name in lines[0].split(",")} if lines else set()
+    separator = separator_of(lines[0]) if lines else ","
+    names = [name.strip() for name in lines[0].split(separator)] if lines else []
+    header = set(names) if separator != " " or all(map(is_number, names)) else set()
     if len(header) > 1 and ":" not in lines[0]:
-        return _inspect_table(path, header)
+        return _inspect_table(path, header, options)
     return _inspect_camera(path, options)
 
 
@@ -103,7 +109,7 @@ def _inspect_camera(path: Path, options: Options) -> Finding:
     return inspect_camera(path, options)
 
 
-def _inspect_table(path: Path, header: set[str]) -> Finding:
+def _inspect_table(path: Path, header: set[str], options: Options) -> Finding:
     """Describe a table by the names of its columns."""
     from dvrk_cmaes.inspection import tables
 
@@ -115,7 +121,7 @@ def _inspect_table(path: Path, header: set[str]) -> Finding:
         return tables.inspect_image_times(path)
     if {"rx", "tx", "jaw_1"} <= header:
         return tables.inspect_published_poses(path)
-    return tables.inspect_joints(path)
+    return tables.inspect_joints(path, options)
 
 
 def _inspect_settings(path: Path) -> Finding:

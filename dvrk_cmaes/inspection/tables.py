@@ -10,7 +10,7 @@ from typing import Any
 from dvrk_cmaes.frames.keypoints import read_keypoints
 from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.published_poses import read_published_poses
-from dvrk_cmaes.inspection.finding import Finding, counted
+from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
@@ -26,9 +26,9 @@ _LABEL_RULES = {
 }
 
 
-def inspect_joints(path: Path) -> Finding:
+def inspect_joints(path: Path, options: Options) -> Finding:
     """Describe a file of joint readings of any format; InputError if it is not valid."""
-    file = read_joint_file(path)
+    file = read_joint_file(path, read_as=options.read_as)
     rows = [row.readings() for row in file.rows.values()]
     ranges = {name: _range([row[name] for row in rows if name in row]) for name in file.joints}
     lines = [

@@ -2,14 +2,14 @@
 
 Each instrument is one file of arrays and JSON values (`io.mapped_arrays`) in the folder of `io.cache_folder`. A cached
 file is used only if the same version of the package wrote it and the URDF and mesh files still have the digests
-recorded in it.
+recorded in it, and would be found where they were.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument.kinematics import Chain, Joint
+from dvrk_cmaes.instrument.locate import find_mesh
 from dvrk_cmaes.instrument.model import Instrument, JawTip, Link, Shaft
 from dvrk_cmaes.io.cache_folder import cache_folder
 from dvrk_cmaes.io.files import file_digest
 from dvrk_cmaes.io.mapped_arrays import UNUSABLE, map_arrays, write_arrays
 
-_FORMAT = 3
+_FORMAT = 4
 
 
 def cache_file(*arguments: object) -> Path | None:
@@ -37,21 +38,29 @@ def cache_file(*arguments: object) -> Path | None:
     return folder / f"{key}.arrays"
 
 
-def read_cached(path: Path) -> Instrument | None:
-    """Read a cached instrument; None if the file is missing or damaged, or its source files have changed."""
+def read_cached(path: Path, urdf: Path, packages: Mapping[str, Path]) -> Instrument | None:
+    """Read a cached instrument; None if the file is missing or damaged, or a search finds other source files now."""
     try:
         document, arrays = map_arrays(path)
         if any(file_digest(Path(name)) != digest for name, digest in document["files"].items()):
             return None
+        if any(
+            str(find_mesh(name, urdf, packages, "").absolute()) != found for name, found in document["meshes"].items()
+        ):
+            return None
         return _instrument(document, arrays)
-    except UNUSABLE:
+    except (*UNUSABLE, InputError):
         return None
 
 
-def write_cached(path: Path, instrument: Instrument, files: Iterable[Path]) -> None:
-    """Write an instrument and the digests of its source files to the cache; failure to write is ignored."""
+def write_cached(path: Path, instrument: Instrument, urdf: Path, meshes: Mapping[str, Path]) -> None:
+    """Write an instrument and the digests of its source files to the cache; failure to write is ignored.
+
+    ``meshes`` are the paths of the meshes by the names that the URDF gives them.
+    """
     document: dict[str, Any] = {
-        "files": {str(file.absolute()): file_digest(file) for file in files},
+        "files": {str(file.absolute()): file_digest(file) for file in (urdf, *meshes.values())},
+        "meshes": {name: str(found.absolute()) for name, found in meshes.items()},
         "name": instrument.name,
         "root_link": instrument.root_link,
         "links": [link.name for link in instrument.links],

@@ -2,22 +2,23 @@
 
 The transform of a revolute joint is affine in (sin q, cos q) by Rodrigues' formula,
 ``R = I + sin q K + (1 - cos q) K^2`` with ``K`` the cross-product matrix of the axis; that of a prismatic joint is
-affine in q. The constant matrices are computed once; each batch needs one sum of matrices for all joints together, and
-one matrix product for each.
+affine in q. The constant matrices are computed once; the kernel computes their sums and products.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
+from math import prod
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Motion = Literal["fixed", "revolute", "prismatic"]
+from dvrk_cmaes import _kernel
 
-_NO_CONTENT = {"content": False}  # of fields that follow from others
+Motion = Literal["fixed", "revolute", "prismatic"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,62 +69,7 @@ def _cross_matrix(axis: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-@dataclass(frozen=True, eq=False)
-class _Moving:
-    """The K joints of a chain whose transforms change: ``at`` are their indices in the chain.
-
-    Their values are ``multiplier * joints[..., driver] + offset``, (..., K), their transforms the sums of the constant
-    matrices ``terms`` (3, K, 4, 4), the second of which is multiplied by the sine of the value, or by the value itself
-    for ``sliding`` joints, and the third by the cosine.
-    """
-
-    at: tuple[int, ...]
-    driver: NDArray[np.intp]
-    multiplier: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    sliding: NDArray[np.bool_]
-    terms: NDArray[np.float64]
-
-    @staticmethod
-    def of(joints: Sequence[Joint]) -> _Moving:
-        """Select those joints that move with one of the independent joints, and compute their constant matrices."""
-        chosen = [(index, joint, joint.driver) for index, joint in enumerate(joints)]
-        moving = [(index, joint, driver) for index, joint, driver in chosen if joint.moves and driver is not None]
-        return _Moving(
-            tuple(index for index, _, _ in moving),
-            np.array([driver for _, _, driver in moving], dtype=np.intp),
-            np.array([joint.multiplier for _, joint, _ in moving]),
-            np.array([joint.offset for _, joint, _ in moving]),
-            np.array([joint.motion == "prismatic" for _, joint, _ in moving], dtype=np.bool_),
-            np.array([_constant_terms(joint) for _, joint, _ in moving]).reshape(-1, 3, 4, 4).swapaxes(0, 1),
-        )
-
-    def values(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute the values (..., K) of these joints from those of the independent ones (..., J)."""
-        return np.asarray(self.multiplier * joints.take(self.driver, axis=-1) + self.offset)
-
-    def derivatives(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute the derivatives (..., K, 4, 4) of `transforms`, each by the independent joint that moves it."""
-        value = self.values(joints)
-        _, first, second = self.terms
-        of_first = np.where(self.sliding, 1.0, np.cos(value))
-        change = of_first[..., None, None] * first - np.sin(value)[..., None, None] * second
-        return np.asarray(self.multiplier[:, None, None] * change)
-
-    def transforms(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute parent_from_child (..., K, 4, 4) of these joints from the values of the independent ones (..., J)."""
-        value = self.values(joints)
-        constant, first, second = self.terms
-        of_first, of_second = np.sin(value), np.cos(value)
-        if self.sliding.any():
-            of_first = np.where(self.sliding, value, of_first)
-        out = of_first[..., None, None] * first
-        out += constant
-        out += of_second[..., None, None] * second
-        return np.asarray(out)
-
-
-def _constant_terms(joint: Joint) -> NDArray[np.float64]:
+def _terms(joint: Joint) -> NDArray[np.float64]:
     """Compute the matrices (3, 4, 4) whose sum with weights 1, sin q (or q) and cos q is the joint's transform."""
     origin = np.asarray(joint.parent_from_joint, dtype=np.float64)
     moving, cosine, constant = np.zeros((4, 4)), np.zeros((4, 4)), np.eye(4)
@@ -137,26 +83,31 @@ def _constant_terms(joint: Joint) -> NDArray[np.float64]:
     return np.stack([origin @ constant, origin @ moving, origin @ cosine])
 
 
-def _at_rest(joint: Joint) -> NDArray[np.float64]:
-    """Compute the transform (4, 4) of a joint that no independent joint moves."""
-    constant, first, second = _constant_terms(joint)
-    value = joint.offset
-    of_first = value if joint.motion == "prismatic" else np.sin(value)
-    return np.asarray(constant + of_first * first + np.cos(value) * second)
-
-
 @dataclass(frozen=True, eq=False)
 class Chain:
     """A tree of joints below a root link, ordered so that every parent precedes its children."""
 
     joints: tuple[Joint, ...]
-    _moving: _Moving = field(init=False, repr=False, metadata=_NO_CONTENT)
-    _still: dict[int, NDArray[np.float64]] = field(init=False, repr=False, metadata=_NO_CONTENT)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_moving", _Moving.of(self.joints))
-        still = {index: _at_rest(joint) for index, joint in enumerate(self.joints) if index not in self._moving.at}
-        object.__setattr__(self, "_still", still)
+    @cached_property
+    def _kernel(self) -> _kernel.Chain:
+        """The tree as the kernel takes it."""
+        return _kernel.Chain(
+            [joint.parent for joint in self.joints],
+            [joint.driver if joint.moves and joint.driver is not None else -1 for joint in self.joints],
+            [joint.motion == "prismatic" for joint in self.joints],
+            [joint.multiplier for joint in self.joints],
+            [joint.offset for joint in self.joints],
+            np.array([_terms(joint) for joint in self.joints]).reshape(-1, 3, 4, 4),
+        )
+
+    def __getstate__(self) -> tuple[Joint, ...]:
+        """Pickle the joints."""
+        return self.joints
+
+    def __setstate__(self, joints: tuple[Joint, ...]) -> None:
+        """Take the joints."""
+        object.__setattr__(self, "joints", joints)
 
     def forward(self, joints: ArrayLike, selected: Sequence[int]) -> NDArray[np.float64]:
         """Compute the poses of selected links in the root link's frame.
@@ -174,43 +125,17 @@ class Chain:
             root_from_link of each.
         """
         values = np.asarray(joints, dtype=np.float64)
-        transforms = self._moving.transforms(values)
-        local = self._still | {index: transforms[..., k, :, :] for k, index in enumerate(self._moving.at)}
-        poses: list[NDArray[np.float64]] = []
-        for index, joint in enumerate(self.joints):
-            poses.append(local[index] if joint.parent < 0 else poses[joint.parent] @ local[index])
-        out = np.empty((*values.shape[:-1], len(selected), 4, 4))
-        for column, index in enumerate(selected):
-            out[..., column, :, :] = np.eye(4) if index < 0 else poses[index]
-        return out
+        poses, _ = self._kernel.forward(_rows(values), selected, False)
+        return poses.reshape(*values.shape[:-1], len(selected), 4, 4)
 
     def forward_with_derivatives(
         self, joints: NDArray[np.float64], selected: Sequence[int]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Compute the poses of selected links as `forward`, and their derivatives (..., J, len(selected), 4, 4)."""
-        transforms, changes = self._moving.transforms(joints), self._moving.derivatives(joints)
-        place = {index: k for k, index in enumerate(self._moving.at)}
-        count = joints.shape[-1]
-        poses: list[NDArray[np.float64]] = []
-        derivatives: list[NDArray[np.float64]] = []
-        for index, joint in enumerate(self.joints):
-            k = place.get(index)
-            local = self._still[index] if k is None else transforms[..., k, :, :]
-            above = np.eye(4) if joint.parent < 0 else poses[joint.parent]
-            by_joints = np.zeros((*joints.shape[:-1], count, 4, 4))
-            if joint.parent >= 0:
-                np.matmul(derivatives[joint.parent], local[..., None, :, :], out=by_joints)
-            if k is not None:
-                by_joints[..., self._moving.driver[k], :, :] += above @ changes[..., k, :, :]
-            poses.append(above @ local)
-            derivatives.append(by_joints)
-        out = np.empty((*joints.shape[:-1], len(selected), 4, 4))
-        slopes = np.zeros((*joints.shape[:-1], count, len(selected), 4, 4))
-        for column, index in enumerate(selected):
-            out[..., column, :, :] = np.eye(4) if index < 0 else poses[index]
-            if index >= 0:
-                slopes[..., column, :, :] = derivatives[index]
-        return out, slopes
+        poses, by_joint = self._kernel.forward(_rows(joints), selected, True)
+        assert by_joint is not None
+        before, count = joints.shape[:-1], len(selected)
+        return poses.reshape(*before, count, 4, 4), by_joint.reshape(*before, joints.shape[-1], count, 4, 4)
 
     def path(self, index: int) -> list[int]:
         """List the indices of the joints from the root link to one joint, inclusive."""
@@ -219,3 +144,8 @@ class Chain:
             path.append(index)
             index = self.joints[index].parent
         return path[::-1]
+
+
+def _rows(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return values (..., J) as rows (N, J)."""
+    return np.ascontiguousarray(values.reshape(prod(values.shape[:-1]), values.shape[-1]))

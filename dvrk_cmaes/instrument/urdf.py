@@ -19,6 +19,7 @@ from dvrk_cmaes.instrument import measure
 from dvrk_cmaes.instrument.cache import cache_file, read_cached, write_cached
 from dvrk_cmaes.instrument.joint_tree import build_joints, joints_below
 from dvrk_cmaes.instrument.kinematics import Chain
+from dvrk_cmaes.instrument.locate import find_mesh
 from dvrk_cmaes.instrument.model import Instrument, Link
 from dvrk_cmaes.instrument.urdf_xml import read_robot
 from dvrk_cmaes.instrument.visuals import link_triangles
@@ -88,7 +89,8 @@ def load_instrument(
     packages = sorted((name, str(folder)) for name, folder in package_paths.items())
     axis_values = None if axis is None else [part.tolist() for part in axis]
     cached = cache_file(path.absolute(), packages, root_link, shaft_radius, axis_values) if use_cache else None
-    if cached is not None and (instrument := read_cached(cached)) is not None:
+    folders = {name: Path(folder) for name, folder in package_paths.items()}
+    if cached is not None and (instrument := read_cached(cached, path, folders)) is not None:
         return instrument
     robot = read_robot(path)
     root = root_link if root_link is not None else DEFAULT_ROOT
@@ -101,7 +103,6 @@ def load_instrument(
     members = [root, *(joint.child for joint in tree)]
     meshes: dict[Path, Any] = {}
     visuals = {link.name: link.visuals for link in robot.links}
-    folders = {name: Path(folder) for name, folder in package_paths.items()}
     triangles = {name: link_triangles(visuals[name], name, path, folders, meshes) for name in members}
     geometry = {name: mesh for name, mesh in triangles.items() if mesh is not None}
     if not geometry:
@@ -128,7 +129,9 @@ def load_instrument(
         axis=axis,
     )
     if cached is not None:
-        write_cached(cached, instrument, (path, *meshes))
+        shapes = [visual.geometry.mesh for name in members for visual in visuals[name] if visual.geometry.mesh]
+        places = {mesh.filename: find_mesh(mesh.filename, path, folders, str(path)) for mesh in shapes}
+        write_cached(cached, instrument, path, places)
     return instrument
 
 

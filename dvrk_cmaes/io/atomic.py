@@ -1,13 +1,8 @@
-"""Write files atomically: to a temporary file beside the target, which is then renamed."""
+"""Write documents and images: each file is complete or as it was before."""
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import json
-import os
-import uuid
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,80 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-
-# errors that do not depend on the path; EFBIG: the limit on the size of files (ulimit -f)
-_MACHINE_AT_FAULT = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
-
-
-def write_bytes(path: str | Path, data: bytes) -> None:
-    """Write a file, creating the folders above it; an existing file is replaced once the new one is complete.
-
-    Raises
-    ------
-    InputError
-        The path cannot be written to.
-    DvrkCmaesError
-        The disk is full or failing.
-    """
-    target = Path(path)
-    beside = target.with_name(f".{uuid.uuid4().hex}.tmp")
-    try:
-        made = [folder for folder in (target.parent, *target.parent.parents) if not folder.exists()]
-        target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with open(beside, "xb") as file:
-                file.write(data)
-            os.replace(beside, target)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                beside.unlink()
-            for folder in made:
-                with contextlib.suppress(OSError):  # another process may have written there since
-                    folder.rmdir()
-            raise
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        raise not_written(path, error, "a file") from None
-
-
-def not_written(path: str | Path, error: OSError | ValueError, what: str) -> DvrkCmaesError:
-    """Return the error of a path that was not written: `InputError`, or `DvrkCmaesError` if the machine is at fault."""
-    if isinstance(error, ValueError):
-        return InputError(f"{str(path)!r}: not written ({error}); expected a place to write {what}")
-    kind = DvrkCmaesError if error.errno in _MACHINE_AT_FAULT else InputError
-    reason = "a file lies where a folder is wanted" if isinstance(error, FileExistsError) else error.strerror
-    return kind(f"{path}: not written ({reason}); expected a place to write {what}")
-
-
-@contextlib.contextmanager
-def places_to_write(path: str | Path, what: str) -> Iterator[None]:
-    """Raise the error of ``not_written`` for errors of the system in the block, which looks at or writes to a path."""
-    try:
-        yield
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        raise not_written(path, error, what) from None
-
-
-@contextlib.contextmanager
-def written_beside(path: Path, what: str) -> Iterator[Path]:
-    """Give a path beside a target, of the same extension, for a program that writes files itself.
-
-    Its file is renamed to the target at the end, or removed after an error. ``what`` is named in messages. Errors are
-    those of ``write_bytes``.
-    """
-    beside = path.with_name(f".{uuid.uuid4().hex}{path.suffix}")
-    try:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise not_written(path, error, what) from None
-        yield beside
-        try:
-            os.replace(beside, path)
-        except OSError as error:
-            raise not_written(path, error, what) from None
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink()
+from dvrk_cmaes.io.output import write_bytes
 
 
 def write_text(path: str | Path, text: str) -> None:

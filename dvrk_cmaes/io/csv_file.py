@@ -1,10 +1,15 @@
-"""Read and write CSV files that consist of a header and rows with as many cells."""
+"""Read and write CSV files that consist of a header and rows with as many cells.
+
+Cells are separated by commas, or else by semicolons, tabs or blanks, as the first line has them. Between semicolons,
+numbers may have decimal commas.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -16,10 +21,14 @@ from dvrk_cmaes.io.short_text import shown
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")  # what formulas begin with
 _LARGEST = 1_000_000_000  # bytes; an hour of readings at 1 kHz has half as many
 
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+
 Rows = list[tuple[str, dict[str, str]]]
 
 
-def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -> tuple[list[str], Rows]:
+def read_csv_rows(
+    path: str | Path, *, expected: str, text: str | None = None, columns: Sequence[str] = ()
+) -> tuple[list[str], Rows]:
     """Read the header and the rows of a CSV file; blank lines are skipped and cells are stripped.
 
     Parameters
@@ -30,6 +39,8 @@ def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -
         What the file should be, for messages.
     text
         The file's text, if it has been read already.
+    columns
+        Names of the columns, which count in place of those of the header; the file may then have no header.
 
     Returns
     -------
@@ -43,23 +54,53 @@ def read_csv_rows(path: str | Path, *, expected: str, text: str | None = None) -
     """
     if text is None:
         text = read_text(path, expected=expected, largest=_LARGEST)
-    reader = csv.reader(io.StringIO(text, newline=""))
+    separator = separator_of(text)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=separator == " ")
     rows: Rows = []
+    header = list(columns)
     try:
-        header = [name.strip() for name in next(reader, [])]
-        for name, times in Counter(header).items():
-            if times > 1:
-                raise InputError(f"{path}: header: expected each column once, got {shown(name)} twice")
         for cells in reader:
-            if not any(cell.strip() for cell in cells):
+            cells = [cell.strip() for cell in cells]
+            if separator == " " and cells[-1:] == [""]:  # a blank at the end of the line
+                cells = cells[:-1]
+            if separator == ";":
+                cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+            if not any(cells) and header:
+                continue
+            if not header or (reader.line_num == 1 and columns and not is_number(cells[0])):
+                header = header or cells
                 continue
             where = f"{path}: line {reader.line_num}"
             if len(cells) != len(header):
-                raise InputError(f"{where}: expected {len(header)} cells as in the header, got {len(cells)}")
-            rows.append((where, dict(zip(header, (cell.strip() for cell in cells), strict=True))))
+                said = "in the header" if not columns else "--columns says"
+                raise InputError(f"{where}: expected {len(header)} cells as {said}, got {len(cells)}")
+            rows.append((where, dict(zip(header, cells, strict=True))))
     except csv.Error as error:
         raise InputError(f"{path}: line {reader.line_num}: expected {expected}, got no valid CSV ({error})") from None
+    if not columns and len(header) > 1 and all(is_number(cell) for cell in header):
+        raise InputError(
+            f"{path}: line 1: expected a header with the names of {len(header)} columns, got numbers: name them by "
+            "--columns, such as --columns time,yaw,pitch,insertion,roll,wrist_pitch,wrist_yaw (- for one to leave out)"
+        )
+    for name, times in Counter(header).items():
+        if times > 1 and (name != "-" or not columns):
+            raise InputError(f"{path}: header: expected each column once, got {shown(name)} twice")
     return header, rows
+
+
+def separator_of(text: str) -> str:
+    """Return what separates the cells of a CSV text, by its first line: a comma, semicolon, tab or blank."""
+    first = text.lstrip("\ufeff").partition("\n")[0].strip()
+    return next((mark for mark in (";", "\t", ",", " ") if mark in first), ",")
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, NaN included."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

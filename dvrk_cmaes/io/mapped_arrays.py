@@ -1,4 +1,4 @@
-"""Files of arrays that are mapped into memory instead of read and parsed, for the cache.
+"""Files of arrays that are used as they are in the file, without parsing, for the cache.
 
 A file has a mark, the length and the checksum of what follows, a JSON header, and the arrays one after another, each at
 a multiple of 64 bytes. The header has a ``document`` of JSON values, and type, shape and place of each array.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-import mmap
+import os
 import struct
 import zlib
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.io.output import write_bytes
 
 _MARK: Final = b"DVRKARR1"
 _START: Final = struct.Struct("<8sQQQ")  # mark, length and checksum of all that follows, length of the header
@@ -45,7 +45,9 @@ def write_arrays(path: Path, document: Mapping[str, Any], arrays: Mapping[str, N
 
 
 def map_arrays(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Map a file that `write_arrays` wrote; returns its document and its arrays, which cannot be written to.
+    """Read a file that `write_arrays` wrote; returns its document and its arrays, which cannot be written to.
+
+    The arrays lie in one block of memory. A mapping of the file would end the process where the file is cut later.
 
     Raises
     ------
@@ -54,17 +56,21 @@ def map_arrays(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     ValueError
         It is damaged.
     """
-    with open(path, "rb") as file:
-        mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    if not _START.size <= len(mapped) < _LARGEST:
-        raise ValueError(f"{path}: not a file of arrays")
-    mark, length, checksum, header = _START.unpack_from(mapped)
-    following = memoryview(mapped)[_START.size :]
+    with open(path, "rb", buffering=0) as file:
+        size = os.fstat(file.fileno()).st_size
+        if not _START.size <= size < _LARGEST:
+            raise ValueError(f"{path}: not a file of arrays")
+        block = np.empty(size + _ALIGNED, np.uint8)
+        begin = -block.ctypes.data % _ALIGNED
+        whole = block[begin : begin + file.readinto(block[begin : begin + size].data)]
+    whole.flags.writeable = False
+    mark, length, checksum, header = _START.unpack_from(whole.data)
+    following = whole[_START.size :].data
     if mark != _MARK or length != len(following) or zlib.crc32(following) != checksum:
         raise ValueError(f"{path}: not a whole file of arrays")
     content = json.loads(bytes(following[:header]))
     arrays = {}
     for name, (kind, shape, at) in content["arrays"].items():
-        flat = np.frombuffer(mapped, np.dtype(kind), math.prod(shape), _START.size + header + at)
+        flat = np.frombuffer(whole, np.dtype(kind), math.prod(shape), _START.size + header + at)
         arrays[name] = flat.reshape(shape)
     return content["document"], arrays

@@ -11,7 +11,7 @@ from typing import Any, Final
 import cv2
 
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.io.atomic import written_beside
+from dvrk_cmaes.io.output import written_beside
 
 _QUIET: Final = "-8"  # FFmpeg's AV_LOG_QUIET
 

@@ -2,7 +2,8 @@
 
 Aliases are refused, since they can expand to more than memory holds.
 
-OpenCV's dialect is accepted: its first line ``%YAML:1.0`` is no valid directive of YAML, and its matrices are tagged.
+OpenCV's dialect is accepted: its first line ``%YAML:1.0``, or ``%YAML 1.0``, is no directive of today's YAML, and its
+matrices are tagged.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _MOST_ITEMS = 20_000  # PyYAML takes seconds for a megabyte of tiny items
 _MOST_DOCUMENTS = 200_000
 _LARGEST_TABLE = 20_000_000  # bytes, of a file of values by frame
 _MOST_TABLE_ITEMS = 400_000  # at most 170 MB of memory while they are parsed
-_OPENCV_HEADER = re.compile(r"\A%YAML:[^\n]*")
+_OPENCV_HEADER = re.compile(r"\A\s*%YAML[: ][^\n]*")
 
 
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, but not in every build of PyYAML

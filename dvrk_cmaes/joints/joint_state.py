@@ -14,7 +14,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import yaml_documents
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.names import check_joint, joints_by_count, without_ros_prefix
+from dvrk_cmaes.joints.names import IN_ORDER, joints_by_count, joints_of_arm, without_positions
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 
 EXPECTED = "joint readings (JointState messages as YAML)"
@@ -27,8 +27,8 @@ def is_joint_state(text: str) -> bool:
     return _POSITION.search(text) is not None
 
 
-def read_joint_state(path: str, text: str, names: Sequence[str]) -> JointFile:
-    """Read all messages of a file.
+def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None = None) -> JointFile:
+    """Read all messages of a file; those without positions, as before an arm is up, are skipped.
 
     Parameters
     ----------
@@ -38,6 +38,8 @@ def read_joint_state(path: str, text: str, names: Sequence[str]) -> JointFile:
         The file's content.
     names
         Names of the joints that are accepted.
+    arm
+        The arm whose joints are read of messages with those of several.
 
     Raises
     ------
@@ -45,35 +47,38 @@ def read_joint_state(path: str, text: str, names: Sequence[str]) -> JointFile:
         A message is not valid; the error names the file, the message, the field and what was expected.
     """
     rows: dict[str, JointRow] = {}
-    unnamed = False
+    unnamed, skipped = False, 0
     for count, message in enumerate(yaml_documents(path, text, expected=EXPECTED)):
         where = f"{path}: message {count + 1}"
-        values = message.get("position")
-        if not isinstance(values, list) or not values:
+        values, stated = message.get("position"), message.get("name") or []
+        if not isinstance(values, list):
             raise InputError(f"{where}: position: expected a list of numbers, got {shown(values)}")
-        stated = message.get("name") or []
+        if not values:
+            skipped += 1
+            continue
         unnamed |= not stated
         if stated:
-            joints = _joints(where, stated, len(values), names)
+            cells = _cells(where, stated, values, names, arm)
         else:
-            joints = joints_by_count(f"{where}: position", len(values))
-        cells = dict(zip(joints, values, strict=True))
+            cells = dict(zip(joints_by_count(f"{where}: position", len(values)), values, strict=True))
         rows[f"message {count + 1}"] = JointRow(where, cells, _stamp(where, message.get("header")))
     if not rows:
-        raise InputError(f"{path}: expected {EXPECTED}, got none")
+        raise InputError(f"{path}: expected {EXPECTED}, got {f'{skipped} without positions' if skipped else 'none'}")
     rows = _merged(rows)
-    notes = ("joints are not named: taken in the dVRK's order, by their number",) if unnamed else ()
-    return JointFile(path, "JointState messages (YAML)", rows, "message", notes)
+    notes = [IN_ORDER] if unnamed else []
+    if skipped:
+        notes.append(without_positions(skipped))
+    return JointFile(path, "JointState messages (YAML)", rows, "message", tuple(notes))
 
 
-def _joints(where: str, stated: Any, count: int, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of a message's joints without ROS prefixes, checked."""
-    if not isinstance(stated, list) or len(stated) != count or len(set(map(str, stated))) != count:
-        raise InputError(f"{where}: name: expected {count} different names, one for each position, got {shown(stated)}")
-    joints = tuple(without_ros_prefix(str(name), names) for name in stated)
-    for joint in joints:
-        check_joint(where, joint, names)
-    return joints
+def _cells(where: str, stated: Any, values: list[Any], names: Sequence[str], arm: str | None) -> dict[str, object]:
+    """Return the positions of a message by joint."""
+    if not isinstance(stated, list) or len(stated) != len(values):
+        raise InputError(
+            f"{where}: name: expected {len(values)} different names, one for each position, got {shown(stated)}"
+        )
+    places = joints_of_arm(f"{where}: name", [str(name) for name in stated], names, arm)
+    return {joint: values[place] for joint, place in places.items()}
 
 
 def _stamp(where: str, header: Any) -> int | None:

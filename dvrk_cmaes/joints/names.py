@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.arguments import check_type, checked_number
-from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.short_text import listed, shown
 
 OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
 """Joints of the arm that carries the instrument, from the base to the instrument."""
@@ -23,7 +23,14 @@ WRIST_JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
 ARM_ORDER = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
 """Order of the six values that the dVRK publishes as ``measured_js``; the jaw has a separate topic."""
 
-_PREFIX = re.compile(r"(PSM\d*_)?(outer_)?", re.IGNORECASE)
+_PREFIX = re.compile(r"(?:(PSM\d*|ECM\d*|MTM[LR]?|SUJ)(?:_|/|::?))?(?:outer_)?", re.IGNORECASE)
+
+IN_ORDER = "joints are not named: taken in the dVRK's order, by their number"
+
+
+def without_positions(count: int) -> str:
+    """Return the note on messages that have no joints, as before an arm is up."""
+    return f"{count} message{'' if count == 1 else 's'} without positions skipped"
 
 
 def accepted_names(known: Iterable[str] = ()) -> tuple[str, ...]:
@@ -38,9 +45,63 @@ def check_joint(where: str, name: str, names: Sequence[str]) -> None:
         raise InputError(f"{where}: unknown joint {shown(name)}; expected one of {near}")
 
 
-def without_ros_prefix(name: str, names: Sequence[str]) -> str:
-    """Remove the ROS prefix of a joint name: an arm's name, or ``outer_`` in older dVRK versions."""
-    return name if name in names else _PREFIX.sub("", name, count=1)
+def joints_of_arm(where: str, stated: Sequence[str], names: Sequence[str], arm: str | None = None) -> dict[str, int]:
+    """Return the places of one arm's joints among stated names, which may have ROS prefixes.
+
+    A name may begin with an arm's, such as ``PSM1_``, and with ``outer_`` of older dVRK versions. The joints of other
+    arms are left out. Names without an arm belong to every arm.
+
+    Parameters
+    ----------
+    where
+        Prefix of error messages.
+    stated
+        The names as they are written.
+    names
+        Names of the joints that are accepted.
+    arm
+        The arm that is asked for; None for the only one.
+
+    Returns
+    -------
+    dict
+        Index into ``stated`` by joint.
+
+    Raises
+    ------
+    InputError
+        There are joints of several instrument arms and none is asked for, or not of the one that is; a joint is unknown
+        or there twice.
+    """
+    split = [_split(name, names) for name in stated]
+    arms = list(dict.fromkeys(own for own, _ in split if own))
+    tools = [own for own in arms if own.startswith("PSM")] or arms
+    chosen = arm.upper() if arm is not None and arm.upper().startswith("PSM") else None
+    if chosen is None and len(tools) > 1:
+        raise InputError(
+            f"{where}: expected the joints of one arm, got those of {listed(tools)}: say which one (--only {tools[0]} "
+            f'of estimate, --arm {tools[0]} of import, or arm = "{tools[0]}" in session.toml)'
+        )
+    if chosen is not None and tools and chosen not in tools:
+        raise InputError(f"{where}: expected the joints of {chosen}, got those of {listed(tools)}")
+    found: dict[str, int] = {}
+    for place, (own, joint) in enumerate(split):
+        if own not in ("", chosen or (tools or [""])[0]):
+            continue
+        check_joint(where, joint, names)
+        if joint in found:
+            raise InputError(
+                f"{where}: {joint}: expected each joint once, got {listed([stated[found[joint]]])} and "
+                f"{listed([stated[place]])}"
+            )
+        found[joint] = place
+    return found
+
+
+def _split(name: str, names: Sequence[str]) -> tuple[str, str]:
+    """Split a ROS name into that of the arm, in capitals and empty if there is none, and that of the joint."""
+    match = None if name in names else _PREFIX.match(name)
+    return ("", name) if match is None else ((match[1] or "").upper(), name[match.end() :])
 
 
 def joints_by_count(where: str, count: int) -> tuple[str, ...]:

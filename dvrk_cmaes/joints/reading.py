@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS, accepted_names, check_joint, joint_reading
 from dvrk_cmaes.joints.npy import MAGIC, read_joint_npy
-from dvrk_cmaes.joints.rows import JointFile, JointRow
+from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, JointRow, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import time_in_name
 
@@ -35,6 +34,7 @@ __all__ = [
     "WRIST_JOINTS",
     "FrameReadings",
     "JointFile",
+    "ReadAs",
     "frame_readings",
     "is_written_out",
     "read_frame_joints",
@@ -105,7 +105,9 @@ def read_joint_table(path: str | Path, *, known: Iterable[str] = ()) -> dict[str
     return {label: row.readings() for label, row in read_joint_file(path, known=known).rows.items()}
 
 
-def read_joint_file(text_or_path: str | Path, *, known: Iterable[str] = ()) -> JointFile:
+def read_joint_file(
+    text_or_path: str | Path, *, known: Iterable[str] = (), read_as: ReadAs = BY_THEMSELVES
+) -> JointFile:
     """Read a file of readings whose format is recognised by its content, or readings given as text as one row.
 
     ``known`` and the errors are those of ``read_joints``.
@@ -123,13 +125,13 @@ def read_joint_file(text_or_path: str | Path, *, known: Iterable[str] = ()) -> J
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected {EXPECTED} in UTF-8, got other bytes at {error.start}") from None
     if not is_joint_state(text):
-        return read_joint_csv(path, text, names)
+        return read_joint_csv(path, text, names, read_as.arm, read_as.columns)
     if len(data) > _LARGEST_YAML:
         raise InputError(
             f"{path}: expected at most {_LARGEST_YAML / 1e6:g} MB of messages as YAML, got {len(data) / 1e6:.1f} MB: "
             "import a bag instead"
         )
-    return read_joint_state(path, text, names)
+    return read_joint_state(path, text, names, read_as.arm)
 
 
 def frame_readings(
@@ -186,20 +188,21 @@ def frame_readings(
 
 
 def read_frame_joints(
-    sources: Sequence[str | Path],
+    sources: Sequence[str | Path | JointFile],
     *,
     frame: str | None,
     image: str,
     time: int | None = None,
     known: Iterable[str] = (),
     lag: Lag | None = None,
+    read_as: ReadAs = BY_THEMSELVES,
 ) -> FrameReadings:
     """Read the readings of a frame that is not part of a session folder.
 
     Parameters
     ----------
     sources
-        Texts or paths as for ``read_joints``; each joint must be in one of them only.
+        Texts or paths as for ``read_joints``, or files; each joint must be in one of them only.
     frame
         The frame's name, or None; if it is given, the sources must have its row.
     image
@@ -209,6 +212,8 @@ def read_frame_joints(
         The image's time, ns; by default the time at the end of the image's name, if any.
     known
         As in ``read_joints``.
+    read_as
+        How files are read that do not tell it themselves.
     lag
         Lag of the images behind the readings: the readings are interpolated at the image's time less the lag. A note
         states it where it cannot be taken out, because the readings are those of a single moment.
@@ -218,8 +223,15 @@ def read_frame_joints(
     InputError
         As for ``frame_readings``; the frame has no row; there are no readings at its time less the lag.
     """
-    files = [read_joint_file(source, known=known) for source in sources]
     name = image if frame is None else frame
+    files = [
+        source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
+        for source in sources
+    ]
+    if read_as.offset is not None:
+        files = [
+            file if file.labels == "message" else file.by_number([name], read_as.offset, read_as.step) for file in files
+        ]
     image_time = time_in_name(image) if time is None else time
     for file in files:
         only = len(file.rows) == 1 and (frame is None or file.labels == "number")
@@ -282,8 +294,7 @@ def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[JointRow | No
     if file.labels == "frame":
         return file.rows.get(frame), ()
     if file.labels == "number":
-        digits = re.search(r"\d+$", frame)
-        label = "" if digits is None else str(int(digits[0]))
+        label = str(number_of(frame))
         if label in file.rows:
             return file.rows[label], (
                 f"frame {frame} is taken for row {label} of {Path(file.path).name}, by its number",

@@ -2,13 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.names import joint_reading
+
+_NUMBER = re.compile(r"\d+$")
+
+
+@dataclass(frozen=True)
+class ReadAs:
+    """How files of readings are read where they do not tell it themselves.
+
+    Parameters
+    ----------
+    arm
+        The arm whose joints are read of a file with those of several; None for the only one.
+    columns
+        Names of the columns of a CSV, in place of its header.
+    offset, step
+        A frame of number n has the row of number ``offset`` + ``step`` n; without an ``offset``, rows are found by
+        name.
+    """
+
+    arm: str | None = None
+    columns: tuple[str, ...] = ()
+    offset: int | None = None
+    step: int = 1
+
+
+BY_THEMSELVES = ReadAs()
+"""Of files that tell all of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +92,29 @@ class JointFile:
     labels: Literal["frame", "number", "message"]
     notes: tuple[str, ...] = ()
 
+    def by_number(self, frames: Iterable[str], offset: int, step: int) -> JointFile:
+        """Return the file with the names of frames for the rows that their numbers tell, as in `ReadAs`.
+
+        Raises
+        ------
+        InputError
+            No frame has a row.
+        """
+        rows = {number: label for label in self.rows if (number := number_of(label)) is not None}
+        named = {
+            label: frame
+            for frame in frames
+            if (number := number_of(frame)) is not None and (label := rows.get(offset + step * number)) is not None
+        }
+        if not named:
+            raise InputError(
+                f"{self.path}: --frame-offset {offset}, --frame-step {step}: expected rows of the frames, got none of "
+                f"{listed(frames)} among {listed(self.rows)}"
+            )
+        renamed = {named.get(label, f"{label} (no frame)"): row for label, row in self.rows.items()}
+        note = f"frame N has row {offset} + {step} N of {Path(self.path).name}"
+        return replace(self, rows=renamed, labels="frame", notes=(*self.notes, note))
+
     @property
     def joints(self) -> tuple[str, ...]:
         """Joints with a reading in at least one row, in order of appearance."""
@@ -78,3 +132,9 @@ class JointFile:
                 times.setdefault(name, []).append(row.time)
                 values.setdefault(name, []).append([value])
         return tuple(TimedReadings.of(self.path, (name,), times[name], values[name]) for name in times)
+
+
+def number_of(name: str) -> int | None:
+    """Return the number that a name ends in; None if it does not."""
+    match = _NUMBER.search(name)
+    return None if match is None else int(match[0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,11 +11,10 @@ from numpy.typing import NDArray
 from dvrk_cmaes.joints.gaps import usual_spacing
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, smooth_spline, straight_line
 from dvrk_cmaes.joints.lag import Lag, Unit
-from dvrk_cmaes.joints.rows import JointFile
+from dvrk_cmaes.joints.rows import JointFile, number_of
 
 Float64 = NDArray[np.float64]
 
-_NUMBER = re.compile(r"\d+$")
 _LEAST_GAP = 0.1  # s, of the gaps that are not interpolated
 
 
@@ -176,7 +174,7 @@ class ReadingSeries:
         if len(files) != 1 or not rows or len(rows) < 2:
             return None
         labels = list(rows)
-        numbers = [int(found[0]) if (found := _NUMBER.search(label)) else -1 for label in labels]
+        numbers = [-1 if (number := number_of(label)) is None else number for label in labels]
         numbered = min(numbers) >= 0 and bool((np.diff(numbers) > 0).all())
         clock = np.array(numbers if numbered else range(len(labels)), dtype=np.float64)
         series = cls._of_rows("frames", labels, clock, [rows[label].readings() for label in labels])

@@ -1,14 +1,17 @@
 """Parsing of times to whole nanoseconds, and of the times of a session's images.
 
-A column of times is in seconds. Times since 1970 in ms, us or ns are recognised by their magnitude, which a time in
-seconds reaches only in 3,000 years.
+A column of times is in seconds, or in the unit at the end of its name (``time_ms``). Times since 1970 in ms, us or ns
+are recognised by their magnitude, which a time in seconds reaches only in 3,000 years.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
+
+import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.csv_file import read_csv_rows
@@ -21,12 +24,59 @@ _LATEST = 2**62  # ns; about the year 2116
 _IN_NAME = re.compile(r".*_(\d{9,10}\.\d{6,9})")
 
 
-def parse_time(where: str, cell: object) -> int:
-    """Parse a time exactly to ns; InputError if the cell is not a time."""
+_COLUMN = re.compile(r"(time|timestamp|stamp|t)(?:_(s|sec|ms|us|ns|nsec))?", re.IGNORECASE)
+_FACTORS = {"s": NANOSECONDS, "sec": NANOSECONDS, "ms": 10**6, "us": 10**3, "ns": 1, "nsec": 1}
+_FEW = 10  # times, of which steps tell no unit
+_OF_MILLISECONDS = (5.0, 500.0)  # s; median step of times that may as well be in ms, of 2 to 200 a second
+
+
+def time_column(path: str | Path, header: Sequence[str]) -> str | None:
+    """Return the name of the column of times, such as time, timestamp or time_ms; None if there is none.
+
+    Raises
+    ------
+    InputError
+        There are several, and none is called time.
+    """
+    found = [name for name in header if _COLUMN.fullmatch(name)]
+    if len(found) > 1 and "time" not in found:
+        raise InputError(f"{path}: header: expected one column of times, or one called time, got {listed(found)}")
+    return "time" if "time" in found else next(iter(found), None)
+
+
+def parse_times(column: str, cells: Sequence[tuple[str, str]]) -> list[int | None]:
+    """Parse the times in a column to ns, None for blank cells; with each cell comes the beginning of messages.
+
+    Raises
+    ------
+    InputError
+        A cell is not a time, or the column does not state its unit and whole numbers may be in seconds or in
+        milliseconds.
+    """
+    unit = (_COLUMN.fullmatch(column) or ("", "", None))[2]
+    factor = None if unit is None else _FACTORS[unit.lower()]
+    times = [parse_time(where, cell, factor) if cell else None for where, cell in cells]
+    known = [time for time in times if time is not None]
+    if factor is None and len(known) >= _FEW and all(cell.isdecimal() for _, cell in cells if cell):
+        step = float(np.median(np.diff(known))) / NANOSECONDS
+        if _OF_MILLISECONDS[0] <= step <= _OF_MILLISECONDS[1]:
+            raise InputError(
+                f"{cells[0][0]}: {column}: expected seconds, got whole numbers of which each is {step:g} more than the "
+                f"one before: call the column {column}_ms if they are milliseconds, {column}_s if they are seconds"
+            )
+    return times
+
+
+def parse_time(where: str, cell: object, factor: int | None = None) -> int:
+    """Parse a time exactly to ns; InputError if the cell is not a time.
+
+    ``factor`` is that of its unit to ns; by default it is found by the magnitude.
+    """
     try:
         time = Decimal(str(cell).strip())
         if time.is_finite() and abs(time) < _LATEST:
-            factor = next((factor for least, factor in _UNITS if abs(time) >= least), NANOSECONDS)
+            if factor is None:
+                factor = next((factor for least, factor in _UNITS if abs(time) >= least), NANOSECONDS)
             if abs(time * factor) < _LATEST:
                 return round(time * factor)
     except ArithmeticError:  # not a number, or out of the range of Decimal
@@ -49,12 +99,14 @@ def read_image_times(path: Path) -> dict[str, int]:
         The table is not valid; the message names the file, the line and what was expected.
     """
     header, rows = read_csv_rows(path, expected="the times of images (images.csv)")
-    if not {"frame", "time"} <= set(header):
+    column = time_column(path, header)
+    if "frame" not in header or column is None:
         raise InputError(f"{path}: header: expected columns frame and time, got {listed(header)}")
     times: dict[str, int] = {}
-    for where, cells in rows:
+    parsed = parse_times(column, [(where, cells[column]) for where, cells in rows])
+    for (where, cells), time in zip(rows, parsed, strict=True):
         frame = cells["frame"]
         if not frame or frame in times:
             raise InputError(f"{where}: frame: expected each frame once, got {shown(frame)}{' again' if frame else ''}")
-        times[frame] = parse_time(where, cells["time"])
+        times[frame] = parse_time(where, cells[column]) if time is None else time
     return times

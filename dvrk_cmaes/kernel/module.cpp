@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "camera.hpp"
+#include "chain.hpp"
 #include "lines.hpp"
 #include "mesh.hpp"
 #include "moving.hpp"
@@ -154,6 +155,64 @@ Mesh make_mesh(const std::vector<std::tuple<Given<double>, Given<Index>>>& links
     mesh.add(vertices.data(), vertices.shape(0), faces.data(), faces.shape(0));
   }
   return mesh;
+}
+
+Chain make_chain(const std::vector<int>& parents, const std::vector<int>& drivers, const std::vector<bool>& sliding,
+                 const std::vector<double>& multipliers, const std::vector<double>& offsets,
+                 const Given<double>& terms) {
+  const std::size_t count = parents.size();
+  check_shape("terms", terms, {static_cast<long>(count), 3, 4, 4});
+  check_finite("terms", terms.data(), terms.size());
+  if (drivers.size() != count || sliding.size() != count || multipliers.size() != count || offsets.size() != count) {
+    throw std::invalid_argument("joints: expected as many drivers, kinds, multipliers and offsets as parents");
+  }
+  Chain chain;
+  for (std::size_t i = 0; i < count; ++i) {
+    if (parents[i] < -1 || parents[i] >= static_cast<int>(i)) {
+      throw std::invalid_argument("parents: expected every parent before its children");
+    }
+    if (drivers[i] < -1 || drivers[i] > 1000) throw std::invalid_argument("drivers: expected numbers of joints, or -1");
+    ChainJoint joint{parents[i], drivers[i], bool(sliding[i]), multipliers[i], offsets[i], {}, {}, {}};
+    const double* from = terms.data() + 48 * i;
+    std::copy(from, from + 16, joint.constant.begin());
+    std::copy(from + 16, from + 32, joint.first.begin());
+    std::copy(from + 32, from + 48, joint.second.begin());
+    chain.joints.push_back(joint);
+    chain.independent = std::max(chain.independent, drivers[i] + 1);
+  }
+  return chain;
+}
+
+using Forward = std::tuple<Made<double>, std::optional<Made<double>>>;
+
+Forward forward(const Chain& chain, const Given<double>& values, const std::vector<int>& selected, bool derivatives) {
+  check_shape("values", values, {kAny, kAny});
+  const std::size_t rows = values.shape(0), joints = values.shape(1), links = selected.size();
+  if (static_cast<int>(joints) < chain.independent) throw std::invalid_argument("values: expected one of each joint");
+  for (int link : selected) {
+    if (link < -1 || link >= static_cast<int>(chain.joints.size())) {
+      throw std::invalid_argument("selected: expected numbers of joints, or -1, got " + std::to_string(link));
+    }
+  }
+  Made<double> poses = zeros<double>({rows, links, 4, 4});
+  std::optional<Made<double>> by_joint;
+  if (derivatives) by_joint = zeros<double>({rows, joints, links, 4, 4});
+  const nb::gil_scoped_release released;
+  Chain::Poses found;
+  const Matrix identity{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+  for (std::size_t row = 0; row < rows; ++row) {
+    chain.find(values.data() + joints * row, derivatives, found);
+    for (std::size_t k = 0; k < links; ++k) {
+      const int link = selected[k];
+      const Matrix& pose = link < 0 ? identity : found.of_links[link];
+      std::copy(pose.begin(), pose.end(), poses.data() + 16 * (links * row + k));
+      for (int j = 0; derivatives && link >= 0 && j < chain.independent; ++j) {
+        const Matrix& by = found.by_joints[link * chain.independent + j];
+        std::copy(by.begin(), by.end(), by_joint->data() + 16 * ((joints * row + j) * links + k));
+      }
+    }
+  }
+  return {std::move(poses), std::move(by_joint)};
 }
 
 // Decides what is covered between crossings: called with the number of the pose, whether the lines are columns, and the
@@ -432,6 +491,20 @@ NB_MODULE(_kernel, module) {
            "width"_a, "height"_a, "fx"_a, "fy"_a, "cx"_a, "cy"_a, "model"_a, "coefficients"_a, "radius"_a,
            "Take the intrinsics, px; no coefficients of other models than equidistant are a pinhole. The model holds up "
            "to an undistorted radius.");
+
+  nb::class_<Chain>(module, "Chain", "A tree of K joints below a root link, every parent before its children.")
+      .def("__init__",
+           [](Chain* self, const std::vector<int>& parents, const std::vector<int>& drivers,
+              const std::vector<bool>& sliding, const std::vector<double>& multipliers,
+              const std::vector<double>& offsets, const Given<double>& terms) {
+             new (self) Chain(make_chain(parents, drivers, sliding, multipliers, offsets, terms));
+           },
+           "parents"_a, "drivers"_a, "sliding"_a, "multipliers"_a, "offsets"_a, "terms"_a,
+           "Take the joints; their transforms are the sums of their terms (K, 3, 4, 4) with weights 1, sin q (or q of "
+           "sliding ones) and cos q (or 1).")
+      .def("forward", &forward, "values"_a, "selected"_a, "derivatives"_a,
+           "Compute root_from_link (N, L, 4, 4) of selected joints' links, the root's for -1, from values (N, J), and "
+           "the derivatives (N, J, L, 4, 4) or None.");
 
   nb::class_<Mesh>(module, "Mesh", "The meshes of the links of an instrument, with their edges.")
       .def("__init__",

@@ -164,7 +164,8 @@ class Inputs:
     def _on_joints(self, topic: str, fields: Mapping[str, Any]) -> None:
         readings = read_joint_message(topic, fields)
         self._heard[topic] = clock.monotonic()
-        self.readings.put(readings)
+        if readings.joints:  # there are none before an arm is up
+            self.readings.put(readings)
 
     def _on_camera(self, fields: Mapping[str, Any]) -> None:
         self.cameras.put(read_camera(self.topics.camera, fields, rectified=self._rectified))

@@ -21,7 +21,7 @@ from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.typed_document import Count, Number, Texts, convert_document
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import joint_reading
-from dvrk_cmaes.recording.messages import image_pixels, joint_names, stored_image
+from dvrk_cmaes.recording.messages import image_pixels, joint_places, stored_image
 
 _STAMPS = (("sec", "nanosec"), ("secs", "nsecs"))  # of ROS 2 and ROS 1
 
@@ -113,10 +113,8 @@ def read_pixels(where: str, fields: Mapping[str, Any], *, grey: bool = False) ->
 def read_joint_message(where: str, fields: Mapping[str, Any]) -> JointMessage:
     """Read the positions of a JointState."""
     message = convert_document(where, fields, _JointState)
-    names = joint_names(message, where)
-    if len(names) != len(message.position):
-        raise InputError(f"{where}: position: expected {len(names)} numbers, got {len(message.position)}")
-    joints = {name: joint_reading(where, name, value) for name, value in zip(names, message.position, strict=True)}
+    places = joint_places(message, where)
+    joints = {name: joint_reading(where, name, message.position[place]) for name, place in places.items()}
     return JointMessage(read_stamp(where, fields).time, joints, where)
 
 

@@ -2,32 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+import os
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.frames.session_folder import is_session_layout
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.yaml_file import check_yaml
-from dvrk_cmaes.joints.interpolation import TimedReadings
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
+from dvrk_cmaes.joints.names import IN_ORDER, without_positions
+from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
-from dvrk_cmaes.recording.messages import image_file, joint_names, joint_values, stamp
+from dvrk_cmaes.recording.messages import image_file, joint_places, joint_values, stamp
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
-from dvrk_cmaes.recording.topics import TopicRequest, Topics, choose_topics
+from dvrk_cmaes.recording.topics import IMAGES, NONE, TopicRequest, Topics, choose_topics
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 _LONGEST_QOS = 100_000  # characters of a value in metadata.yaml, which may hold the QoS of many publishers
+_JUDGED = 50  # messages of images whose times tell whether a clock sets them
+_BLANK_STORAGE = re.compile(r"""^\s*storage_identifier:\s*(?:""|''|~|null)?\s*$""", re.MULTILINE)
 _LARGEST_MESSAGE, _LARGEST_IMAGE = 2**20, 400_000_000  # bytes
 
-SUFFIXES = (".bag", ".mcap", ".db3")
+SUFFIXES_2 = (".mcap", ".db3")
+SUFFIXES = (".bag", *SUFFIXES_2)
 """Suffixes of ROS recordings; a recording may also be a folder."""
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a ROS recording: a file with its suffix, or a folder with such files that is no session."""
+    if not path.is_dir():
+        return path.suffix.lower() in SUFFIXES
+    if is_session_layout(path):
+        return False
+    return (path / "metadata.yaml").exists() or any(file.suffix in SUFFIXES_2 for file in path.iterdir())
 
 
 @contextmanager
@@ -37,24 +58,28 @@ def open_bag(
     *,
     recorded_times: bool = False,
     camera: Path | None = None,
-    joints: Path | PoseTable | None = None,
+    joints: Path | PoseTable | JointFile | None = None,
     side: Side | None = None,
+    arms: Sequence[str] = (),
 ) -> Iterator[Recording]:
     """Open a ROS recording; readings and camera are read at once, images during iteration.
 
     Parameters
     ----------
     path
-        A .bag, .mcap or .db3 file, or a folder with metadata.yaml.
+        A .bag, .mcap or .db3 file, or a folder with such files of ROS 2.
     requested
         Topics given by name; the others are found automatically.
     recorded_times
         Use the times at which messages were recorded instead of those in their headers. This is also done, with a note,
-        if the headers of a topic have no times.
+        if the headers of a topic have no times, or times that do not advance.
     camera, joints
-        A camera file, and a file of time-stamped readings, to use instead of the recording's topics.
+        A camera file, and a file of time-stamped readings, to use instead of the recording's topics. A recording
+        without images needs no camera.
     side
         The eye of a stereo endoscope, which is a word in the name of its images' topic; None for one camera.
+    arms
+        The arms whose topics are read, or whose joints of topics with those of several; none for the only one.
 
     Raises
     ------
@@ -63,7 +88,7 @@ def open_bag(
     """
     with _open(path) as reader:
         with _errors_as_input_errors(path):
-            recording = _recording(reader, path, requested, recorded_times, camera, joints, side)
+            recording = _recording(reader, path, requested, recorded_times, camera, joints, side, arms)
         yield recording  # outside the inner context: errors of the caller are not damage of the recording
 
 
@@ -73,37 +98,121 @@ def _recording(
     requested: TopicRequest,
     recorded_times: bool,
     camera: Path | None,
-    joints: Path | PoseTable | None,
+    joints: Path | PoseTable | JointFile | None,
     side: Side | None,
+    arms: Sequence[str],
 ) -> Recording:
     """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""
-    types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
-    topics = choose_topics(path, types, requested, camera=camera is None, joints=joints is None, side=side)
-    used = [name for name in (topics.joints, topics.jaw) if name is not None]
-    notes = [f"images: {topics.image}"]
-    if "_rect" in topics.image:
-        notes.append(f"{topics.image}: by their name these images are rectified: then say --rectified to estimate")
-    lens, changes = _camera(reader, path, topics) if camera is None else (read_camera_bytes(camera), "")
-    notes.append(f"camera: {camera or topics.camera}{changes}")
-    without = [name for name in (topics.image, *used) if stamp(_first(reader, path, name)) == 0]
-    if without and not recorded_times:
-        notes.append(f"times: those of recording, for headers on {', '.join(without)} have none")
+    types = _types(reader)
+    has_images = requested.image is not None or any(kind in IMAGES for kind in types.values())
+    chosen = {
+        arm: choose_topics(
+            path,
+            types,
+            requested,
+            images=has_images,
+            camera=camera is None,
+            joints=joints is None,
+            side=side,
+            arm=arm or None,
+        )
+        for arm in arms or ("",)
+    }
+    topics = next(iter(chosen.values()))
+    read = {
+        arm: [_Readings.of(reader, path, name, arm or None) for name in (own.joints, own.jaw) if name is not None]
+        for arm, own in chosen.items()
+    }
+    stamps = {own.topic: own.stamps for of_arm in read.values() for own in of_arm}
+    notes: list[str] = []
+    lens = b""
+    if topics.image is None:
+        notes.append("images: none, readings only")
+    else:
+        notes.append(f"images: {topics.image}")
+        if "_rect" in topics.image:
+            notes.append(f"{topics.image}: by their name these images are rectified: then say --rectified")
+        lens, changes = _camera(reader, path, topics) if camera is None else (read_camera_bytes(camera), "")
+        notes.append(f"camera: {camera or topics.camera}{changes}")
+        stamps |= {topics.image: [stamp(m) for _, m in islice(_messages(reader, path, topics.image), _JUDGED)]}
+    faults = [f"{name} {fault}" for name, each in stamps.items() if (fault := _fault(each))]
+    if faults and not recorded_times:
+        notes.append(f"times: those of recording, for the headers on {', and on '.join(faults)}")
     else:
         notes.append(f"times: {'those of recording' if recorded_times else 'those of the headers'}")
-    by_recording = recorded_times or bool(without)
-    readings = [_readings(reader, path, name, by_recording) for name in used]
+    by_recording = recorded_times or bool(faults)
+    series = {arm: [own.series(recorded_times=by_recording) for own in of_arm] for arm, of_arm in read.items()}
     if joints is not None:
-        readings += read_timed_joints(joints)
-    notes += [f"{' '.join(series.joints)}: {series.source}" for series in readings]
-    unnamed = [name for name in used if not _first(reader, path, name).name]
-    if unnamed:
-        notes.append(f"{', '.join(unnamed)}: joints are not named: taken in the dVRK's order, by their number")
-    if topics.joints is not None and topics.jaw is None:
-        notes.append("jaw: not read")
-    total = sum(connection.msgcount for connection in reader.connections if connection.topic == topics.image)
+        series = {arm: [*own, *read_timed_joints(joints, arm or None)] for arm, own in series.items()}
+    for arm, of_arm in series.items():
+        name = f"{arm}: " if len(series) > 1 else ""
+        notes += [f"{name}{' '.join(own.joints)}: {own.source}" for own in of_arm]
+        notes += [f"{own.topic}: {note}" for own in read[arm] for note in own.notes]
+        if of_arm and not any("jaw" in own.joints for own in of_arm):
+            notes.append(f"{name}jaw: not read")
+    images = iter(()) if topics.image is None else _images(reader, path, topics.image, by_recording)
     return Recording(
-        path, _images(reader, path, topics.image, by_recording), total, lens, tuple(readings), tuple(notes)
+        path,
+        images,
+        sum(connection.msgcount for connection in reader.connections if connection.topic == topics.image),
+        lens,
+        tuple(own for of_arm in series.values() for own in of_arm),
+        tuple(notes),
+        arms={arm: tuple(own) for arm, own in series.items()} if len(series) > 1 else {},
+        has_images=has_images,
     )
+
+
+def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
+    """Read the readings of an arm in a ROS recording as a file of readings with times; errors as `open_bag`."""
+    with open_bag(path, TopicRequest(image=NONE), arms=() if arm is None else (arm,)) as recording:
+        rows = {
+            f"message {k + 1} of {series.source}": JointRow(
+                f"{path}: {series.source}: message {k + 1}",
+                dict(zip(series.joints, ("" if math.isnan(value) else value for value in row), strict=True)),
+                int(time),
+            )
+            for series in recording.readings
+            for k, (time, row) in enumerate(zip(series.times, series.values.tolist(), strict=True))
+        }
+    return JointFile(str(path), "ROS recording", rows, "message", recording.notes)
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """A topic of a ROS recording: its name and type, the number of its messages, and these by second."""
+
+    name: str
+    kind: str
+    count: int
+    rate: float
+
+
+def list_topics(path: Path) -> tuple[float, list[TopicSummary]]:
+    """Return the duration of a ROS recording, s, and its topics by name; errors as `open_bag`."""
+    with _open(path) as reader, _errors_as_input_errors(path):
+        seconds = max(reader.end_time - reader.start_time, 0) / NANOSECONDS
+        counts: Counter[tuple[str, str]] = Counter()
+        for connection in reader.connections:
+            counts[connection.topic, connection.msgtype.replace("/msg/", "/")] += connection.msgcount
+        topics = [
+            TopicSummary(name, kind, count, (count - 1) / seconds if count > 1 and seconds else 0.0)
+            for (name, kind), count in sorted(counts.items())
+        ]
+    return seconds, topics
+
+
+def _types(reader: AnyReader) -> dict[str, str]:
+    """Return the message type of each topic that has messages."""
+    return {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
+
+
+def _fault(stamps: Sequence[int]) -> str:
+    """Return what is wrong with the times in the headers of a topic; empty if they are those of a clock."""
+    if not any(stamps):
+        return "have none"
+    repeated = len(stamps) - len(set(stamps))
+    return f"do not advance ({repeated} of {len(stamps)} have an earlier one's)" if 2 * repeated >= len(stamps) else ""
 
 
 @contextmanager
@@ -119,21 +228,34 @@ def _open(path: Path) -> Iterator[AnyReader]:
             f"{path}: ROS recordings are read by the library rosbags, which is not installed; "
             "run: pip install 'rosbags>=0.11,<0.12'"
         ) from None
-    if path.is_dir() and not (path / "metadata.yaml").is_file():
-        raise InputError(
-            f"{path}: expected a ROS 2 recording, got a folder without metadata.yaml "
-            "(give its .mcap or .db3 file, or run: ros2 bag reindex)"
-        )
-    if path.is_dir():
-        check_yaml(path / "metadata.yaml", expected="metadata of a ROS 2 recording", longest=_LONGEST_QOS)
+    files = _files(path)
     with _errors_as_input_errors(path):
         # recordings of ROS 2 before Iron lack message definitions; those of sensor_msgs are unchanged since
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_HUMBLE))
         reader.open()
     try:
         yield reader
     finally:
         reader.close()
+
+
+def _files(path: Path) -> list[Path]:
+    """Return what is opened: the path, or the files of a folder without metadata that name the storage.
+
+    ``ros2 bag reindex`` of ROS 2 Humble leaves the storage's name blank.
+    """
+    if not path.is_dir():
+        return [path]
+    metadata = path / "metadata.yaml"
+    if os.path.lexists(metadata):
+        check_yaml(metadata, expected="metadata of a ROS 2 recording", longest=_LONGEST_QOS)
+        if not _BLANK_STORAGE.search(metadata.read_text(encoding="utf-8", errors="replace")):
+            return [path]
+    files = sorted(file for file in path.iterdir() if file.suffix in SUFFIXES_2)
+    if not files:
+        there = listed(sorted(os.listdir(path))) or "none"
+        raise InputError(f"{path}: expected a ROS 2 recording with a .mcap or .db3 file, got {there}")
+    return files
 
 
 @contextmanager
@@ -161,21 +283,15 @@ def _messages(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[int, 
         yield time, reader.deserialize(data, connection.msgtype)
 
 
-def _first(reader: AnyReader, path: Path, topic: str) -> Any:
-    """Return the first message of a topic; InputError if there is none."""
-    for _, message in _messages(reader, path, topic):
-        return message
-    raise InputError(f"{path}: {listed([topic])}: expected messages, got none, though the recording lists some")
-
-
 def _camera(reader: AnyReader, path: Path, topics: Topics) -> tuple[bytes, str]:
     """Return the camera file of the first CameraInfo message, and a note if later messages differ."""
     assert topics.camera is not None
+    assert topics.image is not None
     name = topics.image.strip("/").replace("/", "_")
     first: bytes | None = None
     others = 0
     for _, message in _messages(reader, path, topics.camera):
-        file = camera_file(message, name)
+        file = camera_file(message, name, f"{path}: {topics.camera}")
         others += first not in (None, file)
         first = file if first is None else first
     if first is None:
@@ -183,17 +299,43 @@ def _camera(reader: AnyReader, path: Path, topics: Topics) -> tuple[bytes, str]:
     return first, f" (the first: {others} later messages differ from it)" if others else ""
 
 
-def _readings(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -> TimedReadings:
-    """Read all readings of a topic as a time series."""
-    where = f"{path}: {topic}"
-    names: tuple[str, ...] | None = None
-    times: list[int] = []
-    rows: list[list[float]] = []
-    for time, message in _messages(reader, path, topic):
-        names = names or joint_names(message, where)
-        rows.append(joint_values(message, names, where))
-        times.append(time if recorded_times else stamp(message))
-    return TimedReadings.of(topic, names or (), times, rows)
+@dataclass(frozen=True, eq=False)
+class _Readings:
+    """All readings of a topic, with the times in their headers and those of recording, ns, and notes."""
+
+    topic: str
+    joints: tuple[str, ...]
+    values: list[list[float]]
+    stamps: list[int]
+    recorded: list[int]
+    notes: tuple[str, ...]
+
+    @staticmethod
+    def of(reader: AnyReader, path: Path, topic: str, arm: str | None) -> _Readings:
+        """Read a topic; messages without positions, as before an arm is up, are skipped."""
+        where = f"{path}: {topic}"
+        places: dict[str, int] = {}
+        values, stamps, recorded, skipped, unnamed = [], [], [], 0, False
+        for time, message in _messages(reader, path, topic):
+            places = places or joint_places(message, where, arm)
+            row = joint_values(message, places, where, arm)
+            if row is None:
+                skipped += 1
+                continue
+            unnamed |= not message.name
+            values.append(row)
+            stamps.append(stamp(message))
+            recorded.append(time)
+        if not values:
+            raise InputError(f"{where}: expected messages with positions, got {skipped} without")
+        notes = [IN_ORDER] if unnamed else []
+        if skipped:
+            notes.append(without_positions(skipped))
+        return _Readings(topic, tuple(places), values, stamps, recorded, tuple(notes))
+
+    def series(self, *, recorded_times: bool) -> TimedReadings:
+        """Return the time series."""
+        return TimedReadings.of(self.topic, self.joints, self.recorded if recorded_times else self.stamps, self.values)
 
 
 def _images(reader: AnyReader, path: Path, topic: str, recorded_times: bool) -> Iterator[RecordedImage]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.files import read_camera_file
+from dvrk_cmaes.camera.ros import read_camera_info
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.yaml_file import yaml_text
 
@@ -27,7 +28,7 @@ def with_pose(right: Mapping[str, Any], right_from_left: NDArray[np.float64]) ->
     return yaml_text({**right, "right_from_left": right_from_left.tolist()}).encode()
 
 
-def camera_file(message: Any, name: str) -> bytes:
+def camera_file(message: Any, name: str, where: str) -> bytes:
     """Convert a sensor_msgs/CameraInfo message to a YAML file in the format of ROS' camera_calibration.
 
     Parameters
@@ -36,28 +37,42 @@ def camera_file(message: Any, name: str) -> bytes:
         The message, of ROS 1 (fields K, D, R, P) or ROS 2 (fields k, d, r, p).
     name
         The camera's name.
+    where
+        The recording and the topic, for messages.
+
+    Raises
+    ------
+    InputError
+        The message is not that of a camera; names the topic and the field of the message.
     """
-    shapes = {"K": (3, 3), "R": (3, 3), "P": (3, 4)}
-    fields = {"K": "camera_matrix", "R": "rectification_matrix", "P": "projection_matrix"}
 
     def numbers(letter: str) -> list[float]:
         """Return a field's numbers by its upper-case name."""
         values = getattr(message, letter, None)
         return [float(v) for v in (getattr(message, letter.lower()) if values is None else values)]
 
-    distortion = numbers("D")
-    document: dict[str, Any] = {
-        "image_width": int(message.width),
-        "image_height": int(message.height),
-        "camera_name": name,
-        "distortion_model": str(message.distortion_model),
-        "distortion_coefficients": {"rows": 1, "cols": len(distortion), "data": distortion},
+    region = {key: int(getattr(message.roi, key)) for key in ("x_offset", "y_offset", "height", "width")}
+    fields: dict[str, Any] = {letter: numbers(letter) for letter in "KDRP"}
+    size = {"width": int(message.width), "height": int(message.height)}
+    model = str(message.distortion_model)
+    read_camera_info(where, {**size, **fields, "distortion_model": model, "roi": region}, rectified=False, side="left")
+    shapes = {"D": (1, len(fields["D"])), "K": (3, 3), "R": (3, 3), "P": (3, 4)}
+    names = {
+        "D": "distortion_coefficients",
+        "K": "camera_matrix",
+        "R": "rectification_matrix",
+        "P": "projection_matrix",
     }
-    for letter, field in fields.items():
-        rows, columns = shapes[letter]
-        document[field] = {"rows": rows, "cols": columns, "data": numbers(letter)}
-    region = message.roi
-    document["roi"] = {key: int(getattr(region, key)) for key in ("x_offset", "y_offset", "height", "width")}
-    if not any(document["roi"].values()):
-        del document["roi"]
+    document: dict[str, Any] = {
+        "image_width": size["width"],
+        "image_height": size["height"],
+        "camera_name": name,
+        "distortion_model": model,
+        **{
+            names[letter]: {"rows": rows, "cols": columns, "data": fields[letter]}
+            for letter, (rows, columns) in shapes.items()
+        },
+    }
+    if any(region.values()):
+        document["roi"] = region
     return yaml_text(document).encode()

@@ -24,6 +24,7 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading
+from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.parquet_file import read_columns
 from dvrk_cmaes.recording.reading_table import read_timed_joints
@@ -60,7 +61,7 @@ def open_lerobot(
     side: Side = "left",
     arm: str | None = None,
     camera: Path | None = None,
-    joints: Path | None = None,
+    joints: Path | JointFile | None = None,
 ) -> Iterator[Recording]:
     """Open an episode of a data set; readings are read at once, images during iteration.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -12,7 +13,7 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.image_header import MOST_PIXELS, read_header
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.names import accepted_names, joints_by_count, without_ros_prefix
+from dvrk_cmaes.joints.names import accepted_names, joints_by_count, joints_of_arm
 from dvrk_cmaes.recording.recording import ImageFile
 
 # bytes per pixel, and OpenCV's conversion to BGR or grey; ROS names Bayer patterns by the top-left 2 x 2 pixels
@@ -21,13 +22,16 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
     "rgb8": (3, cv2.COLOR_RGB2BGR),
     "mono8": (1, None),
     "8UC1": (1, None),
+    "8UC3": (3, None),
     "bgra8": (4, cv2.COLOR_BGRA2BGR),
     "rgba8": (4, cv2.COLOR_RGBA2BGR),
     "bayer_rggb8": (1, cv2.COLOR_BayerRGGB2BGR),
     "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2BGR),
     "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2BGR),
     "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2BGR),
-    "yuv422": (2, cv2.COLOR_YUV2BGR_UYVY),
+    "uyvy": (2, cv2.COLOR_YUV2BGR_UYVY),
+    "yuyv": (2, cv2.COLOR_YUV2BGR_YUY2),
+    "yuv422": (2, cv2.COLOR_YUV2BGR_UYVY),  # the names of the last two before ROS 2 Iron
     "yuv422_yuy2": (2, cv2.COLOR_YUV2BGR_YUY2),
 }
 
@@ -107,23 +111,33 @@ def _check_size(width: int, height: int, where: str) -> None:
         raise InputError(f"{where}: expected 1 to {MOST_PIXELS} pixels, got {width} x {height}")
 
 
-def joint_names(message: Any, where: str) -> tuple[str, ...]:
-    """Return the joint names of a JointState without ROS prefixes; without names, those implied by the number."""
+def joint_places(message: Any, where: str, arm: str | None = None) -> dict[str, int]:
+    """Return the places of an arm's joints in a JointState, by joint; without names, as implied by their number.
+
+    A message without positions has none, as before an arm is up. Errors as of `joints_of_arm`.
+    """
+    if not len(message.position):
+        return {}
     if not message.name:
-        return joints_by_count(f"{where}: position", len(message.position))
-    names = tuple(without_ros_prefix(str(name), accepted_names()) for name in message.name)
-    if set(names) - set(accepted_names()) or len(set(names)) < len(names):
+        return {name: place for place, name in enumerate(joints_by_count(f"{where}: position", len(message.position)))}
+    places = joints_of_arm(f"{where}: name", [str(name) for name in message.name], accepted_names(), arm)
+    if len(message.position) != len(message.name):
         raise InputError(
-            f"{where}: name: expected joints of an arm ({', '.join(accepted_names())}), got {listed(message.name, 8)}"
+            f"{where}: position: expected {len(message.name)} numbers, one for each name, got {len(message.position)}"
         )
-    return names
+    return places
 
 
-def joint_values(message: Any, names: tuple[str, ...], where: str) -> list[float]:
-    """Return the positions of a JointState, rad or m, NaN included; InputError if its joints are not ``names``."""
-    if joint_names(message, where) != names or len(message.position) != len(names):
+def joint_values(message: Any, joints: Mapping[str, int], where: str, arm: str | None = None) -> list[float] | None:
+    """Return the positions of a JointState, rad or m, NaN included, in the order of ``joints``; None without any.
+
+    InputError if its joints are other ones.
+    """
+    places = joint_places(message, where, arm)
+    if not places:
+        return None
+    if set(places) != set(joints):
         raise InputError(
-            f"{where}: expected a position of each of {', '.join(names)} in every message, "
-            f"got {len(message.position)} of {listed(message.name, 8) or 'joints without names'}"
+            f"{where}: expected a position of each of {', '.join(joints)} in every message, got {listed(places, 8)}"
         )
-    return [float(value) for value in message.position]
+    return [float(message.position[places[joint]]) for joint in joints]

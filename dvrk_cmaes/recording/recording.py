@@ -60,6 +60,12 @@ class Recording:
         Further files that are copied to the session folder: their bytes by their path in it.
     right
         The recording of the right eye, of which images and camera are used; None for one eye.
+    arms
+        The readings of each of several arms by its name, in place of ``readings``.
+    rectified
+        Whether the images are rectified.
+    has_images
+        Whether there are images; a recording of readings alone has no camera either.
     """
 
     path: Path
@@ -70,3 +76,11 @@ class Recording:
     notes: tuple[str, ...]
     kept: Mapping[str, bytes] = field(default_factory=dict)
     right: Recording | None = None
+    arms: Mapping[str, tuple[TimedReadings, ...]] = field(default_factory=dict)
+    rectified: bool = False
+    has_images: bool = True
+
+    @property
+    def by_arm(self) -> Mapping[str, tuple[TimedReadings, ...]]:
+        """The readings of each arm by its name, which is empty where there is one."""
+        return self.arms or {"": self.readings}

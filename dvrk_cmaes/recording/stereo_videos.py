@@ -16,6 +16,7 @@ from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import SUFFIXES
 from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.recording import Recording
 from dvrk_cmaes.recording.video import open_video
@@ -34,7 +35,7 @@ def open_stereo_videos(
     *,
     side: Side = "left",
     camera: Path | None = None,
-    joints: Path | PoseTable | None = None,
+    joints: Path | PoseTable | JointFile | None = None,
     start: float = 0.0,
 ) -> Iterator[Recording]:
     """Open the video of one eye; ``camera``, ``joints`` and ``start`` as in ``open_video``, by default the folder's.

@@ -6,6 +6,7 @@ A folder has the files::
     api_jp_data.yaml                                    {frame: {arm: six joints, rad and m}}
     StereoCalibrationDVRK.ini                           both cameras and the pose between them
     keypoints_left.yaml, keypoints_right.yaml           {frame: {number: [x, y] or null}}, px; may be missing
+    ../gripper_angle.yaml                               {folder: {arm: jaw of each frame, rad}}; may be missing
     bbox_left.json, bbox_right.json                     {frame: {id: [x, y, width, height]}}, px; may be missing
 
 Frame N is image N of the videos, from zero. The reader follows a description of this layout; it has not been tried with
@@ -31,6 +32,7 @@ from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.io.yaml_file import read_yaml_by_frame
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import joint_reading, joints_by_count
+from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
@@ -41,6 +43,7 @@ from dvrk_cmaes.recording.video import decoded_frame
 
 _VIDEOS: Final = "regular"
 _READINGS: Final = "api_jp_data.yaml"
+_JAW: Final = "gripper_angle.yaml"
 _CALIBRATION: Final = "StereoCalibrationDVRK.ini"
 _RATE: Final = 30  # images a second, to which the frames of the other files refer
 _RATE_TOLERANCE: Final = 0.01
@@ -58,7 +61,7 @@ def open_surgpose(
     side: Side = "left",
     arm: str | None = None,
     camera: Path | None = None,
-    joints: Path | PoseTable | None = None,
+    joints: Path | PoseTable | JointFile | None = None,
 ) -> Iterator[Recording]:
     """Open a folder; readings and labels are read at once, images during iteration.
 
@@ -83,8 +86,10 @@ def open_surgpose(
     chosen = _chosen_arm(path, rows, arm)
     if joints is None:
         readings, source = _readings(path / _READINGS, rows, chosen), f"{_READINGS}, {chosen}"
+        jaw, of_jaw = _jaw(path, chosen) if "jaw" not in readings[0].joints else ((), [])
+        readings += jaw
     else:
-        readings, source = read_timed_joints(joints), str(joints)
+        readings, source, of_jaw = read_timed_joints(joints), str(joints), []
     if camera is None:
         lens, of_camera = read_stereo_ini(path / _CALIBRATION, side)
     else:
@@ -99,7 +104,8 @@ def open_surgpose(
             f"images: {_VIDEOS}/{video.name}, taken for raw ones",
             f"camera: {camera or _CALIBRATION}",
             *(f"camera: {note}" for note in of_camera),
-            *(f"{' '.join(series.joints)}: {source}" for series in readings),
+            *(f"{' '.join(series.joints)}: {source}" for series in readings if series.joints != ("jaw",)),
+            *of_jaw,
             f"times: frame N at N/{_RATE} s",
             *of_labels,
         ]
@@ -157,6 +163,26 @@ def _readings(path: Path, rows: Mapping[int, Any], arm: str) -> tuple[TimedReadi
     if not times:
         raise InputError(f"{path}: {arm}: expected the joints of at least one frame, got none")
     return (TimedReadings.of(f"{path.name} ({arm})", names, times, values),)
+
+
+def _jaw(path: Path, arm: str) -> tuple[tuple[TimedReadings, ...], list[str]]:
+    """Return the readings of an arm's jaw in the file beside the folders, where there are some, and notes on them."""
+    file = next((place / _JAW for place in (path, path.resolve().parent) if (place / _JAW).exists()), None)
+    if file is None:
+        return (), [f"jaw: not read, for there is no {_JAW} in the folder or beside it"]
+    document = read_yaml_by_frame(file, expected="jaw angles by folder and arm (YAML)")
+    folders = {str(key): value for key, value in document.items()} if isinstance(document, Mapping) else {}
+    own = folders.get(path.resolve().name, folders if arm in folders else None)
+    found = own.get(arm) if isinstance(own, Mapping) else None
+    if found is None:
+        return (), [f"jaw: not read, for {file.name} has none of {arm} in {path.resolve().name}"]
+    if not isinstance(found, list | Mapping) or not found:
+        raise InputError(f"{file}: {path.resolve().name}: {arm}: expected the jaw of each frame, got {shown(found)}")
+    by_frame = _by_frame(file, found)
+    values = [[joint_reading(f"{file}: {arm}: frame {n}", "jaw", cell)] for n, cell in by_frame.items()]
+    times = [_time(number) for number in by_frame]
+    series = TimedReadings.of(f"{file.name} ({arm})", ("jaw",), times, values)
+    return (series,), [f"jaw: {file.name}, {arm}"]
 
 
 def _labels(path: Path, side: Side, arm: str) -> tuple[dict[str, bytes], list[str]]:

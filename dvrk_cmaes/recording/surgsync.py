@@ -28,6 +28,7 @@ from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
+from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
 from dvrk_cmaes.recording.pose_table import PoseTable
@@ -59,7 +60,7 @@ def open_surgsync(
     side: Side = "left",
     arm: str | None = None,
     camera: Path | None = None,
-    joints: Path | PoseTable | None = None,
+    joints: Path | PoseTable | JointFile | None = None,
 ) -> Iterator[Recording]:
     """Open a clip; times and readings are read at once, images during iteration.
 

@@ -28,6 +28,7 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.names import joint_reading, joints_by_count
+from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.parquet_file import field_names, read_columns
 from dvrk_cmaes.recording.pose_table import PoseTable
@@ -60,7 +61,7 @@ def open_packed(
     side: Side = "left",
     arm: str | None = None,
     camera: Path | None = None,
-    joints: Path | PoseTable | None = None,
+    joints: Path | PoseTable | JointFile | None = None,
 ) -> Iterator[Recording]:
     """Open an episode; times and readings are read at once, images during iteration.
 

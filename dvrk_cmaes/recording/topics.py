@@ -16,6 +16,7 @@ from dvrk_cmaes.io.short_text import listed
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+IMAGES = (IMAGE, COMPRESSED_IMAGE)
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
@@ -27,7 +28,7 @@ _MOST_LISTED = 20
 
 @dataclass(frozen=True)
 class TopicRequest:
-    """Topics given by name; None to find the topic automatically, ``none`` (joints and jaw only) to use none.
+    """Topics given by name; None to find the topic automatically, ``none`` to use none.
 
     ``option`` is that by which the images' topic is chosen, for messages.
     """
@@ -46,9 +47,9 @@ class TopicRequest:
 
 @dataclass(frozen=True)
 class Topics:
-    """Topics to read; None for a camera, joints or jaw that are not read from the recording."""
+    """Topics to read; None for images, a camera, joints or a jaw that are not read from the recording."""
 
-    image: str
+    image: str | None
     camera: str | None
     joints: str | None
     jaw: str | None
@@ -59,9 +60,11 @@ def choose_topics(
     types: Mapping[str, str],
     requested: TopicRequest,
     *,
+    images: bool = True,
     camera: bool = True,
     joints: bool = True,
     side: Side | None = None,
+    arm: str | None = None,
 ) -> Topics:
     """Choose the topics to read among those of a recording that have messages.
 
@@ -73,36 +76,49 @@ def choose_topics(
         Message type of each topic, as named in ROS 2.
     requested
         The topics given by name.
-    camera, joints
+    images, camera, joints
         Whether they are read from the recording.
     side
         The eye of a stereo endoscope whose name is in that of its images; None for one camera.
+    arm
+        The arm, whose name is a part of those of its topics, or which is one of a topic with the joints of several.
 
     Raises
     ------
     InputError
         A topic is missing or of another type, or none or several are suitable; the message lists the candidates.
     """
-    kinds = (IMAGE, COMPRESSED_IMAGE)
-    eye = None if side is None else [name for name, kind in types.items() if kind in kinds and side in _words(name)]
-    what = "images" if side is None else f"images of the {side} eye"
-    image = _one(path, types, requested.image, requested.option, kinds, what, eye)
-    info = None
-    if camera:
+    image = info = None
+    if images and requested.image != NONE:
+        eye = (
+            None if side is None else [name for name, kind in types.items() if kind in IMAGES and side in _words(name)]
+        )
+        what = "images" if side is None else f"images of the {side} eye"
+        image = _one(path, types, requested.image, requested.option, IMAGES, what, eye)
+    if camera and image is not None:
         camera_info = _camera_info_of(image)
         requested_camera = requested.camera or (camera_info if types.get(camera_info) == CAMERA_INFO else None)
         info = _one(path, types, requested_camera, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
     if not joints or requested.joints == NONE:
         return Topics(image, info, None, None)
+    return Topics(image, info, *_joint_topics(path, types, requested, arm))
+
+
+def _joint_topics(
+    path: Path, types: Mapping[str, str], requested: TopicRequest, arm: str | None
+) -> tuple[str, str | None]:
+    """Choose the topics of an arm's joints and its jaw, None for a jaw that is not read; errors as `choose_topics`."""
     states = [name for name, kind in types.items() if kind == JOINT_STATE]
     arms = [name for name in states if _ends(name, "measured_js", "state_joint_current") and not _is_jaw(name)]
-    arm = _one(path, types, requested.joints, "--joints-topic", (JOINT_STATE,), f"the arm's joints (or {NONE})", arms)
-    if requested.jaw == NONE:
-        return Topics(image, info, arm, None)
-    jaws = [name for name in states if name in _jaws_of(arm)]
-    if requested.jaw is None and not jaws:
-        return Topics(image, info, arm, None)
-    return Topics(image, info, arm, _one(path, types, requested.jaw, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws))
+    if arm is not None and len(arms) > 1:
+        arms = [name for name in arms if arm.lower() in name.lower().split("/")]
+    together = [name for name in states if _ends(name, "joint_states")]
+    what = f"the arm's joints (--arm, or {NONE})"
+    found = _one(path, types, requested.joints, "--joints-topic", (JOINT_STATE,), what, arms or together)
+    jaws = [name for name in states if name in _jaws_of(found)]
+    if requested.jaw == NONE or (requested.jaw is None and not jaws):
+        return found, None
+    return found, _one(path, types, requested.jaw, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws)
 
 
 def _one(

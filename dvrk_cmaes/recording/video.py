@@ -1,31 +1,63 @@
-"""Reader of videos with OpenCV, with camera and readings from separate files."""
+"""Reader of videos with OpenCV, and of folders of pictures, with camera and readings from separate files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from dvrk_cmaes.camera.files import Side, read_camera_file
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.video_frames import open_capture
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.frames.session_folder import image_files
+from dvrk_cmaes.frames.video_frames import EyeWindow, Layout, Window, eye_window, open_capture
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes
+from dvrk_cmaes.recording.fields import looks_interlaced, of_fields
 from dvrk_cmaes.recording.messages import encode_png
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
+_JUDGED = 30  # frames of which some show combs if the video is interlaced
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """What the pictures of a video are: of one eye or both, of both fields or whole.
+
+    ``layout``, ``side`` and ``crop`` are as in `eye_window`. ``first_field`` is the one that comes first in
+    interlaced pictures.
+    """
+
+    layout: Layout | None = None
+    side: Side = "left"
+    first_field: Literal["top", "bottom"] | None = None
+    crop: Window | None = None
+
+    def window(self, path: Path, camera: Path, size: tuple[int, int]) -> EyeWindow:
+        """Return the part of pictures of a size that is the eye's; InputError if that does not fit the camera file."""
+        lens = read_camera_file(camera, side=self.side, size=size).camera
+        return eye_window(path, size, lens, self.layout, self.side, self.crop)
 
 
 @contextmanager
 def open_video(
-    path: Path, *, camera: Path | None, joints: Path | PoseTable | None, start: float = 0.0
+    path: Path,
+    *,
+    camera: Path | None,
+    joints: Path | PoseTable | JointFile | None,
+    start: float = 0.0,
+    pictures: Pictures = Pictures(),
 ) -> Iterator[Recording]:
     """Open a video; images are decoded during iteration.
 
@@ -37,11 +69,13 @@ def open_video(
         Camera file, and file of time-stamped readings; both are required.
     start
         Time of the video's first frame in the time of the readings, s.
+    pictures
+        What its pictures are. Of interlaced ones, each field is an image of its own time.
 
     Raises
     ------
     InputError
-        A file is missing or not valid, or the video cannot be read.
+        A file is missing or not valid, the video cannot be read, or its pictures do not fit the camera file.
     """
     check_file(path, expected=_EXPECTED)
     if camera is None or joints is None:
@@ -50,29 +84,102 @@ def open_video(
     lens, readings = read_camera_bytes(camera), read_timed_joints(joints)
     with open_capture(path, expected=_EXPECTED) as capture:
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        notes = (
+        size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        window = pictures.window(path, camera, size)
+        notes = [
             f"camera: {camera}",
             *(f"{' '.join(series.joints)}: {joints}" for series in readings),
             f"times: the video's, its first frame at {start:g} s of the readings' clock",
-        )
+        ]
+        if window.part != (0, 0, *size):
+            notes.append(
+                f"images: {window.part[2]} x {window.part[3]} px at {window.part[0]}, {window.part[1]} of the video"
+            )
+        if pictures.first_field is not None:
+            notes.append(f"images: the fields of interlaced frames, {pictures.first_field} first")
         images = _images(path, capture, round(start * NANOSECONDS))
-        yield Recording(path, images, total if total > 0 else None, lens, readings, notes)
+        rate = float(capture.get(cv2.CAP_PROP_FPS)) or 30.0
+        decoded = _of_eye(images, window, pictures.first_field, round(NANOSECONDS / rate / 2))
+        recorded = (
+            RecordedImage(number, time, lambda pixels=pixels: encode_png(pixels()))  # type: ignore[misc]
+            for number, (time, pixels) in enumerate(decoded)
+        )
+        if pictures.first_field is None and _is_interlaced(path):
+            notes.append("images: they look interlaced: --interlaced top or bottom makes an image of each field")
+        doubled = 1 if pictures.first_field is None else 2
+        yield Recording(path, recorded, doubled * total if total > 0 else None, lens, readings, tuple(notes))
 
 
-def _images(path: Path, capture: Any, start: int) -> Iterator[RecordedImage]:
-    """Yield the frames of a video, each with its presentation time plus ``start``, ns."""
+@contextmanager
+def open_pictures(
+    path: Path, *, camera: Path | None, joints: Path | PoseTable | JointFile | None, pictures: Pictures
+) -> Iterator[Recording]:
+    """Open a folder of pictures, in the order of their names, one each second; arguments and errors as `open_video`.
+
+    The readings may be missing.
+    """
+    files = image_files(path)
+    if not files:
+        raise InputError(f"{path}: expected pictures (PNG or JPEG), or a recording, got none")
+    if camera is None:
+        raise InputError(f"{path}: --camera: a folder of pictures needs a camera file; got none")
+    first = read_image(next(iter(files.values())))
+    window = pictures.window(path, camera, (first.shape[1], first.shape[0]))
+    readings = () if joints is None else read_timed_joints(joints)
+    notes = (f"images: {len(files)} pictures, {window.part[2]} x {window.part[3]} px each", f"camera: {camera}")
+    recorded = (
+        RecordedImage(number, number * NANOSECONDS, lambda file=file: encode_png(window.of(read_image(file))))  # type: ignore[misc]
+        for number, file in enumerate(files.values())
+    )
+    yield Recording(path, recorded, len(files), read_camera_bytes(camera), readings, notes)
+
+
+def _images(path: Path, capture: Any, start: int) -> Iterator[tuple[int, Callable[[], NDArray[np.uint8]]]]:
+    """Yield the presentation times of a video's frames plus ``start``, ns, with a function that decodes the frame."""
     number, before = 0, -1
     while capture.grab():
         time = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         if time <= before:
             raise InputError(f"{path}: frame {number}: expected a later time than {before / NANOSECONDS:g} s, got none")
-        yield RecordedImage(number, start + time, lambda number=number: decoded_frame(path, capture, number))  # type: ignore[misc]
+        yield start + time, lambda number=number: decoded_pixels(path, capture, number)  # type: ignore[misc]
         number, before = number + 1, time
 
 
-def decoded_frame(path: Path, capture: Any, number: int) -> ImageFile:
-    """Decode the frame last grabbed from a capture and encode it as PNG; InputError if it cannot be decoded."""
+def _of_eye(
+    images: Iterator[tuple[int, Callable[[], NDArray[np.uint8]]]],
+    window: EyeWindow,
+    first_field: Literal["top", "bottom"] | None,
+    half: int,
+) -> Iterator[tuple[int, Callable[[], NDArray[np.uint8]]]]:
+    """Yield times and pictures of one eye; of interlaced frames, each field at its own time, ``half`` ns apart."""
+    for time, pixels in images:
+        if first_field is None:
+            yield time, lambda pixels=pixels: window.of(pixels())  # type: ignore[misc]
+            continue
+        for k, field in enumerate(of_fields(pixels(), first_field)):
+            yield time + k * half, lambda field=field: window.of(field)  # type: ignore[misc]
+
+
+def _is_interlaced(path: Path) -> bool:
+    """Whether some of the first frames of a video show combs."""
+    with open_capture(path) as capture:
+        for _ in range(_JUDGED):
+            decoded, pixels = capture.read()
+            if not decoded:
+                break
+            if looks_interlaced(np.asarray(pixels, np.uint8)):
+                return True
+    return False
+
+
+def decoded_pixels(path: Path, capture: Any, number: int) -> NDArray[np.uint8]:
+    """Decode the frame last grabbed from a capture, (H, W, 3) BGR; InputError if it cannot be decoded."""
     decoded, pixels = capture.retrieve()
     if not decoded:
         raise InputError(f"{path}: frame {number}: expected an image, got one that cannot be decoded")
-    return encode_png(np.asarray(pixels, np.uint8))
+    return np.asarray(pixels, np.uint8)
+
+
+def decoded_frame(path: Path, capture: Any, number: int) -> ImageFile:
+    """Decode the frame last grabbed from a capture and encode it as PNG; errors as `decoded_pixels`."""
+    return encode_png(decoded_pixels(path, capture, number))

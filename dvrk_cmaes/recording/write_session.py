@@ -20,11 +20,13 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
-from dvrk_cmaes.io.atomic import write_bytes, write_text
-from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.output import whole_folder, write_bytes
+from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
@@ -76,7 +78,8 @@ class ImportSummary:
     """Summary of a written session.
 
     ``images`` is the number of images read from the recording, ``frames`` that of images written, ``size`` their width
-    and height, px. ``lag_s`` is the lag of the images that was taken out of the readings.
+    and height, px. ``lag_s`` is the lag of the images that was taken out of the readings. ``warnings`` are on times
+    that are not those of a clock.
     """
 
     session: Path
@@ -87,6 +90,7 @@ class ImportSummary:
     readings: tuple[InterpolationSummary, ...]
     notes: tuple[str, ...]
     lag_s: float = 0.0
+    warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -99,6 +103,7 @@ class ImportSummary:
             "lag_s": self.lag_s,
             "readings": [{**vars(source), "joints": list(source.joints)} for source in self.readings],
             "notes": list(self.notes),
+            "warnings": list(self.warnings),
         }
 
 
@@ -139,30 +144,86 @@ def write_session(
     """
     names: list[str] = []
     times: list[int] = []
-    with whole_folder(out, command="import", sign="camera.yaml", overwrite=overwrite, source=recording.path) as folder:
+    if not recording.has_images:
+        return _write_readings(recording, out, tolerance, overwrite=overwrite)
+    with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         counter = _ImageCounter(recording.images)
         pairing = None if recording.right is None else Pairing(recording.right.images)
         size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times, pairing)
         read_at = times if lag is None else _earlier(times, lag)
-        tables, columns, summaries = _interpolate(recording, read_at, round(tolerance * NANOSECONDS))
-        time_cells = [f"{Decimal(time).scaleb(-9):f}" for time in times]
+        warnings = _check_times(recording.path, names, times)
+        time_cells = [_seconds_text(time) for time in times]
         cameras = _write_cameras(folder, recording)
         for name, data in recording.kept.items():
             write_bytes(folder / name, data)
-        arm = _arm_of(recording.readings)
-        tools = [] if arm is None else [ToolEntry(arm)]
-        write_text(folder / SESSION_FILE, session_toml(cameras, tools))
         write_text(folder / "images.csv", csv_text(("frame", "time"), zip(names, time_cells, strict=True)))
-        rows = ((name, time_cell, *table) for name, time_cell, table in zip(names, time_cells, tables, strict=True))
-        write_text(folder / "joints.csv", csv_text(("frame", "time", *columns), rows))
-        read_session(folder)  # raises InputError if the written folder is not a valid session
+        tools: list[ToolEntry] = []
+        summaries: list[InterpolationSummary] = []
+        for number, (name, readings) in enumerate(recording.by_arm.items()):
+            file = f"joints_{name}.csv" if name else "joints.csv"
+            tables, columns, of_arm = _interpolate(recording.path, readings, read_at, round(tolerance * NANOSECONDS))
+            rows = ((frame, cell, *row) for frame, cell, row in zip(names, time_cells, tables, strict=True))
+            write_text(folder / file, csv_text(("frame", "time", *columns), rows))
+            summaries += of_arm
+            arm = name or _arm_of(readings)
+            if arm is not None:
+                tools.append(ToolEntry(arm, label=(number + 1,), joints=Path(file)) if name else ToolEntry(arm))
+            # raises InputError if the folder is not a valid session
+            session = read_session(folder, joints=[folder / file])
+        try:
+            match_size(session.camera, size[::-1], "image")
+        except InputError as error:
+            warnings = (*warnings, f"the images do not fit the camera: {error}")
+        write_text(folder / SESSION_FILE, session_toml(cameras, tools))
     seconds = 0.0 if lag is None else lag.in_unit("s")
     drift = f", drifting by {lag.drift:+.3g} s a second" if lag is not None and lag.drift else ""
     notes = (*recording.notes, f"readings of {seconds:g} s before each image{drift}") if seconds else recording.notes
     if pairing is not None:
         apart = f"images at most {1e3 * pairing.farthest / NANOSECONDS:.1f} ms after or before those of the left"
         notes = (*notes, f"right eye: {len(names) - pairing.without} of {len(names)} frames, {apart}")
-    return ImportSummary(out, counter.number, len(names), size, tolerance, summaries, notes, seconds)
+    return ImportSummary(out, counter.number, len(names), size, tolerance, tuple(summaries), notes, seconds, warnings)
+
+
+def _write_readings(recording: Recording, out: Path, tolerance: float, *, overwrite: bool) -> ImportSummary:
+    """Write the readings of a recording without images, as joints.csv with the times of the arm's own."""
+    summaries: list[InterpolationSummary] = []
+    with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
+        for name, readings in recording.by_arm.items():
+            times = [] if not readings else readings[0].times.tolist()
+            if not times:
+                raise InputError(f"{recording.path}: expected images or readings, got neither")
+            tables, columns, of_arm = _interpolate(recording.path, readings, times, round(tolerance * NANOSECONDS))
+            rows = ((_seconds_text(time), *row) for time, row in zip(times, tables, strict=True))
+            write_text(folder / (f"joints_{name}.csv" if name else "joints.csv"), csv_text(("time", *columns), rows))
+            summaries += of_arm
+    return ImportSummary(out, 0, 0, (0, 0), tolerance, tuple(summaries), recording.notes)
+
+
+def _seconds_text(time: int) -> str:
+    """Return a time, ns, as the text of seconds."""
+    return f"{Decimal(time).scaleb(-9):f}"
+
+
+def _check_times(path: Path, names: Sequence[str], times: Sequence[int]) -> tuple[str, ...]:
+    """Return warnings about images whose times are not later than those before; InputError if they are half of all."""
+    steps = np.diff(np.array(times, dtype=np.int64))
+    same, back = np.flatnonzero(steps == 0), np.flatnonzero(steps < 0)
+    if len(steps) and 2 * len(same) >= len(steps):
+        raise InputError(
+            f"{path}: expected times of the images that advance, got {len(same)} of {len(times)} with the time of the "
+            "one before: --recorded-times uses those of recording"
+        )
+    warnings = []
+    if len(same):
+        which = listed(names[int(k) + 1] for k in same)
+        warnings.append(f"{len(same)} images have the time of the one before ({which}): they count as one moment")
+    if len(back):
+        by = -int(steps[back[0]]) / NANOSECONDS
+        warnings.append(
+            f"time goes back by {by:.3f} s at frame {names[int(back[0]) + 1]} (a clock that was set?), as in "
+            f"{len(back)} places: track will refuse it; --recorded-times uses the times of recording"
+        )
+    return tuple(warnings)
 
 
 def _earlier(times: Sequence[int], lag: Lag) -> list[int]:
@@ -200,10 +261,13 @@ def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:
     """Write the camera files, and return them as entries of session.toml."""
     if recording.right is None:
         write_bytes(folder / "camera.yaml", recording.camera)
-        return CameraEntry(file=Path("camera.yaml"))
+        return CameraEntry(file=Path("camera.yaml"), rectified=recording.rectified)
+    if recording.camera == recording.right.camera:  # a file of both eyes
+        write_bytes(folder / "camera.yaml", recording.camera)
+        return CameraEntry(file=Path("camera.yaml"), rectified=recording.rectified)
     write_bytes(folder / "left.yaml", recording.camera)
     write_bytes(folder / "right.yaml", recording.right.camera)
-    return CameraEntry(left=Path("left.yaml"), right=Path("right.yaml"))
+    return CameraEntry(left=Path("left.yaml"), right=Path("right.yaml"), rectified=recording.rectified)
 
 
 def _write_images(
@@ -256,17 +320,17 @@ class _Sized:
 
 
 def _interpolate(
-    recording: Recording, times: Sequence[int], tolerance: int
+    path: Path, readings: Sequence[TimedReadings], times: Sequence[int], tolerance: int
 ) -> tuple[list[list[str]], tuple[str, ...], tuple[InterpolationSummary, ...]]:
     """Interpolate all readings; return the cells of each frame, the column names and a summary for each source."""
     columns: list[str] = []
     parts: list[list[list[str]]] = []
     summaries = []
-    for source in recording.readings:
+    for source in readings:
         repeated = [name for name in source.joints if name in columns]
         if repeated:
             raise InputError(
-                f"{recording.path}: {source.source}: {', '.join(repeated)}: expected joints that were not read before "
+                f"{path}: {source.source}: {', '.join(repeated)}: expected joints that were not read before "
                 "(leave a topic out by --jaw-topic none)"
             )
         columns += source.joints
@@ -274,7 +338,7 @@ def _interpolate(
         if summary.frames == 0:
             away = math.nan if summary.nearest_s is None else summary.nearest_s
             raise InputError(
-                f"{recording.path}: {source.source}: expected readings within {tolerance / NANOSECONDS:g} s before and "
+                f"{path}: {source.source}: expected readings within {tolerance / NANOSECONDS:g} s before and "
                 f"after an image, got none; the nearest is {away:.6g} s away (another clock? a larger --tolerance?)"
             )
         parts.append(cells)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.draw.arms_overlay import arm_colours
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import Thumbnail, encoded_thumbnail
 from dvrk_cmaes.results.folder import ResultsFolder
@@ -54,7 +54,7 @@ class FramePicture:
 
 
 def write_arms_page(out: Path, folders: Mapping[str, ResultsFolder]) -> Path:
-    """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.atomic.write_bytes`."""
+    """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
     names = sorted({name for folder in folders.values() for name in folder.frames})
     pictures = [picture for name in spread(names) if (picture := _picture(out, name, folders)) is not None]
     return _write_page(out, [_row(arm, folder) for arm, folder in folders.items()], len(names), pictures)

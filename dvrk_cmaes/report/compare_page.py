@@ -9,7 +9,7 @@ from typing import Final
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.comparison import QUANTITIES, Comparison, count_statuses, median_of
-from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import Thumbnail, thumbnail
 from dvrk_cmaes.report.plots.axes import name_axis, value_axis
@@ -30,7 +30,7 @@ class FramePictures:
 
 
 def write_compare_page(out: Path, comparison: Comparison) -> Path:
-    """Write OUT/compare.html and return its path; errors as in `dvrk_cmaes.io.atomic.write_bytes`."""
+    """Write OUT/compare.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
     page = render_template(
         "compare.html",
         comparison=comparison,

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
-from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.page_calibration import calibration_of, calibration_view, left_out_views
 from dvrk_cmaes.report.page_frames import (
     STATUSES,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.io.atomic import write_bytes
+from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.page_session import KeyFigure, counted_reasons
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
@@ -58,7 +58,7 @@ class FollowedRecording:
 
 
 def write_track_page(out: Path, recording: FollowedRecording) -> Path:
-    """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.atomic.write_bytes`."""
+    """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
     path = out / PAGE
     write_bytes(path, render_track_page(recording).encode("utf-8", errors="replace"))
     return path

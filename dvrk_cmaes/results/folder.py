@@ -9,6 +9,7 @@ from typing import Any
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.natural_order import in_order
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.followed import read_followed
@@ -62,7 +63,7 @@ def read_results(folder: str | Path, *, summary: bool = True) -> ResultsFolder:
         raise InputError(f"{folder}: no such folder; expected results, with frames/FRAME.json")
     if is_followed(root):
         session = _document(root / SESSION, "a session calibration (session.json)")
-        return ResultsFolder(root, dict(sorted(read_followed(root).items())), None, session)
+        return ResultsFolder(root, in_order(read_followed(root)), None, session)
     try:
         paths = result_paths(root)
     except OSError as error:
@@ -122,7 +123,7 @@ def _by_name(paths: list[Path]) -> dict[str, Result]:
         if result.frame in results:
             raise InputError(f"{path}: frame: expected a name of its own, got {shown(result.frame)}, as another file")
         results[result.frame] = result
-    return dict(sorted(results.items()))
+    return in_order(results)
 
 
 def _document(path: Path, expected: str) -> dict[str, Any] | None:

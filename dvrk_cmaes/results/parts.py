@@ -12,6 +12,8 @@ from dvrk_cmaes.io.typed_document import Number, Point, SquareOfThree, Transform
 
 Relation = Literal["mirror twin", "other mode"]
 
+_FARTHEST_MM = 100.0  # of an expected error of the tips: longer than a wrist with its jaws, by far
+
 
 @dataclass(frozen=True, eq=False)
 class Alternative(Document):
@@ -95,6 +97,11 @@ class ExpectedError(Document):
 
     @property
     def in_words(self) -> str:
-        """The distance within which the tips lie, for people: ``tips within 0.62 mm (90 %)``."""
+        """The distance within which the tips lie, for people: ``tips within 0.62 mm (90 %)``.
+
+        Where that is farther than any tip can be from a wrist, the mask tells nothing of the tips.
+        """
+        if self.tip_90_mm > _FARTHEST_MM:
+            return "tips not told: the mask shows no wrist"
         digits = 2 if self.tip_90_mm < 1 else 1
         return f"{'tips' if len(self.tip_mm) > 1 else 'tip'} within {self.tip_90_mm:.{digits}f} mm (90 %)"

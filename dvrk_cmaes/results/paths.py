@@ -100,7 +100,7 @@ def write_frame(
     Returns
     -------
     paths
-        Of the result, the overlay and the masks, if there are any. Errors as in ``dvrk_cmaes.io.atomic.write_bytes``.
+        Of the result, the overlay and the masks, if there are any. Errors as in ``dvrk_cmaes.io.output.write_bytes``.
     """
     paths = [result_path(out, result.frame), overlay_path(out, result.frame)]
     for view, mask in (found_masks or {}).items():

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.arms_overlay import ArmDrawing, draw_arms, drawings
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.images import match_size, read_image, read_mask
-from dvrk_cmaes.io.atomic import encoded_image, write_bytes
+from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of
+from dvrk_cmaes.frames.images import match_size
+from dvrk_cmaes.io.atomic import encoded_image
+from dvrk_cmaes.io.natural_order import natural
+from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.arms_page import write_arms_page
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import overlay_path, result_path
@@ -24,13 +26,13 @@ def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> Path:
     """Write OUT/overlays/FRAME.jpg with the tools of all arms, and OUT/report.html; returns the path of the page.
 
     The results of each arm are in OUT/ARM. Overlays that are newer than the results are kept. Errors as in
-    `read_results` and `dvrk_cmaes.io.atomic.write_bytes`.
+    `read_results` and `dvrk_cmaes.io.output.write_bytes`.
     """
     folders = {name: read_results(out / name) for name in arms}
     results = {name: folder.frames for name, folder in folders.items()}
     bodies = {name: arm.body for name, arm in arms.items()}
     frames = {name: {files.name: files for files in arm.session.frames} for name, arm in arms.items()}
-    for frame in sorted({frame for of_arm in results.values() for frame in of_arm}):
+    for frame in sorted({frame for of_arm in results.values() for frame in of_arm}, key=natural):
         overlay = overlay_path(out, frame)
         if not _is_newer(overlay, [result_path(folder.folder, frame) for folder in folders.values()]):
             shown = drawings(results, bodies, frame)
@@ -72,7 +74,7 @@ def _drawn(shown: Sequence[ArmDrawing], seen: Sequence[tuple[FrameFiles, Camera]
 def _image(files: FrameFiles) -> NDArray[np.uint8] | None:
     """Read the image of a frame; None if it has none that can be read."""
     try:
-        return None if files.image is None else read_image(files.image)
+        return image_of(files)
     except InputError:
         return None
 
@@ -84,7 +86,7 @@ def _all_masks(frames: list[FrameFiles]) -> NDArray[np.bool_] | None:
         try:
             if files.mask is None:
                 continue
-            mask = read_mask(files.mask, label=files.label, pick=files.pick, blank=True)
+            mask = mask_of(files, files.mask, blank=True)
         except InputError:
             continue
         union = mask if union is None or union.shape != mask.shape else union | mask

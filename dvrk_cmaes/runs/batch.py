@@ -6,7 +6,7 @@ import functools
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.io.output import Output, base, output
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
@@ -30,7 +31,9 @@ from dvrk_cmaes.runs.base_agreement import compare_bases
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
 from dvrk_cmaes.runs.manifest import (
+    FrameParts,
     Manifest,
+    any_difference,
     check_same_frames,
     check_same_settings,
     manifest_of,
@@ -39,17 +42,16 @@ from dvrk_cmaes.runs.manifest import (
     write_manifest,
 )
 from dvrk_cmaes.runs.output import (
+    COMMAND,
     POSES,
+    TABLES,
     complete_results,
     has_results,
-    locked,
-    refuse_occupied_places,
     refuse_strange_results,
     remove_results,
-    remove_temporary_files,
+    results_of,
     write_outcome,
 )
-from dvrk_cmaes.runs.ownership import check_owned, record_masks
 from dvrk_cmaes.runs.processes import Processes, WorkerDied, run_in_processes, usable_cores
 from dvrk_cmaes.runs.summary import RunTiming, summarize
 from dvrk_cmaes.runs.worker import (
@@ -181,17 +183,16 @@ def run_batch(
     frames = chosen if shard is None else shard.part(chosen)
     check_names(folder, chosen)
     home = Path(os.path.abspath(session.folder))
-    check_owned(folder, "batch", replaces=not resume)
     masks = with_backgrounds(segment or SegmentSettings(), session.frames, session.rig.names)
     setup = BatchSetup(instrument, session.rig, settings, arm, home, masks, calibration)
     started = time.monotonic()
-    with locked(folder):
-        refuse_occupied_places(folder)
+    with base(out), output(folder, COMMAND, replaces=not resume) as own:
         if not resume:
-            remove_results(folder)
-        remove_temporary_files(folder)
+            own.refuse((*TABLES, *results_of([files.name for files in frames], session.rig.names)))
+            remove_results(folder, own)
         todo, kept = _prepare(
             folder,
+            own,
             None if shard is None else out,
             setup,
             frames,
@@ -208,7 +209,6 @@ def run_batch(
         seconds = time.monotonic() - started
         timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
         finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
-        record_masks(folder, "batch")
     document, interrupted = finished.summary or {}, stop.is_set() and ran < len(todo)
     counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)
@@ -264,6 +264,7 @@ def _manifest(folder: Path) -> Manifest:
 
 def _prepare(
     folder: Path,
+    own: Output,
     merged: Path | None,
     setup: BatchSetup,
     frames: Sequence[FrameFiles],
@@ -279,6 +280,7 @@ def _prepare(
     """
     if merged is None and shards_folder(folder).is_dir():
         raise InputError(f"{folder}: it has shards that are not merged; run dvrk-cmaes batch --merge {folder} first")
+    own.refuse(TABLES)
     digests = dict.fromkeys(others) | {files.name: frame_digests(files) for files in frames}
     manifest = manifest_of(setup, digests)
     kept: dict[str, Status] = {}
@@ -286,16 +288,38 @@ def _prepare(
         old = read_manifest(place)
         if old is None:
             continue
-        check_same_settings(place, old, manifest)
-        there = {name: s for name, s in complete_results(place).items() if not (retry_failed and s == "failed")}
+        found = complete_results(place)
+        if not _only_failures(place, found):  # these need not be of the same settings: they are replaced then
+            check_same_settings(place, old, manifest)
+        elif any_difference(old, manifest):
+            old, found = manifest, {}
+        again = {name for name, status in found.items() if status == "failed" and _is_changed(name, old, digests)}
+        there = {
+            name: status
+            for name, status in found.items()
+            if name not in again and not (retry_failed and status == "failed")
+        }
         check_same_frames(place, old, digests, done=there, session=session)
         if place == folder:
             refuse_strange_results(folder, others, session)
         kept |= there
         if place == folder:
             manifest = with_frames(old, digests)
+    todo = [files for files in frames if files.name not in kept]
+    own.refuse(results_of([files.name for files in todo], setup.rig.names))
     write_manifest(folder, manifest)
-    return [files for files in frames if files.name not in kept], [kept[f.name] for f in frames if f.name in kept]
+    return todo, [kept[files.name] for files in frames if files.name in kept]
+
+
+def _only_failures(place: Path, found: Mapping[str, Status]) -> bool:
+    """Whether all results in a folder, of which there are some, are failures."""
+    return bool(found) and {*found.values()} == {"failed"} and len(found) == len([*place.glob("frames/*.json")])
+
+
+def _is_changed(name: str, old: Manifest, digests: FrameParts) -> bool:
+    """Whether the files of a frame are others now."""
+    now = digests.get(name)
+    return now is not None and old["frames"].get(name) != now
 
 
 def outcomes(

@@ -19,9 +19,10 @@ from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.io.output import check_output_folder
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.runs.batch import BatchSummary
-from dvrk_cmaes.runs.ownership import check_owned
+from dvrk_cmaes.runs.output import COMMAND
 
 LAG: Final = "lag"
 """Folder, below that of the results, of the results from which the lag is found."""
@@ -63,7 +64,7 @@ def find_batch_lag(
     DvrkCmaesError
         As `run_batch`, or the batch was interrupted.
     """
-    check_owned(out, "batch")
+    check_output_folder(out, COMMAND)
     index = np.unique(np.linspace(0, len(session.frames) - 1, min(_FRAMES, len(session.frames))).round().astype(int))
     some = replace(session, frames=tuple(session.frames[i] for i in index))
     done = run(some, out / LAG)

@@ -30,9 +30,8 @@ from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.atomic import encoded_image, write_bytes, write_json
-from dvrk_cmaes.io.atomic_folder import replaced_folder
-from dvrk_cmaes.io.written_files import read_written
+from dvrk_cmaes.io.atomic import encoded_image, write_json
+from dvrk_cmaes.io.output import Output, changed_files, whole_folder, write_bytes
 from dvrk_cmaes.results.folder import ALONE, SESSION
 from dvrk_cmaes.results.paths import (
     check_output,
@@ -49,7 +48,6 @@ from dvrk_cmaes.runs.calibration_pictures import DrawTask, Pictures, draw_task
 from dvrk_cmaes.runs.digests import frame_digests, instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
-from dvrk_cmaes.runs.ownership import record_masks
 from dvrk_cmaes.runs.processes import Processes
 from dvrk_cmaes.runs.worker import BatchSetup, hints_of
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
@@ -73,14 +71,16 @@ def calibrate_folder(
     processes: Processes | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
     others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
+    opened: Output | None = None,
 ) -> SolvedSession:
     """Calibrate a session folder from its frames' own results, and write everything to a folder.
 
     ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
     are taken from there; with ``segment``, how they were found there, they are found again around the silhouettes that
     the session expects. ``processes`` are those of `instrument_processes` or `worker_processes`, to use instead of
-    new ones, up to ``workers``. ``others`` is as in `calibrate_with_evidence`. All files are written to a folder
-    beside, which takes the place of an earlier one when it is whole.
+    new ones, up to ``workers``; ``opened`` is the folder, if it is open already; ``others`` is as in
+    `calibrate_with_evidence`. All files are written to a folder beside, which takes the place of an earlier one when
+    it is whole.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def calibrate_folder(
             for name, left_out in solved.leave_one_out.items()
         ]
         pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
-        with replaced_folder(out, kept=(ALONE,)) as beside:
+        with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,), opened_before=opened) as beside:
             for path in masks.rglob("*.png"):
                 write_bytes(beside / path.relative_to(masks), path.read_bytes())
             _write(solved, pictures, session, instrument, beside, arm, config, alone)
@@ -152,8 +152,7 @@ def _finders(session: Session, alone: Path | None, segment: SegmentSettings | No
     """Return what finds masks again, by frame: of frames without masks, whose found ones were not corrected by hand."""
     if alone is None or segment is None or segment.model != "classic":
         return {}
-    record = read_written(alone)
-    changed = set() if record is None else {name for name in record.files if record.is_changed(alone, name)}
+    changed = changed_files(alone)
     out: dict[str, FindMasks] = {}
     for files in session.frames:
         found = [path.relative_to(alone).as_posix() for path in found_masks(alone, files.name)]
@@ -206,7 +205,6 @@ def _write(
     digests = {files.name: frame_digests(files) for files in session.frames if files.name in solved.results}
     write_manifest(out, manifest_of(setup, digests) | {"solved": "together"})
     finish(out)
-    record_masks(out, "calibrate")
 
 
 def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:

@@ -21,6 +21,8 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.tool_frames import with_start
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.natural_order import natural
+from dvrk_cmaes.io.output import output
 from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Place, Result
@@ -35,7 +37,7 @@ from dvrk_cmaes.runs.batch import (
 )
 from dvrk_cmaes.runs.executor import ExternalExecutor
 from dvrk_cmaes.runs.frame import as_calibrated
-from dvrk_cmaes.runs.output import locked, write_outcome
+from dvrk_cmaes.runs.output import COMMAND, write_outcome
 from dvrk_cmaes.runs.summary import RunTiming
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -60,7 +62,7 @@ def solve_crossing(
     pages are written anew where a frame was solved again. Errors as `run_batch`.
     """
     stop, progress = stop or threading.Event(), progress or BatchProgress()
-    names = sorted({name for batch in batches.values() for name in batch.results})
+    names = sorted({name for batch in batches.values() for name in batch.results}, key=natural)
     places = {name: _places_in_frame(name, batches) for name in names}
     asked = {
         arm: [
@@ -134,7 +136,7 @@ def _by_itself(result: Result) -> Result:
 def _with_places(batch: BatchSummary, asked: Sequence[Result]) -> BatchSummary:
     """Write where the others are to the results of a batch that are not solved again."""
     results = dict(batch.results)
-    with locked(batch.folder):
+    with output(batch.folder, COMMAND):
         for result in asked:
             if "behind" not in result.other_tools.values():
                 results[result.frame] = replace(results[result.frame], other_tools=result.other_tools)
@@ -159,7 +161,7 @@ def _solved_again(
     first = {start.frame: start for start in starts}
     todo = [with_start(batch.frames[name], start) for name, start in first.items()]
     progress.on_start(len(todo), [])
-    with locked(batch.folder):
+    with output(batch.folder, COMMAND):
         for outcome in outcomes(batch.setup, todo, workers, executor, time_limit, stop):
             if outcome.status == "failed":
                 start = first[outcome.frame]

@@ -20,6 +20,7 @@ from dvrk_cmaes.estimation import better_of, estimate_views
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.io.output import LONG, output
 from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.paths import check_output, write_frame
 from dvrk_cmaes.results.result import Result
@@ -69,10 +70,11 @@ def run_frame(
     session: SessionCalibration | None = None,
     settings: SegmentSettings | None = None,
     hints: Hints | None = None,
+    command: str = "estimate",
 ) -> FrameRun:
     """Estimate the pose in a frame that was read, and write its result and overlay to the folder ``out`` if given.
 
-    Arguments as in `solve_frame`.
+    Arguments as in `solve_frame`; ``command`` is that which writes.
 
     Raises
     ------
@@ -85,7 +87,8 @@ def run_frame(
     if out is None:
         return FrameRun(solved.result, ())
     overlay = draw_views(solved.result, solved.data.views, body)
-    return FrameRun(solved.result, write_frame(out, solved.result, overlay, solved.found_masks))
+    with output(out, command, owns=False, wait=LONG):
+        return FrameRun(solved.result, write_frame(out, solved.result, overlay, solved.found_masks))
 
 
 def solve_frame(

@@ -36,5 +36,4 @@ def earlier_calibration(out: Path, instrument: Instrument, arm: Arm) -> SessionC
 
 def save_calibration(out: Path, found: SessionCalibration) -> None:
     """Write a calibration in the place of the earlier one; errors as of `write_json`."""
-    out.mkdir(parents=True, exist_ok=True)
     write_json(out / SESSION, found.to_dict())

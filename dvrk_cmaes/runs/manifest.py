@@ -20,6 +20,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.typed_document import PositiveNumber, convert_document
 from dvrk_cmaes.results.folder import MANIFEST
@@ -134,6 +135,11 @@ def check_same_settings(out: Path, old: Manifest, new: Manifest) -> None:
         )
 
 
+def any_difference(old: Manifest, new: Manifest) -> bool:
+    """Return whether the settings of two manifests differ."""
+    return dict(_leaves(old)) != dict(_leaves(new))
+
+
 def check_same_session(out: Path, session: Session) -> None:
     """Raise InputError if the results in a folder are those of another session.
 
@@ -193,7 +199,7 @@ def with_frames(manifest: Manifest, more: FrameParts) -> Manifest:
 
 def _sorted(frames: FrameParts) -> FrameParts:
     """Sort frames by name."""
-    return {name: frames[name] for name in sorted(frames)}
+    return {name: frames[name] for name in sorted(frames, key=natural)}
 
 
 def _leaves(tree: Mapping[str, Any], table: str = "") -> Iterator[tuple[str, Any]]:

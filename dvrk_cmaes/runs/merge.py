@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.atomic import not_written
+from dvrk_cmaes.io.handles import not_written
+from dvrk_cmaes.io.natural_order import natural
+from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import MANIFEST, read_results
-from dvrk_cmaes.results.paths import found_masks, layers_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import found_masks, layers_path, overlay_path
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.manifest import check_same_settings, read_manifest, with_frames, write_manifest
-from dvrk_cmaes.runs.output import (
-    has_results,
-    locked,
-    refuse_foreign_results,
-    refuse_occupied_places,
-    remove_temporary_files,
-)
+from dvrk_cmaes.runs.output import COMMAND, TABLES, has_results
 from dvrk_cmaes.runs.worklist import shard_of, shards_folder
 
 
@@ -45,24 +39,23 @@ def merge_shards(out: str | Path) -> dict[str, Any]:
     folders = sorted(path for path in shards_folder(out).glob("*") if shard_of(path) and (path / MANIFEST).exists())
     if not folders and not (out / MANIFEST).exists():
         raise InputError(f"{out}: expected results of dvrk-cmaes batch --shard, got none")
-    with ExitStack() as locks:
-        for folder in (out, *folders):
-            locks.enter_context(locked(folder))
-        refuse_occupied_places(out)
-        refuse_foreign_results(out)
+    with ExitStack() as opened:
+        own = opened.enter_context(output(out, COMMAND))
+        shards = {folder: opened.enter_context(output(folder, COMMAND)) for folder in folders}
+        own.refuse(TABLES)
         if folders and has_results(out):
             read_results(out, summary=False)  # a damaged one is refused before anything is written
-        remove_temporary_files(out)
         _merge_manifests(out, folders)
         try:
-            for folder in folders:
-                _move_results(folder, out)
-                shutil.rmtree(folder)
+            for folder, shard in shards.items():
+                _move_results(folder, shard, own)
+                shard.clear(last=MANIFEST)
         except OSError as error:
             raise not_written(out, error, "results") from None
         summary = finish(out).summary or {}
-    with suppress(OSError):  # not empty, because a shard was started in the meantime; or not there
-        shards_folder(out).rmdir()
+    for folder in (*folders, shards_folder(out)):
+        with suppress(OSError):  # not empty, because a shard was started in the meantime; or not there
+            folder.rmdir()
     return summary
 
 
@@ -79,19 +72,14 @@ def _merge_manifests(out: Path, folders: Sequence[Path]) -> None:
         write_manifest(out, merged)
 
 
-def _move_results(folder: Path, out: Path) -> None:
-    """Move the complete results of a folder, each after its other files."""
-    for path in sorted((folder / "frames").glob("*.json")):
+def _move_results(folder: Path, shard: Output, own: Output) -> None:
+    """Move the complete results of a shard's folder, each after its other files."""
+    for path in sorted((folder / "frames").glob("*.json"), key=lambda path: natural(path.name)):
         try:
             frame = read_result(path).frame
         except InputError:  # damaged, therefore treated as missing
             continue
-        for source, target in (
-            *((path, out / path.relative_to(folder)) for path in found_masks(folder, frame)),
-            (overlay_path(folder, frame), overlay_path(out, frame)),
-            (layers_path(folder, frame), layers_path(out, frame)),
-            (path, result_path(out, frame)),
-        ):
-            target.parent.mkdir(parents=True, exist_ok=True)
+        others = (*found_masks(folder, frame), overlay_path(folder, frame), layers_path(folder, frame))
+        for source in (*others, path):
             if source.is_file():
-                os.replace(source, target)
+                own.move_from(shard, source.relative_to(folder).as_posix())

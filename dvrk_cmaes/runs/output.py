@@ -1,127 +1,58 @@
-"""The output folder of a batch: its lock, removal of temporary files and results, complete results, and writing."""
+"""The output folder of a batch: removal of its results, complete results, and writing."""
 
 from __future__ import annotations
 
-import re
-import shutil
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Final
 
-from filelock import FileLock, Timeout
-
 from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.io.atomic import not_written, write_bytes
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.natural_order import natural
+from dvrk_cmaes.io.output import Output, output, remove, write_bytes
 from dvrk_cmaes.io.short_text import shown
-from dvrk_cmaes.io.written_files import RECORD
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import MANIFEST, SESSION, SUMMARY
-from dvrk_cmaes.results.paths import found_masks, layers_path, mask_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import layers_path, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
-from dvrk_cmaes.runs.manifest import read_manifest
 from dvrk_cmaes.runs.worker import FrameOutcome
 from dvrk_cmaes.runs.worklist import shards_folder
 
-LOCK: Final = ".lock"
+COMMAND: Final = "batch"
 POSES: Final = "poses.csv"
 PAGE: Final = "report.html"
-_FOLDERS: Final = ("frames", "overlays", "layers", "masks")
-_SUFFIXES: Final = (".json", ".jpg", ".png")
-_TEMPORARY: Final = re.compile(r"\.[0-9a-f]{32}\.tmp")  # names of the temporary files of io.atomic
+TABLES: Final = (MANIFEST, POSES, SUMMARY, PAGE)
+"""Files of all frames together."""
 
 
-@contextmanager
-def locked(out: Path) -> Iterator[None]:
-    """Return a context manager that locks a folder against other batches; the folder is made if it does not exist.
-
-    The operating system releases the lock when the process ends, even if it is killed. If the run is refused, with an
-    `InputError`, the lock's file and the folders that were made for it are removed again.
-
-    Raises
-    ------
-    DvrkCmaesError
-        Another batch has locked the folder, or the disk is full.
-    InputError
-        The folder cannot be made or written to.
-    """
-    lock = FileLock(out / LOCK)
-    made = [folder for folder in (out, *out.parents) if not folder.exists()]
-    there = (out / LOCK).exists()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise DvrkCmaesError(f"{out}: another batch is writing there; wait for it, or choose another --out") from None
-    except OSError as error:
-        raise not_written(out, error, "results") from None
-    try:
-        yield
-    except InputError:
-        if not there:
-            (out / LOCK).unlink(missing_ok=True)
-        for folder in made:
-            with suppress(OSError):  # not empty, or removed already
-                folder.rmdir()
-        raise
-    finally:
-        lock.release()
+def results_of(frames: Iterable[str], views: Iterable[str]) -> list[str]:
+    """Return the paths, in the folder, of all files that frames with views of some names may have."""
+    here, names = Path(), list(views)
+    return [
+        path.as_posix()
+        for frame in frames
+        for path in (
+            result_path(here, frame),
+            overlay_path(here, frame),
+            layers_path(here, frame),
+            *(mask_path(here, frame, view) for view in (names if len(names) > 1 else ("",))),
+        )
+    ]
 
 
-def remove_temporary_files(out: Path) -> None:
-    """Remove the temporary files of a batch that was killed while writing."""
-    for folder in (out, *(out / name for name in _FOLDERS)):
-        for path in folder.iterdir() if folder.is_dir() else ():
-            if _TEMPORARY.fullmatch(path.name):
-                with suppress(OSError):
-                    path.unlink()
-
-
-def remove_results(out: Path) -> None:
-    """Remove all files that batches have written to a folder, the manifest last.
-
-    Raises
-    ------
-    InputError
-        The folder's results are not those of a batch.
-    """
-    refuse_foreign_results(out)
-    with suppress(InputError):  # a damaged manifest does not tell which masks a batch has written
-        for frame, parts in (read_manifest(out) or {"frames": {}})["frames"].items():
-            if parts and "mask" not in parts:
-                for path in found_masks(out, frame):
-                    path.unlink()
-    for name in _FOLDERS:
-        for path in (out / name).glob("*") if (out / name).is_dir() else ():
-            if path.suffix in (".json", ".jpg"):
-                path.unlink()
-    if shards_folder(out).is_dir():
-        shutil.rmtree(shards_folder(out))
-    for name in (POSES, SUMMARY, SESSION, PAGE, RECORD, MANIFEST):
-        (out / name).unlink(missing_ok=True)
+def remove_results(out: Path, own: Output) -> None:
+    """Remove what batches have written to a folder, and to those of its shards; other files stay."""
+    for folder in sorted(shards_folder(out).glob("*")):
+        with output(folder, COMMAND, replaces=True) as shard:
+            shard.clear(last=MANIFEST)
+        own.remove_empty(folder.relative_to(out).as_posix())
+    own.remove_empty(shards_folder(Path()).name)
+    own.clear(last=MANIFEST)
 
 
 def has_results(out: Path) -> bool:
     """Whether a folder has results of frames."""
     return any((out / "frames").glob("*.json"))
-
-
-def refuse_occupied_places(out: Path) -> None:
-    """Raise `InputError` if a folder lies in the place of a file of a batch, or a file in that of a folder."""
-    for name in _FOLDERS:
-        if (out / name).exists() and not (out / name).is_dir():
-            raise InputError(f"{out / name}: expected a folder to write to, but a file is there")
-    inner = (path for name in _FOLDERS for path in (out / name).glob("*") if path.suffix in _SUFFIXES)
-    for path in (*(out / name for name in (MANIFEST, POSES, SUMMARY, PAGE)), *inner):
-        if path.is_dir():
-            raise InputError(f"{path}: expected a file, or none yet, but a folder is there")
-
-
-def refuse_foreign_results(out: Path) -> None:
-    """Raise `InputError` if a folder has results that are not those of a batch."""
-    if not (out / MANIFEST).exists() and has_results(out):
-        raise InputError(f"{out}: it has results, but not of a batch (no {MANIFEST}); choose another --out")
 
 
 def refuse_strange_results(out: Path, chosen: Collection[str], session: Collection[str]) -> None:
@@ -133,7 +64,7 @@ def refuse_strange_results(out: Path, chosen: Collection[str], session: Collecti
         A result is not of one of the session's frames, or it is damaged and not among the chosen frames, which are
         estimated again; or the folder has a calibration that is damaged.
     """
-    for path in sorted((out / "frames").glob("*.json")):
+    for path in sorted((out / "frames").glob("*.json"), key=lambda path: natural(path.name)):
         if path.stem not in session:
             raise InputError(f"{path}: expected a result of a frame of the session, which has no {shown(path.stem)}")
         if path.stem not in chosen:
@@ -145,7 +76,7 @@ def refuse_strange_results(out: Path, chosen: Collection[str], session: Collecti
 def complete_results(out: Path) -> dict[str, Status]:
     """Return the status of each frame that has a valid result and, unless it failed, an overlay."""
     found: dict[str, Status] = {}
-    for path in sorted((out / "frames").glob("*.json")):
+    for path in sorted((out / "frames").glob("*.json"), key=lambda path: natural(path.name)):
         try:
             result = read_result(path)
         except InputError:
@@ -168,5 +99,5 @@ def write_outcome(out: Path, outcome: FrameOutcome) -> None:
         if data is not None:
             write_bytes(path, data)
         else:
-            path.unlink(missing_ok=True)
+            remove(path)
     write_bytes(result_path(out, outcome.frame), outcome.result)

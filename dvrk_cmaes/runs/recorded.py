@@ -16,7 +16,9 @@ from dvrk_cmaes.calibration.model import Calibration, SessionModel, outer_readin
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.joints.sparse import LEAST_ERROR, Sparseness
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown
 from dvrk_cmaes.track.recorded_frames import (
@@ -41,7 +43,7 @@ class Prediction:
 
     ``prior`` (N, D, D) is the covariance of the frames' deviations, ``jacobian`` (N, D, K) the change of the
     predictions with the calibration, ``readings`` are by frame, less the lag; ``told`` (N,) whether there are those of
-    the outer joints.
+    the outer joints, and ``sparse`` (N,) how far these may be off between readings.
     """
 
     model: SessionModel
@@ -51,6 +53,7 @@ class Prediction:
     jacobian: Float64
     readings: list[dict[str, float]]
     told: NDArray[np.bool_]
+    sparse: list[Sparseness]
 
 
 def predict(recorded: RecordedFrames, session: SessionCalibration, joint_names: tuple[str, ...]) -> Prediction:
@@ -71,9 +74,16 @@ def predict(recorded: RecordedFrames, session: SessionCalibration, joint_names: 
     wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
     trusted = told & ~recorded.frozen
     prior[~trusted] += wide
-    return Prediction(
-        model, calibration, model.predict(calibration), prior, model.jacobian(calibration), readings, told
-    )
+    at, sparse = model.predict(calibration), _sparseness(recorded, session)
+    errors = np.array([one.error for one in sparse])
+    for joint in np.flatnonzero((errors > LEAST_ERROR).any(axis=0)):
+        moved = outer + errors * np.eye(len(OUTER_JOINTS))[joint]
+        off_model, off_calibration = session.model(moved, joints, joint_names)
+        displaced = off_model.predict(off_calibration)
+        for i in np.flatnonzero(errors[:, joint] > LEAST_ERROR).tolist():
+            off = displaced[i].minus(at[i])
+            prior[i] += np.outer(off, off)
+    return Prediction(model, calibration, at, prior, model.jacobian(calibration), readings, told, sparse)
 
 
 def _continued(values: Float64, times: Float64, told: NDArray[np.bool_], nearest: NDArray[np.intp]) -> Float64:
@@ -97,6 +107,22 @@ def _late_readings(
     if lag is None or series is None:
         return [dict(own.readings) for own in files]
     return [series.of_frame(own.name, lag) if own.name in series.frames else {} for own in files]
+
+
+def _sparseness(recorded: RecordedFrames, session: SessionCalibration) -> list[Sparseness]:
+    """Return for each of N frames how far its readings may be off between those that were taken."""
+    series, lag = recorded.series, session.applied_lag
+    stamps = None if series is None or series.unit != "s" else series.times.get(OUTER_JOINTS[0])
+    if series is None or stamps is None or not set(OUTER_JOINTS) <= set(series.times):
+        return [Sparseness.none()] * len(recorded.files)
+    values, found = series.at(OUTER_JOINTS, stamps), []
+    read = ~np.isnan(values).any(axis=1)
+    for own in recorded.files:
+        time = series.frames.get(own.name, np.nan)
+        late = 0.0 if lag is None or np.isnan(time) else float(lag.at(np.array([time]) + series.origin, series.unit)[0])
+        known = bool(read.any()) and not np.isnan(time)
+        found.append(Sparseness.of(stamps[read], values[read], time - late) if known else Sparseness.none())
+    return found
 
 
 def fit_all(

@@ -23,6 +23,7 @@ from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Posed
@@ -32,7 +33,6 @@ from dvrk_cmaes.runs.recorded import BLOCK, Prediction, predict, spread_of
 from dvrk_cmaes.runs.recorded_keyframes import Keyframe, RecordedFrames, solve_together
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.confidence import GUESS
-from dvrk_cmaes.segment.field_of_view import outside_view
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings

@@ -123,6 +123,8 @@ def results_of(
             reasons += of_image.doubts
         if not predicted.told[i]:
             reasons.append("no readings: none of the outer joints at the time of the image less the lag")
+        if predicted.sparse[i].reason:
+            reasons.append(predicted.sparse[i].reason)
         if (text := frozen[i]) is not None:
             reasons.append(text)
         if reasons and status == "ok":

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
+from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
 from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
@@ -58,7 +59,7 @@ def write_track_arms(
     rows = {arm: read_tracks(out / arm / TRACKS) for arm in arms}
     rig = next(iter(arms.values())).session.rig
     seen = {name: seen_frames(arm.session.frames[::every], rows[name], rig, arm.body) for name, arm in arms.items()}
-    chosen = frozenset(spread(sorted({row["frame"] for of_arm in rows.values() for row in of_arm})))
+    chosen = frozenset(spread(sorted({row["frame"] for of_arm in rows.values() for row in of_arm}, key=natural)))
     pictures: list[FramePicture] = []
     with whole_video(out / VIDEO, size_of_views(rig), frames_a_second) if video else nullcontext() as writer:
         for frame, shown in _together(seen):

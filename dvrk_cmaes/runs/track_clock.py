@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.gaps import unbroken
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, straight_line
 from dvrk_cmaes.joints.lag import Unit
@@ -33,6 +34,11 @@ class TrackClock:
     unit: Unit
     interval: float
     readings: tuple[tuple[float, dict[str, float]], ...]
+
+    @property
+    def outer_read(self) -> bool:
+        """Whether each of the outer joints has a reading."""
+        return set(OUTER_JOINTS) <= {name for _, row in self.readings for name in row}
 
     def readings_at(self, times: NDArray[np.float64], gap: float) -> dict[str, NDArray[np.float64]]:
         """Interpolate the readings of each joint at times (F,), s; NaN before the first, after the last and in gaps.

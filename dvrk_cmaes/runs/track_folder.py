@@ -20,12 +20,14 @@ from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.io.atomic import not_written, write_json, write_text
+from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.io.handles import not_written
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.output import appended, base, output, remove
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
-from dvrk_cmaes.report.track_page import FollowedRecording
-from dvrk_cmaes.results.folder import SESSION
+from dvrk_cmaes.report.track_page import PAGE, FollowedRecording
+from dvrk_cmaes.results.folder import MANIFEST, SESSION
 from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
 from dvrk_cmaes.results.tracked import TrackResult
@@ -39,8 +41,6 @@ from dvrk_cmaes.runs.manifest import (
     read_manifest,
     write_manifest,
 )
-from dvrk_cmaes.runs.output import locked
-from dvrk_cmaes.runs.ownership import check_owned
 from dvrk_cmaes.runs.processes import usable_cores
 from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES, KEYFRAMES_BY_IMAGES
 from dvrk_cmaes.runs.solver_process import SolverProcess
@@ -167,13 +167,14 @@ def track_folder(
     clock = TrackClock.of(session, frames, settings.frames_a_second, use_joints=settings.use_joints)
     joints = body.instrument.joint_names
     commanded = commanded_in([files.readings for files in frames], joints) if settings.use_joints else []
-    settings = replace(settings, config=with_commanded(settings.config, commanded, joints))
+    config = with_commanded(settings.config, commanded, joints)
+    settings = replace(settings, config=config, outer_read=clock.outer_read)
     remarks = (describe_commanded(commanded),) if commanded else ()
     for text in remarks:
         notice(f"warning: {text}")
     check_writable(out)
-    check_owned(out, "track", replaces=not resume)
-    with locked(out):
+    with base(out), output(out, "track", replaces=not resume) as own:
+        own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION, CHECKPOINT))
         manifest = _manifest(session, frames, body, settings)
         old = read_manifest(out)
         if old is not None and resume:
@@ -184,11 +185,11 @@ def track_folder(
         kept = old is not None and resume
         if not kept:
             for name in (KEYFRAMES, KEYFRAMES_BY_IMAGES):
-                (out / name).unlink(missing_ok=True)
+                remove(out / name)
         followed = _finished(run) if kept else None
         tracker = settings.tracker(session.rig, body)
         rows = _restored(out, tracker, body.instrument.joint_names) if kept and followed is None else []
-        (out / SESSION).unlink(missing_ok=True)
+        remove(out / SESSION)
         write_manifest(out, manifest)
         followed = followed or _by_keyframes(run, notice)
         if followed is None:
@@ -304,7 +305,7 @@ def _by_keyframes(
             return [], None
         if not isinstance(done, str):
             rows = [run.row(files, result) for files, result in zip(run.frames, done.results, strict=True)]
-            (run.out / CHECKPOINT).unlink(missing_ok=True)
+            remove(run.out / CHECKPOINT)
             write_text(run.out / TRACKS, "".join(line_of(row) for row in rows))
             run.progress(len(rows), len(rows), done.results[-1] if done.results else None)
             return rows, done.calibration
@@ -395,13 +396,11 @@ def _restored(out: Path, tracker: Tracker, joints: Sequence[str]) -> list[dict[s
 def _lines(out: Path, kept: Sequence[dict[str, Any]]) -> Iterator[Callable[[dict[str, Any]], None]]:
     """Open tracks.jsonl with the rows that are kept, and give a function that appends one."""
     path = out / TRACKS
-    write_text(path, "".join(line_of(row) for row in kept))
     try:
-        with open(path, "a", encoding="utf-8") as file:
+        with appended(path, "".join(line_of(row) for row in kept).encode()) as file:
 
             def append(row: dict[str, Any]) -> None:
-                file.write(line_of(row))
-                file.flush()
+                file.write(line_of(row).encode())
 
             yield append
     except OSError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -37,6 +38,7 @@ class TrackSettings:
     """What is followed and how: as the options of ``dvrk-cmaes track``.
 
     ``workers`` is the number of processes that fit a recording with its own calibration; by default that of the cores.
+    ``outer_read`` is whether the recording has readings of the outer joints, which alone tell of a base.
     """
 
     config: EstimateConfig
@@ -50,11 +52,12 @@ class TrackSettings:
     evidence: EvidenceKind | None = None
     hints: Hints | None = None
     workers: int | None = None
+    outer_read: bool = True
 
     @property
     def keeps_keyframes(self) -> bool:
         """Whether a tracker solves keyframes beside its steps: by masks and readings whose lag is not given."""
-        return self.causal and self.evidence == "masks" and self.use_joints and self.lag is None
+        return self.causal and self.evidence == "masks" and self.use_joints and self.outer_read and self.lag is None
 
     def tracker(self, rig: Rig, body: Body) -> Tracker:
         """Return a tracker with these settings."""
@@ -96,6 +99,36 @@ def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Sessi
     if evidence == "images" or not masked:
         return _by_images(session), "images"
     return session, evidence
+
+
+def with_increasing_times(session: Session) -> tuple[Session, tuple[str, ...]]:
+    """Return a session without the frames that have the time of the frame before, and their names.
+
+    Raises
+    ------
+    InputError
+        Time goes back at a frame, or stands still at half of the frames; names the file and the first such frame.
+    """
+    times = [files.time for files in session.frames]
+    timed = [(files.name, time) for files, time in zip(session.frames, times, strict=True) if time is not None]
+    if len(timed) < len(times):
+        return session, ()
+    source = session.folder / "images.csv"
+    where = source if source.exists() else next((file.path for file in session.joint_files), session.folder)
+    count = "; a file without times has its frames counted (--fps)"
+    for (before, earlier), (name, time) in pairwise(timed):
+        if time < earlier:
+            raise InputError(
+                f"{where}: frame {name}: expected a later time than that of frame {before}, {earlier:.6f} s, got "
+                f"{time:.6f} s (a clock that was set?): follow the frames before and after by themselves{count}"
+            )
+    doubled = tuple(name for (_, earlier), (name, time) in pairwise(timed) if time == earlier)
+    if 2 * len(doubled) >= len(timed):
+        raise InputError(
+            f"{where}: frame {doubled[0]}: expected a later time than that of the frame before, got the same, as of "
+            f"{len(doubled)} of {len(timed)} frames{count}"
+        )
+    return replace(session, frames=tuple(files for files in session.frames if files.name not in doubled)), doubled
 
 
 def _by_images(session: Session) -> Session:

@@ -32,7 +32,7 @@ from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.frame import draw_failed_frame, layers_of_frame, read_any_frame, solve_frame
 from dvrk_cmaes.runs.worker_process import limit_library_threads
-from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings, hints_within
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -167,7 +167,9 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result
 def hints_of(files: FrameFiles) -> Hints | None:
     """Return the prompts of a frame for its segmentation; None without any."""
     prompts = files.prompts
-    return None if prompts is None else Hints(prompts.box, prompts.points, prompts.not_points)
+    if prompts is None:
+        return None
+    return hints_within(Hints(prompts.box, prompts.points, prompts.not_points), files.crop)
 
 
 def _outcome(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.results.paths import check_output, result_path
 
@@ -53,14 +54,18 @@ def shard_of(folder: Path) -> Shard | None:
 
 
 def chosen_frames(frames: Sequence[FrameFiles], pattern: str | None) -> tuple[FrameFiles, ...]:
-    """Return the frames whose names match a shell pattern (``*``, ``?``, ``[..]``), or all frames, sorted by name.
+    """Return the frames whose names match a shell pattern (``*``, ``?``, ``[..]``), or all frames, in order.
+
+    The name of a frame, with brackets in it, too, is a pattern of this frame alone.
 
     Raises
     ------
     InputError
         No frame matches.
     """
-    chosen = tuple(sorted((f for f in frames if pattern is None or fnmatchcase(f.name, pattern)), key=lambda f: f.name))
+    named = [frame for frame in frames if frame.name == pattern]
+    matching = named or [frame for frame in frames if pattern is None or fnmatchcase(frame.name, pattern)]
+    chosen = tuple(sorted(matching, key=lambda frame: natural(frame.name)))
     if not chosen:
         near = listed(nearest_first(str(pattern), [frame.name for frame in frames[:1000]]))
         raise InputError(f"--frames: expected a pattern of some of the {len(frames)} frames ({near}), got {pattern!r}")

@@ -95,10 +95,10 @@ def _segment_classic(
     not_points: Sequence[Pixel],
 ) -> Segmentation:
     """Segment by a background, if one is known, or else by colours; where that gives a guess, by the other one."""
+    from dvrk_cmaes.frames.field_of_view import outside_view
     from dvrk_cmaes.segment.background import segment_before, smooth_background
     from dvrk_cmaes.segment.classic import segment_classic
     from dvrk_cmaes.segment.confidence import GUESS
-    from dvrk_cmaes.segment.field_of_view import outside_view
     from dvrk_cmaes.segment.prompts import draw_prompts
 
     def before(behind: NDArray[np.uint8], kind: Background) -> Segmentation:

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
+from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.segment.colours import Colours, ColourTable, greyness_log_odds, measure_colours
 from dvrk_cmaes.segment.confidence import GUESS, assess_mask
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
-from dvrk_cmaes.segment.field_of_view import outside_view
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
@@ -74,7 +74,8 @@ def segment_classic(
     )
     enlarged = cv2.resize(rough.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     prompts = draw_prompts(image.shape, 1.0, box, points, not_points).with_outside(outside_view(image))
-    return refine_outline(image, np.asarray(enlarged), prompts)
+    found = refine_outline(image, np.asarray(enlarged), prompts)
+    return found if prompts.outside is None else replace(found, mask=found.mask & ~prompts.outside)
 
 
 def refine_outline(

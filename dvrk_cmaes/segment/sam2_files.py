@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
 from dvrk_cmaes.io.files import check_file
-from dvrk_cmaes.io.quiet_stderr import native_messages
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.segment.sam2_exports import FAMILIES, Family, Tensors
 from dvrk_cmaes.segment.sam2_images import SIDE
@@ -64,8 +63,7 @@ class OnnxModel:
         """
         feeds = {name: tensors[name].astype(_DTYPES[kind], copy=False) for name, (kind, _) in self.inputs.items()}
         try:
-            with native_messages():
-                return [np.asarray(output) for output in self.session.run(None, feeds)]
+            return [np.asarray(output) for output in self.session.run(None, feeds)]
         except Exception as error:  # onnxruntime's errors have no common base class
             raise DvrkCmaesError(f"{self.file}: the model failed: {one_line(error)}") from None
 
@@ -163,6 +161,7 @@ def _open(file: Path, threads: int) -> OnnxModel:
     """Open one model; InputError if onnxruntime cannot read the file."""
     import onnxruntime
 
+    onnxruntime.set_default_logger_severity(4)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -171,10 +170,9 @@ def _open(file: Path, threads: int) -> OnnxModel:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads sleep
     check_file(file, expected="a model (ONNX)")
     try:
-        with native_messages():
-            session = onnxruntime.InferenceSession(  # a second try with the same provider would print lines to stdout
-                str(file), options, providers=["CPUExecutionProvider"], enable_fallback=False
-            )
+        session = onnxruntime.InferenceSession(  # a second try with the same provider would print lines to stdout
+            str(file), options, providers=["CPUExecutionProvider"], enable_fallback=False
+        )
     except Exception as error:  # onnxruntime's errors have no common base class
         raise InputError(f"{file}: {_describe_load_error(file, error, onnxruntime.__version__)}") from None
     return OnnxModel(

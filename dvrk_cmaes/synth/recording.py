@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json, write_text
-from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.synth.cable_motion import draw_cables
 from dvrk_cmaes.synth.files import rounded, rounded_truth
@@ -85,7 +85,7 @@ def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none"
     """
     level = motion_level(plan)
     rng = np.random.default_rng([plan.seed, level_index(plan), 2])
-    with whole_folder(out, command="synth", sign=PLAN_FILE, overwrite=overwrite) as folder:
+    with whole_folder(out, "synth", overwrite=overwrite) as folder:
         arm = record_arm(plan, level, rng)
         with ExitStack() as opened:
             views = [opened.enter_context(_view(folder, plan, arm.truths, pictures, rng))]

@@ -24,8 +24,8 @@ from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry,
 from dvrk_cmaes.geometry import transform
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
-from dvrk_cmaes.io.atomic_folder import whole_folder
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_joints
 from dvrk_cmaes.synth.images import draw_image
@@ -196,7 +196,7 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
     DvrkCmaesError
         As in `make_truths` and `make_frames`.
     """
-    with whole_folder(out, command="synth", sign=PLAN_FILE, overwrite=overwrite) as folder:
+    with whole_folder(out, "synth", overwrite=overwrite) as folder:
         camera_from_base, truths = make_truths(plan)
         readings: dict[str, Mapping[str, float]] = {}
         tips, markers, golden = [], [], {}

@@ -19,7 +19,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.frames.session_toml import ToolEntry
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_image, write_json
-from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_joints
 from dvrk_cmaes.synth.masks import simulate_segmentation
@@ -81,7 +81,7 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
 
     ``tool`` is what session.toml says of the instrument of both arms. Errors as `synth.session.write_session`.
     """
-    with whole_folder(out, command="synth", sign=PLAN_FILE, overwrite=overwrite) as folder:
+    with whole_folder(out, "synth", overwrite=overwrite) as folder:
         arms = make_arms(plan)
         names = [frame_name(plan, k) for k in range(plan.frames)]
         for k, name in enumerate(names):
@@ -148,5 +148,6 @@ def tool_depth(body: Body, camera: Camera, truth: Truth) -> Float32:
 def tools_of_arms(tool: ToolEntry) -> list[ToolEntry]:
     """Return the entries of the tools of both arms, with their labels and files of readings."""
     return [
-        replace(tool, arm=arm, label=label, joints=Path(f"joints_{arm}.csv")) for label, arm in enumerate(ARMS, start=1)
+        replace(tool, arm=arm, label=(label,), joints=Path(f"joints_{arm}.csv"))
+        for label, arm in enumerate(ARMS, start=1)
     ]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.session_toml import ToolEntry
 from dvrk_cmaes.io.atomic import write_image, write_json
-from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.synth.moving_arm import MotionLevel
 from dvrk_cmaes.synth.moving_images import DrawnTool
 from dvrk_cmaes.synth.passing import Occluder
@@ -121,7 +121,7 @@ def write_recording_of_arms(
     """
     level = motion_level(plan)
     levels = (level, level if plan.lag is not None else _with_own_lag(plan, level))
-    with whole_folder(out, command="synth", sign=PLAN_FILE, overwrite=overwrite) as folder:
+    with whole_folder(out, "synth", overwrite=overwrite) as folder:
         arms = record_arms(plan, levels)
         visible = _write_views(folder, plan, arms, pictures)
         for number, (name, arm) in enumerate(zip(ARMS, arms, strict=True)):

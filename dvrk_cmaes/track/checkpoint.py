@@ -37,7 +37,8 @@ def plain_hypothesis(hypothesis: Hypothesis) -> dict[str, Any]:
 def _plain(part: object) -> dict[str, Any]:
     """Return the fields of a dataclass, arrays as lists."""
     values = {field.name: getattr(part, field.name) for field in fields(part)}  # type: ignore[arg-type]
-    values.pop("frozen", None)  # it tells of one image, which is not solved again
+    for of_one_image in ("frozen", "sparse"):  # that is not solved again
+        values.pop(of_one_image, None)
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
 
 

@@ -16,7 +16,7 @@ from dvrk_cmaes.track.confirmation import CHANGED, UNCONFIRMED, Confirmation
 from dvrk_cmaes.track.describe import described, without_pose
 from dvrk_cmaes.track.evidence import Evidence
 from dvrk_cmaes.track.hypothesis import Follower, Hypothesis, Located
-from dvrk_cmaes.track.judge import AWAY, doubts_of_fit, doubts_of_pose, is_supported
+from dvrk_cmaes.track.judge import AWAY, doubts_of_fit, doubts_of_pose, is_supported, tips_out_of_view
 from dvrk_cmaes.track.modes import decide
 from dvrk_cmaes.track.motion import Anchor
 from dvrk_cmaes.track.readings import LaggedReadings
@@ -223,8 +223,8 @@ class Following:
                 drawn = self.follower.outline(predicted[0], evidence.views)
                 if drawn is not None:
                     self.sight.judge(evidence, *drawn)
-            result = self._supported(time, seen, [pair for pair in fits if pair is not None], away=away)
-            if self._confirmation.needed and result.status == "ok":
+            result, shown = self._supported(time, seen, [pair for pair in fits if pair is not None], away=away)
+            if self._confirmation.needed and shown:
                 result = self._confirmed(time, anchor, seen, result, search_later)
         else:
             result = self._unsupported(time, f"lost: the {seen.source}'s edges do not support the predicted outline")
@@ -295,8 +295,8 @@ class Following:
     def _confirmed(
         self, time: float, anchor: Anchor, seen: Seen, result: TrackResult, search_later: SearchLater | None
     ) -> TrackResult:
-        """Return an ok result as doubtful until images solved by themselves confirm the pose; go on from their pose."""
-        doubtful = replace(result, status="doubtful", reasons=(UNCONFIRMED,))
+        """Return a result as doubtful until images solved by themselves confirm the pose; go on from their pose."""
+        doubtful = replace(result, status="doubtful", reasons=(UNCONFIRMED, *result.reasons))
         if not self._confirmation.due():
             return doubtful
         if search_later is not None:
@@ -310,10 +310,13 @@ class Following:
                 doubtful = self._result(time, "doubtful", (CHANGED,))
         return replace(doubtful if self._confirmation.needed else result, searched=True)
 
-    def _supported(self, time: float, seen: Seen, fits: list[tuple[Hypothesis, Fit]], *, away: bool) -> TrackResult:
+    def _supported(
+        self, time: float, seen: Seen, fits: list[tuple[Hypothesis, Fit]], *, away: bool
+    ) -> tuple[TrackResult, bool]:
         """Keep the corrected hypotheses, decide between them, and judge the best one.
 
-        ``away`` tells that its pose was found away from where the readings say.
+        ``away`` tells that its pose was found away from where the readings say. Also returns whether the image shows
+        the pose without doubt, however uncertain it is: its standard deviation may stay near the largest that is ok.
         """
         track, decision = self.config.track, decide(fits)
         self.hypotheses, fit = decision.kept, decision.fit
@@ -335,7 +338,8 @@ class Following:
         elif not reasons:
             reasons.append(WORSE)
         result = self._result(time, "doubtful" if reasons else "ok", tuple(reasons), located)
-        return replace(result, residual_px=fit.sigma)
+        shown = not reasons and not tips_out_of_view(located.tips, self.rig)
+        return replace(result, residual_px=fit.sigma), shown
 
     def _unsupported(self, time: float, reason: str) -> TrackResult:
         """Return the prediction of an image that does not support it."""

@@ -17,11 +17,11 @@ from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.segment.field_of_view import outside_view
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track.colour_model import ColourModel
 from dvrk_cmaes.track.image_masks import learned_colours, mask_around

@@ -254,10 +254,13 @@ class KnownBase:
         self._own, self._agreeing, self._confirms = False, None, None
 
     def offer(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> bool:
-        """Keep an image as a keyframe, if it is worth that; returns whether it is."""
+        """Keep an image as a keyframe, if it is worth that; returns whether it is.
+
+        Where readings are too sparse for the motion, they do not tell what the image shows.
+        """
         names = (*OUTER_JOINTS, *self._body.instrument.joint_names)
         masks = self._masks(seen)
-        if not masks or reading.still:
+        if not masks or reading.still or (reading.sparse is not None and reading.sparse.reason):
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
         readings = {name: value for name, value in values if not np.isnan(value)}
@@ -268,12 +271,12 @@ class KnownBase:
         """Return the masks (H, W) of an image's clear views by name."""
         return {self._rig.names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
 
-    def unconfirmed(self, result: TrackResult, readings: ReadingBuffer, *, told: bool) -> TrackResult:
-        """Return the result of an image before a calibration.
+    def unconfirmed(self, result: TrackResult, readings: ReadingBuffer) -> TrackResult:
+        """Return the result of an image that is not followed by a calibration, whether readings tell the base or not.
 
-        Where the base could be ``told``, it is ok only if a solution whose lag is not told expects it there.
+        It is ok only if a solution whose lag is not told expects it there.
         """
-        if not told or result.status != "ok":
+        if result.status != "ok":
             return result
         if self._confirms is not None:
             late, std = lag_and_std(self._confirms, self._config.track.lag_std)
@@ -282,6 +285,8 @@ class KnownBase:
             confirmed = confirmed_by(self._confirms, result, reading, std, self._rig, self._config, instrument)
             if confirmed is not None:
                 return confirmed
+        if self.calibration is not None:
+            return replace(result, status="doubtful", reasons=("no readings of the outer joints so far",))
         known = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
         why = f" ({self._reason})" if self._reason else ""
         far = f" ({self._how_far()})" if np.isfinite(self._known_mm) and not why else ""

@@ -13,6 +13,7 @@ from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.geometry import Posed, adjoint, change_between, inverse, moved
 from dvrk_cmaes.instrument.arm import Arm, base_from_root
 from dvrk_cmaes.joints.cables import CableModel
+from dvrk_cmaes.joints.sparse import LEAST_ERROR
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.state import FilterState, Layout
 
@@ -32,6 +33,7 @@ class Anchor:
     arm's. ``expected`` (1 + J,), rad, are the errors of roll and of the joints that a model of the cables expects
     there, None without one. ``frozen`` (J,) are readings of joints that stand still with those of the outer joints, NaN
     where there is none: what they tell is where the joints were, not how they move; None if none was looked at.
+    ``sparse`` (4,) is how far the outer joints may be off between readings; None where that is not known.
     """
 
     outer: Float64
@@ -43,6 +45,7 @@ class Anchor:
     based: bool = False
     expected: Float64 | None = None
     frozen: Float64 | None = None
+    sparse: Float64 | None = None
 
     @staticmethod
     def none(joints: int) -> Anchor:
@@ -76,6 +79,7 @@ class Anchor:
             self.based or outer_read,
             expected,
             None if moving else reading.joints,
+            None if reading.sparse is None else reading.sparse.error,
         )
 
 
@@ -144,7 +148,10 @@ class MotionModel:
         )
         by_joint = _small_change(ends[4], ends[:4]) / _STEP
         late = lag_std * (anchor.outer_rate @ by_joint)
-        errors = by_joint * np.array([*[np.deg2rad(c.arm_deg)] * 2, c.insertion_mm * 1e-3, 0.0])[:, None]
+        of_readings = np.array([*[np.deg2rad(c.arm_deg)] * 2, c.insertion_mm * 1e-3, 0.0])
+        if anchor.sparse is not None:
+            of_readings = np.where(anchor.sparse > LEAST_ERROR, np.hypot(of_readings, anchor.sparse), of_readings)
+        errors = by_joint * of_readings[:, None]
         own = [c.slack_mm * 1e-3] * 3 + [np.deg2rad(c.slack_deg)] * 3
         return np.asarray(errors.T @ errors + np.diag(np.square(own)) + np.outer(late, late))
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.sparse import LEAST_ERROR
 from dvrk_cmaes.track.calibrated_frames import calibration_covariance
 from dvrk_cmaes.track.calibration_lag import predicted_with_lag
 from dvrk_cmaes.track.reading_buffer import ReadingAt
@@ -72,6 +73,12 @@ class PredictedImage:
             rates = np.concatenate([reading.outer_rate, reading.joint_rate])
             late = lag_std * predicted_with_lag(calibration, outer, reading.joints, rates, instrument)[1]
             by_lag = np.outer(late, late)
+        if reading.sparse is not None:
+            for joint, error in enumerate(reading.sparse.error.tolist()):
+                if error > LEAST_ERROR:
+                    alone = np.eye(len(outer) + len(names))[joint]
+                    off = error * predicted_with_lag(calibration, outer, reading.joints, alone, instrument)[1]
+                    prior = prior + np.outer(off, off)
         factor = np.ones(len(prior))
         factor[ROLL:] = _WRIST_ERROR
         widened = np.outer(factor, factor)

@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
-from dvrk_cmaes.joints.gaps import continued, extrapolated
+from dvrk_cmaes.joints.gaps import Times, continued, extrapolated
 from dvrk_cmaes.joints.interpolation import TimedReadings, straight_line, weighted_mean
 from dvrk_cmaes.joints.names import check_readings
+from dvrk_cmaes.joints.sparse import Sparseness
 
 Float64 = NDArray[np.float64]
 
 _KEPT = 3.0  # s; older readings are dropped
 _RATE_HALF_WIDTH = 0.2  # s, of the readings from which rates are computed
+_RATE_SPACINGS, _GAP_SPACINGS, _STILL_SPACINGS = 3.0, 2.0, 4.0  # usual spacings, from which on these count instead
+_LATEST = 20  # readings whose spacing is the usual one
 _MOST = 6000  # readings; at higher rates than 2 kHz a shorter time is kept
 _BLOCK = 256  # readings that are dropped at once, or more
 
@@ -29,7 +32,8 @@ class ReadingAt:
     """Readings at one time: ``outer`` (4,), rad and m, and ``joints`` (J,), rad, with their rates per second.
 
     Values are NaN where there is no reading. ``still`` tells whether the outer joints' readings around that time are
-    equal to the last digit.
+    equal to the last digit. ``sparse`` tells how far the interpolated outer joints may be off; None where that is not
+    known.
     """
 
     outer: Float64
@@ -37,6 +41,7 @@ class ReadingAt:
     outer_rate: Float64
     joint_rate: Float64
     still: bool = False
+    sparse: Sparseness | None = None
 
     @property
     def has_outer(self) -> bool:
@@ -55,9 +60,10 @@ class ReadingBuffer:
     joint_names
         Names of the instrument's J joints.
     gap
-        Longest time, s, over which readings are interpolated or held.
+        Longest time, s, over which readings are interpolated or gone on with; of readings that are usually farther
+        apart than half of it, twice their usual spacing.
     still
-        Time, s, after which unchanged readings count as frozen.
+        Time, s, after which unchanged readings count as frozen, or four times their usual spacing, if that is longer.
     """
 
     def __init__(self, joint_names: Sequence[str], gap: float, still: float) -> None:
@@ -75,7 +81,9 @@ class ReadingBuffer:
         return TimedReadings(self._names, self._times[: self._count], self._rows[: self._count])
 
     def add(self, time: float, joints: Mapping[str, float]) -> None:
-        """Add the readings of one time, s; of two at the same time, the last is used.
+        """Add the readings of one time, s; of two of a joint at the same time, the last is used.
+
+        Arm and jaw, on topics of their own, may have the same times.
 
         Raises
         ------
@@ -91,6 +99,8 @@ class ReadingBuffer:
             self._times[at + 1 : end + 1], self._rows[at + 1 : end + 1] = self._times[at:end], self._rows[at:end]
             self._times[at] = time
             self._count += 1
+        else:
+            row = np.where(np.isnan(row), self._rows[at], row)
         self._rows[at] = row
         self._complete &= not np.isnan(row).any()
         self._drop()
@@ -113,10 +123,16 @@ class ReadingBuffer:
         outer = len(OUTER_JOINTS)
         row, rate = np.full(len(self._names), np.nan), np.zeros(len(self._names))
         for columns, series in self._read_together():
-            rate[columns] = of_series = _rate(series, time)
-            row[columns] = series.at(np.array([time]), extrapolated(self._gap), weighted_mean, of_series)[0]
-        still = _is_still(self._of_outer(), time, self._still)
-        return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still)
+            spacing = _usual_spacing(series.times)
+            rate[columns] = of_series = _rate(series, time, max(_RATE_HALF_WIDTH, _RATE_SPACINGS * spacing))
+            gaps = extrapolated(max(self._gap, _GAP_SPACINGS * spacing))
+            row[columns] = series.at(np.array([time]), gaps, weighted_mean, of_series)[0]
+        of_outer = self._of_outer()
+        seconds = max(self._still, _STILL_SPACINGS * _usual_spacing(of_outer.times))
+        still = _is_still(of_outer, time, seconds)
+        known = not np.isnan(row[:outer]).any()
+        sparse = Sparseness.of(np.asarray(of_outer.times), of_outer.values, time) if known else None
+        return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still, sparse)
 
     def outer_at(self, times: Float64) -> Float64:
         """Interpolate the outer joints' readings at times (L,), (L, 4); NaN where there is none.
@@ -124,12 +140,13 @@ class ReadingBuffer:
         Only readings that are at most the gap before the first time or after the last are used.
         """
         series, outer = self._of_outer(), len(OUTER_JOINTS)
-        begin, end = series.times.searchsorted([times.min() - self._gap, times.max() + self._gap])
+        gap = max(self._gap, _GAP_SPACINGS * _usual_spacing(series.times))
+        begin, end = series.times.searchsorted([times.min() - gap, times.max() + gap])
         if end - begin < 2:
             return np.full((len(times), outer), np.nan)
         near = TimedReadings(OUTER_JOINTS, series.times[begin:end], series.values[begin:end])
         rate = (near.values[-1] - near.values[-2]) / (near.times[-1] - near.times[-2])
-        return near.at(times, continued(self._gap), straight_line, rate)
+        return near.at(times, continued(gap), straight_line, rate)
 
     def _read_together(self) -> Iterator[tuple[NDArray[np.intp], TimedReadings]]:
         """Give the columns of joints that are read at the same times, and their readings, without missing ones."""
@@ -154,13 +171,18 @@ class ReadingBuffer:
         return TimedReadings(OUTER_JOINTS, series.times[read], values[read])
 
 
-def _rate(series: TimedReadings, time: float) -> Float64:
-    """Return the rates (J,) around a time by a straight line through the readings near it; 0 where unknown.
+def _usual_spacing(stamps: Times) -> float:
+    """Return the median time, s, between the latest readings, at times (N,); 0 for fewer than three."""
+    return float(np.median(np.diff(stamps[-_LATEST:]))) if len(stamps) > 2 else 0.0
+
+
+def _rate(series: TimedReadings, time: float, half_width: float) -> Float64:
+    """Return the rates (J,) by a straight line through the readings within a half width, s, of a time; 0 where unknown.
 
     The readings on either side of the time do not count, so that the errors of the rates are independent of those
     of the interpolated readings; otherwise a lag that is estimated from both would be biased.
     """
-    first, after, last = series.times.searchsorted([time - _RATE_HALF_WIDTH, time, time + _RATE_HALF_WIDTH])
+    first, after, last = series.times.searchsorted([time - half_width, time, time + half_width])
     index = np.concatenate([np.arange(first, after - 1), np.arange(after + 1, last)])
     if len(index) < 2:
         return np.zeros(len(series.joints))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration
+from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration, check_made_for
 from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
@@ -34,6 +34,7 @@ from dvrk_cmaes.track.known_base import KnownBase
 from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.motion import MotionModel
 from dvrk_cmaes.track.outline_model import OutlineModel
+from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.readings import LaggedReadings
 from dvrk_cmaes.track.recovery import GlobalSearch
 from dvrk_cmaes.track.sight import EvidenceKind, Images, Masks, Seen, Sight
@@ -109,6 +110,8 @@ class Tracker:
         earlier: bool = False,
         sliced: bool = False,
     ) -> None:
+        options: dict[str, Any] = {"arm": arm, "lag": lag, "evidence": evidence, "hints": hints, "record": record}
+        options |= {"keyframes": keyframes, "earlier": earlier, "sliced": sliced}
         settings = EstimateConfig() if config is None else config
         check_config(settings)
         check_arm(arm)
@@ -117,8 +120,11 @@ class Tracker:
         if lag is not None:
             lag = checked_number("lag", lag, "a number of seconds")
         body = body_by(prepare(instrument), settings.silhouette.method)
+        if calibration is not None:
+            check_made_for("calibration", calibration, body.instrument.name, None if arm == "classic" else arm)
         self._config = settings
         rig = Rig.of(camera)
+        self._inputs = (rig, body.instrument, calibration, settings), options
         self._names = body.instrument.joint_names
         self._arm: Arm = arm if calibration is None else calibration.arm
         track = settings.track
@@ -137,6 +143,10 @@ class Tracker:
         self._time: float | None = None
         self._by_filter: float | None = None  # s, the last image that was followed without a calibration
         self._recorder = Recorder() if record else None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle by the arguments, the readings and the state, as of `checkpoint`."""
+        return _again, (type(self), *self._inputs, self._readings.buffer, self._recorder, self.checkpoint())
 
     @property
     def lag(self) -> FoundLag | None:
@@ -379,7 +389,7 @@ class Tracker:
         started = clock.perf_counter()
         self._check_time(time)
         seen = self._sight.look(mask, image, ignore)
-        result = self._followed(time, seen)
+        result = self._with_sparse_readings(self._followed(time, seen))
         self._time = time
         base = None if self._known is None else self._known.known
         if self._known is not None:
@@ -413,8 +423,15 @@ class Tracker:
         if known is None:
             return result
         known.offer(time, self._readings.buffer.at(time), seen, self._sight)
-        told = self._best is not None and self._best.anchor.based
-        return known.unconfirmed(result, self._readings.buffer, told=told)
+        return known.unconfirmed(result, self._readings.buffer)
+
+    def _with_sparse_readings(self, result: TrackResult) -> TrackResult:
+        """Return a result as doubtful if readings near its image are too sparse for the motion, with that reason."""
+        sparse = self._readings.buffer.at(result.time - (0.0 if self.lag is None else self.lag.seconds)).sparse
+        if sparse is None or not sparse.reason:
+            return result
+        status = "doubtful" if result.status == "ok" else result.status
+        return replace(result, status=status, reasons=(*result.reasons, sparse.reason))
 
     def smoothed(self) -> list[TrackResult]:
         """Return the results of all images given all images; status and reasons stay as they were.
@@ -433,3 +450,18 @@ class Tracker:
         if not np.isfinite(time) or (self._time is not None and time <= self._time):
             after = "" if self._time is None else f" later than {self._time:g} s"
             raise InputError(f"time: expected a finite number of seconds{after}, got {time}")
+
+
+def _again(
+    kind: type[Tracker],
+    arguments: tuple[Any, ...],
+    options: dict[str, Any],
+    readings: ReadingBuffer,
+    recorder: Recorder | None,
+    saved: dict[str, Any],
+) -> Tracker:
+    """Make a tracker that was pickled."""
+    tracker = kind(*arguments, **options)
+    tracker._readings.buffer, tracker._recorder = readings, recorder
+    tracker.restore(saved)
+    return tracker

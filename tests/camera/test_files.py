@@ -130,7 +130,7 @@ def test_real_ros_calibrations_are_read(shared: Path, side: str) -> None:
 
 
 def test_cameras_of_real_sessions_are_vga_pinholes(shared: Path) -> None:
-    paths = sorted(shared.glob("frames/*/*/camera.yaml"))
+    paths = sorted(shared.glob("frames/real/*/camera.yaml"))
     assert paths
     for path in paths:
         camera = read_camera(path)
@@ -224,7 +224,8 @@ def test_region_of_interest_is_refused(tmp_path: Path) -> None:
 def test_unknown_layout_is_refused_with_its_fields(tmp_path: Path) -> None:
     assert message(written(tmp_path, "lens:\n  intrinsics: [1, 2, 3, 4]\n")) == (
         "expected a camera file: ROS camera_info (camera_matrix and projection_matrix, K and P, or k and p), "
-        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0) or plain (intrinsic), "
+        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0), plain (intrinsic), "
+        "or fx, fy, cx, cy (BOP), EndoVis' and MATLAB's; "
         "got the fields lens"
     )
 

@@ -67,7 +67,7 @@ def test_view_maps_points_of_the_reference_camera() -> None:
     ("pose", "text"),
     [
         (transform(np.eye(3), [-5.3, 0, 0]), r"5300 mm \(millimetres where metres are expected\?\)"),
-        (transform(np.eye(3), [0, 0, 0]), "expected 0.5 to 100 mm between the eyes, got 0 mm"),
+        (transform(np.eye(3), [0, 0, 0]), "expected 0.5 to 500 mm between the eyes, got 0 mm"),
         (transform(exp_rotation([0, 1.0, 0]), [-0.005, 0, 0]), "at most 45 deg between the eyes, got 57.3 deg"),
         (2 * np.eye(4), "expected a rotation and a translation"),
         (np.full((4, 4), np.nan), "finite numbers"),
@@ -184,7 +184,7 @@ def test_right_eye_on_the_left_is_named(tmp_path: Path) -> None:
     [
         (storage(names=("K1", "D1", "K2", "D2", "x", "y")), "R, T: expected rotation and translation"),
         (storage(2 * POSE), "R and T: expected a rotation matrix"),
-        (storage(unit=1e-6), "expected 1 to 50 mm between the eyes"),
+        (storage(unit=1e-6), "expected 0.0005 to 0.5 m between the cameras"),
         (ros(LEFT), "expected both eyes"),
     ],
 )

@@ -14,6 +14,7 @@ from helpers.batch_sessions import QUICK, make_session
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.cli.batch_progress import progress
 from dvrk_cmaes.frames.images import read_mask
+from dvrk_cmaes.frames.label import EXPECTED as LABEL
 from dvrk_cmaes.runs.batch import BatchProgress
 from dvrk_cmaes.runs.worker import FrameOutcome
 
@@ -111,7 +112,7 @@ def test_label_masks_and_other_input_paths(run: Run, tmp_path: Path) -> None:
         ),
         (("s", "--shard", "3/2"), "--shard: expected I/N with I from 1 to N, e.g. 2/8, got '3/2'"),
         (("s", "--time-limit", "0"), "--time-limit: expected seconds above 0, got 0"),
-        (("s", "--label", "300"), "--label: expected a value of an 8-bit mask, 0 to 255, got 300"),
+        (("s", "--label", "70000"), f"--label: expected {LABEL}, got '70000'"),
         (("s", "--threads", "0"), "--threads: expected a whole number of at least 1, got 0"),
     ],
 )

@@ -51,7 +51,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, s
         text=True,
         check=False,
         cwd=folder,
-        timeout=300,
+        timeout=1200,
     )
     assert not (folder / "bang").exists()
     assert not (folder / "made").exists()

@@ -186,7 +186,7 @@ def test_png_with_wrong_bits_is_refused_without_libpngs_lines(
     assert capfd.readouterr().err == ""
 
 
-@pytest.mark.parametrize("number", ["1e308", "-1e308", "1e-308"])
+@pytest.mark.parametrize("number", ["1e308", "-1e308"])
 @pytest.mark.parametrize("key", ["fx", "cx", "width"])
 def test_extreme_number_of_a_camera_is_refused_without_warnings(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], key: str, number: str

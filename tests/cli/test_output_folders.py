@@ -15,9 +15,9 @@ from helpers.commands import run_command
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.io.output import check_output_folder, output
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.manifest import check_same_session
-from dvrk_cmaes.runs.ownership import check_owned
 
 DEMO = bundled_path() / "demo"
 COMMANDS = ("batch", "calibrate", "segment", "track")
@@ -31,6 +31,13 @@ def written(folder: Path, **texts: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
+def by_command(command: str, folder: Path, **texts: str) -> None:
+    """Write files as a command does."""
+    with output(folder, command) as own:
+        written(folder, **texts)
+        own.note_all()
+
+
 def as_session(folder: Path) -> None:
     shutil.copytree(DEMO, folder, dirs_exist_ok=True)
 
@@ -39,9 +46,9 @@ KINDS: dict[str, Callable[[Path], None]] = {
     "session": as_session,
     "images": lambda folder: written(folder, a_png="mine"),
     "masks": lambda folder: written(folder, masks__0000_png="mine"),
-    "batch": lambda folder: written(folder, run_json="{}", frames__0000_json="{}"),
-    "calibrate": lambda folder: written(folder, run_json='{"solved": "together"}', session_json="{}"),
-    "track": lambda folder: written(folder, run_json="{}", tracks_jsonl="{}"),
+    "batch": lambda folder: by_command("batch", folder, run_json="{}", frames__0000_json="{}"),
+    "calibrate": lambda folder: by_command("calibrate", folder, run_json='{"solved": "together"}', session_json="{}"),
+    "track": lambda folder: by_command("track", folder, run_json="{}", tracks_jsonl="{}"),
     "notes": lambda folder: written(folder, notes_json="mine"),
 }
 
@@ -98,12 +105,12 @@ def test_session_is_no_output_folder_of_its_own(
 def test_other_files_beside_results_stay_unless_the_folder_is_replaced(tmp_path: Path) -> None:
     KINDS["batch"](tmp_path / "batch")
     KINDS["notes"](tmp_path / "batch")
-    check_owned(tmp_path / "batch", "batch", replaces=True)
+    check_output_folder(tmp_path / "batch", "batch", replaces=True)
     KINDS["calibrate"](tmp_path / "calibrated")
-    check_owned(tmp_path / "calibrated", "calibrate", replaces=True)
+    check_output_folder(tmp_path / "calibrated", "calibrate", whole=True, replaces=True)
     KINDS["notes"](tmp_path / "calibrated")
     with pytest.raises(InputError, match=r"notes\.json was not written by `calibrate`"):
-        check_owned(tmp_path / "calibrated", "calibrate", replaces=True)
+        check_output_folder(tmp_path / "calibrated", "calibrate", whole=True, replaces=True)
 
 
 @pytest.mark.parametrize("way", ["session", "session/images/..", "link"])
@@ -116,7 +123,8 @@ def test_mask_of_a_session_is_not_replaced_by_that_of_an_estimate(
     options = ("--camera", session / "camera.yaml", "--joints", session / "joints.csv")
     ran = run_command(capsys, "estimate", "--image", image, *options, "--out", tmp_path / way)
     assert ran.refusal == (
-        f"{tmp_path / way}: masks/0000.png was not written by `estimate`, or changed since; choose another --out"
+        f"{tmp_path / way}: masks/0000.png was not written by `estimate`, or changed since; choose another --out, "
+        "or move it"
     )
     assert content(session) == before
 
@@ -128,7 +136,7 @@ def test_result_of_a_batch_is_not_replaced_by_that_of_an_estimate(
     before = content(tmp_path / "out")
     options = ("--camera", session / "camera.yaml", "--joints", session / "joints.csv", "--out", tmp_path / "out")
     ran = run_command(capsys, "estimate", "--mask", session / "masks" / "0000.png", *options)
-    assert "frames/0000.json was not written by `estimate`" in ran.refusal
+    assert "it has what `batch` wrote, which stays as it is" in ran.refusal
     assert content(tmp_path / "out") == before
 
 

@@ -18,8 +18,8 @@ from helpers.drawn_tools import draw_tool
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.io.written_files import read_written
-from dvrk_cmaes.runs.output import locked
+from dvrk_cmaes.io.folder_lock import locked
+from dvrk_cmaes.io.handles import Folder
 
 cli_segment = import_module("dvrk_cmaes.cli.segment")
 
@@ -111,7 +111,7 @@ def test_mask_that_was_corrected_by_hand_is_not_replaced(
     write_image(mask, np.full((240, 320), 255, np.uint8))
     before = mask.read_bytes()
     assert run_command(capsys, "segment", folder, "--out", out).refusal == (
-        f"{out}: masks/0001.png was changed since it was written; choose another --out, or move it"
+        f"{out}: masks/0001.png was not written by `segment`, or changed since; choose another --out, or move it"
     )
     assert mask.read_bytes() == before
 
@@ -146,9 +146,8 @@ def test_images_that_are_segmented_one_by_one_share_a_folder(
         ran = run_command(capsys, "segment", folder / "images" / f"{name}.png", "--out", out, "--json")
         assert Path(ran.result["frames"][name]["mask"]) == out / "masks" / f"{name}.png"
     assert sorted(path.name for path in (out / "masks").iterdir()) == ["0001.png", "0002.png"]
-    written = read_written(out)
-    assert written is not None
-    assert set(written.files) == {"masks/0001.png", "masks/0002.png"}
+    written = json.loads((out / ".written.json").read_text())["files"]
+    assert {name for name in written if name.startswith("masks/")} == {"masks/0001.png", "masks/0002.png"}
 
 
 def test_folder_with_notes_of_the_user_is_refused(
@@ -166,11 +165,12 @@ def test_folder_with_notes_of_the_user_is_refused(
 def test_folder_that_another_run_writes_to_is_left_to_it(
     capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
 ) -> None:
-    with locked(tmp_path / "found"):
+    (tmp_path / "found").mkdir()
+    with Folder(tmp_path / "found") as found, locked(found):
         ran = run_command(capsys, "segment", folder, "--out", tmp_path / "found")
     assert ran.code == 1
     assert "is writing there" in ran.err
-    assert [path.name for path in (tmp_path / "found").iterdir()] == [".lock"]
+    assert not list((tmp_path / "found").iterdir())
 
 
 def test_guess_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

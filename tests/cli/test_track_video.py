@@ -182,7 +182,7 @@ def test_masks_count_where_there_are_any(
         (["--evidence", "masks"], "--evidence masks: expected masks of the frames, got none"),
         (
             ["--layout", "side-by-side"],
-            "expected the calibration's size 320 x 240, or one of that aspect, got 160 x 240",
+            "--layout side-by-side: expected pictures of the aspect of the calibration's 320 x 240, got 160 x 240",
         ),
         (["--video-start", "nan"], "--video-start: expected a finite number of seconds, got nan"),
         (["--first-mask", "none.png"], "none.png: no such file"),

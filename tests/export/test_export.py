@@ -53,7 +53,7 @@ def test_every_format_is_written(to: str, results: Path, run: Run) -> None:
     for path in map(Path, ran.result["written"]):
         assert path.stat().st_size > 0
         assert (results / "exports") in path.parents
-    assert len(ran.result["written"]) == sum(path.is_file() for path in (results / "exports").rglob("*"))
+    assert len(ran.result["written"]) == sum(path.is_file() for path in (results / "exports").rglob("[!.]*"))
 
 
 def test_calibration_is_preferred_to_frames(results: Path, run: Run) -> None:

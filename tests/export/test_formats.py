@@ -56,8 +56,8 @@ def read_bop(text: str) -> list[dict[str, Any]]:
 
 
 def test_easy_handeye_holds_base_from_camera() -> None:
-    ((name, text),) = calibration_file(BASE, NAMES).items()
-    document = yaml.safe_load(text)
+    (name, text), (ros1_name, ros1_text) = calibration_file(BASE, NAMES).items()
+    document, ros1 = yaml.safe_load(text), yaml.safe_load(ros1_text)
     assert name == "PSM2_camera.calib"
     assert document["parameters"] == {
         "name": "PSM2_camera",
@@ -69,6 +69,18 @@ def test_easy_handeye_holds_base_from_camera() -> None:
     }
     translation, rotation = document["transform"]["translation"], document["transform"]["rotation"]
     base_from_camera = pose([translation[a] for a in "xyz"], [rotation[a] for a in "xyzw"])
+    np.testing.assert_allclose(base_from_camera @ BASE, np.eye(4), atol=1e-12)
+    assert ros1_name == "PSM2_camera_eye_on_base.yaml"
+    assert ros1["parameters"] == {
+        "namespace": "/PSM2_camera_eye_on_base/",
+        "eye_on_hand": False,
+        "robot_base_frame": "PSM2_base",
+        "robot_effector_frame": "PSM2_tool",
+        "tracking_base_frame": "endoscope_left_optical",
+        "tracking_marker_frame": "PSM2_instrument",
+    }
+    place = ros1["transformation"]
+    base_from_camera = pose([place[a] for a in "xyz"], [place[f"q{a}"] for a in "xyzw"])
     np.testing.assert_allclose(base_from_camera @ BASE, np.eye(4), atol=1e-12)
 
 

@@ -104,7 +104,7 @@ def test_empty_or_full_mask_is_refused(tmp_path: Path) -> None:
     )
     assert message(stored(tmp_path, np.eye(4, dtype=np.uint8))) == (
         "mask is empty: expected pixels above 127 on the instrument, got none "
-        "(the largest value is 1; is it a mask of labels?)"
+        "(the largest value is 1; of labels, say which: --label 1, or --label any)"
     )
     assert message(stored(tmp_path, np.full((4, 4), 255, np.uint8))) == (
         "mask is full: expected background around the instrument, got none"
@@ -122,24 +122,28 @@ def test_mask_of_single_bits_is_read(tmp_path: Path) -> None:
     path = tmp_path / "mask.png"
     path.write_bytes(png(8, 2, 1, 0, b"\0\xf0\0\x0f"))
     assert read_mask(path).astype(int).tolist() == [[1, 1, 1, 1, 0, 0, 0, 0], [0, 0, 0, 0, 1, 1, 1, 1]]
-    with pytest.raises(InputError, match=r"not 8-bit: expected a mask of 8 bits a pixel, got 1 bits"):
-        read_mask(path, label=1)
+    assert np.array_equal(read_mask(path, label=1), read_mask(path))
 
 
 def test_colour_or_transparent_mask_is_refused(tmp_path: Path) -> None:
     colour = np.zeros((4, 4, 3), np.uint8)
     colour[1, 1, 2] = 255
-    assert message(stored(tmp_path, colour)) == "expected a mask in grey, got a colour image"
+    assert message(stored(tmp_path, colour)) == (
+        "expected a mask in grey, of labels by --label 1 or '#00ff00', got a colour image"
+    )
     clear = np.dstack([np.repeat(grey()[:, :, None], 3, axis=2), grey()])
     assert message(stored(tmp_path, clear)) == "expected a mask in grey, got an image with transparency"
 
 
-def test_labels_with_palette_are_refused(tmp_path: Path) -> None:
+def test_label_of_a_palette_is_its_index(tmp_path: Path) -> None:
     path = tmp_path / "palette.png"
     palette = chunk(b"PLTE", bytes([0, 0, 0, 5, 5, 5, 255, 255, 255]))
     path.write_bytes(png(3, 2, 8, 3, b"\0\0\1\2\0\0\0\0", palette))
     assert read_mask(path).tolist() == [[False, False, True], [False] * 3]
-    assert message(path, label=1) == "label: expected a mask of labels in plain grey, got one with a palette"
+    assert read_mask(path, label=1).tolist() == [[False, True, False], [False] * 3]
+    assert read_mask(path, label="any").tolist() == [[False, True, True], [False] * 3]
+    path.write_bytes(png(4, 2, 2, 3, b"\0\x1b\0\0", palette))
+    assert read_mask(path, label=2).tolist() == [[False, False, True, False], [False] * 4]
 
 
 def test_too_large_image_is_refused_before_decoding(tmp_path: Path) -> None:
@@ -263,5 +267,6 @@ def test_mask_of_other_aspect_is_refused() -> None:
         with pytest.raises(InputError) as caught:
             match_size(VGA, shape)
         assert str(caught.value) == (
-            f"mask: expected the calibration's size 640 x 480, or one of that aspect, got {shape[1]} x {shape[0]}"
+            f"mask: expected the calibration's size 640 x 480, or one of that aspect, got {shape[1]} x {shape[0]} "
+            "(--crop x,y,w,h for a part of the picture, --stretch for one that was resized unevenly)"
         )

@@ -52,8 +52,8 @@ def make_session(folder: Path, names: list[str]) -> Path:
 
 
 def comparable(out: Path) -> dict[str, str]:
-    """Give the texts of all files of results by name, without times."""
-    files = sorted(path for path in out.rglob("*") if path.is_file())
+    """Give the texts of all files of results by name, without times, and without the list of them."""
+    files = sorted(path for path in out.rglob("*") if path.is_file() and not path.name.startswith("."))
     return {str(path.relative_to(out)): _without_times(path) for path in files}
 
 

@@ -267,7 +267,7 @@ INPUTS = [
         )
     ),
     Input("session's camera", CAMERA.read_bytes, _session("camera.yaml"), _batch, _TEXT),
-    Input("session's joints", JOINTS.read_bytes, _session("joints.csv"), _batch),
+    Input("session's joints", JOINTS.read_bytes, _session("joints.csv"), _batch, optional=True),
     Input("session's times", lambda: b"frame,time\n0000,1.5\n", _session("images.csv"), _batch, (0.3,), True),
     Input(
         "session's tips",
@@ -295,6 +295,7 @@ INPUTS = [
         _bag_folder("metadata.yaml"),
         lambda path: _importing(path, path.parent),
         (0.1, 0.5),
+        optional=True,
     ),
     Input("video", lambda: _recorded("video"), _beside("video.avi"), _video(None), (0.02,)),
     Input("video's camera", lambda: SMALL_CAMERA, _beside("c.yaml"), _video("camera"), (0.5,)),

@@ -105,6 +105,17 @@ def test_damaged_entry_is_replaced(folder: Path, count_reads: list[Path], damage
     assert len(count_reads) == 2
 
 
+def test_package_that_is_nearer_is_found_after_it_was_added(folder: Path) -> None:
+    urdf, far, near = folder / "small" / "small.urdf", folder / "parts", folder / "small" / "parts"
+    urdf.write_text(urdf.read_text().replace("meshes/wrist.obj", "package://parts/wrist.obj"))
+    shutil.copytree(folder / "small" / "meshes", far)
+    before = load_instrument(urdf, use_cache=True)
+    shutil.copytree(far, near)
+    (near / "wrist.obj").write_text(TETRA_OBJ.replace("v 1 0 0", "v 0.9 0 0"), encoding="utf-8")
+    after = load_instrument(urdf, use_cache=True)
+    assert plain(after) == plain(load_instrument(urdf)) != plain(before)
+
+
 def test_cache_is_optional(folder: Path, monkeypatch: pytest.MonkeyPatch, count_reads: list[Path]) -> None:
     source = folder / "small" / "small.urdf"
     load_instrument(source)

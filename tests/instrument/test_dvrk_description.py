@@ -158,8 +158,8 @@ def test_unusable_description_is_refused(tmp_path: Path, old: str, new: str, exp
 def test_comments_are_removed_quickly(tmp_path: Path) -> None:
     path = written(tmp_path, '{"a": "http://x/*y*/ \\" // z", "b": 1 /* " */}')
     assert read_json_object(path, expected="x", comments=True) == {"a": 'http://x/*y*/ " // z', "b": 1}
-    started = time.perf_counter()
+    started = time.process_time()
     for text in ("/*" * 200_000, '"\\"' * 100_000, "//" * 200_000):
         with pytest.raises(InputError, match="got no valid JSON"):
             read_json_object(written(tmp_path, text), expected="x", comments=True)
-    assert time.perf_counter() - started < 5
+    assert time.process_time() - started < 5

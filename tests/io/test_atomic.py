@@ -14,8 +14,9 @@ import pytest
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.images import read_image, read_mask
-from dvrk_cmaes.io import atomic
-from dvrk_cmaes.io.atomic import write_bytes, write_image, write_json, write_text, written_beside
+from dvrk_cmaes.io import handles
+from dvrk_cmaes.io.atomic import write_image, write_json, write_text
+from dvrk_cmaes.io.output import write_bytes, written_beside
 
 
 def names(folder: Path) -> list[str]:
@@ -78,7 +79,7 @@ def test_unwritable_path_is_refused_without_leftovers(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"kept")
     for path, reason in [
         (tmp_path / "folder", "Is a directory"),
-        (tmp_path / "file" / "below", "a file lies where a folder is wanted"),
+        (tmp_path / "file" / "below", "Not a directory"),
         (tmp_path / "file" / "far" / "below", "Not a directory"),
         (tmp_path / ("x" * 300), "File name too long"),
         (tmp_path / "new" / "folder" / ("x" * 300), "File name too long"),
@@ -93,10 +94,10 @@ def test_unwritable_path_is_refused_without_leftovers(tmp_path: Path) -> None:
 def test_full_disk_leaves_old_file_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_bytes(tmp_path / "a", b"old")
 
-    def full(source: object, target: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(atomic.os, "replace", full)
+    monkeypatch.setattr(handles.os, "replace", full)
     with pytest.raises(DvrkCmaesError, match=r"a: not written \(No space left on device\)") as caught:
         write_bytes(tmp_path / "a", b"new")
     assert caught.value.exit_code == 1
@@ -105,10 +106,10 @@ def test_full_disk_leaves_old_file_only(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_interruption_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(source: object, target: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(atomic.os, "replace", interrupted)
+    monkeypatch.setattr(handles.os, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):
         write_bytes(tmp_path / "a", b"new")
     assert names(tmp_path) == []
@@ -117,7 +118,7 @@ def test_interruption_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_file_of_another_program_is_renamed_when_it_is_complete(tmp_path: Path) -> None:
     target = tmp_path / "new" / "a.mp4"
     with written_beside(target, "a video") as beside:
-        assert (beside.parent, beside.suffix) == (target.parent, ".mp4")
+        assert (beside.parent.parent, beside.suffix) == (target.parent, ".mp4")
         beside.write_bytes(b"whole")
         assert not target.exists()
     assert target.read_bytes() == b"whole"

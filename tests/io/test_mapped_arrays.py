@@ -1,7 +1,8 @@
-"""Files of arrays that are mapped into memory: read back alike, and refused where they are damaged."""
+"""Files of arrays for the cache: read back alike, and refused where they are damaged."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def test_arrays_and_values_are_read_back(path: Path) -> None:
         np.testing.assert_array_equal(arrays[name], array)
 
 
-def test_arrays_are_mapped_and_cannot_be_written_to(path: Path) -> None:
+def test_arrays_are_aligned_and_cannot_be_written_to(path: Path) -> None:
     _, arrays = map_arrays(path)
     assert not arrays["points"].flags.owndata
     assert arrays["points"].ctypes.data % 64 == 0
@@ -42,9 +43,14 @@ def test_arrays_are_mapped_and_cannot_be_written_to(path: Path) -> None:
         arrays["points"][0] = 1.0
 
 
-def test_file_that_is_replaced_does_not_change_what_was_mapped(path: Path) -> None:
+@pytest.mark.parametrize(
+    "change",
+    [lambda path: write_arrays(path, {}, {"points": np.zeros((4, 3))}), lambda path: path.write_bytes(b"")],
+    ids=["replaced", "cut in place"],
+)
+def test_file_that_changes_does_not_change_what_was_read(path: Path, change: Callable[[Path], object]) -> None:
     _, arrays = map_arrays(path)
-    write_arrays(path, {}, {"points": np.zeros((4, 3))})
+    change(path)
     np.testing.assert_array_equal(arrays["points"], ARRAYS["points"])
 
 

@@ -8,16 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io import atomic_folder
-from dvrk_cmaes.io.atomic_folder import whole_folder
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.io import handles
+from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.output import output, whole_folder
 
 
-def write(out: Path, text: str, *, command: str = "synth") -> None:
-    with whole_folder(out, command=command, sign="camera.yaml", overwrite=out.exists()) as beside:
-        (beside / "camera.yaml").write_text(text)
-        (beside / "images").mkdir()
-        (beside / "images" / "0.png").write_text(text)
+def write(out: Path, text: str, *, command: str = "synth", kept: tuple[str, ...] = ()) -> None:
+    with whole_folder(out, command, overwrite=out.exists(), kept=kept) as beside:
+        write_text(beside / "camera.yaml", text)
+        (beside / "images").mkdir(exist_ok=True)
+        (beside / "images" / "0.png").write_text(text)  # as other libraries do
 
 
 @pytest.fixture
@@ -41,11 +42,25 @@ def link_image(out: Path) -> None:
 
 
 CHANGES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "added": (add_mask, "masks/0.png was added or changed since"),
-    "edited": (lambda out: (out / "camera.yaml").write_text("mine"), "camera.yaml was added or changed since"),
-    "link": (link_image, "images/0.png was added or changed since"),
-    "folder linked": (lambda out: os.symlink("/", out / "all"), "all was added or changed since"),
-    "without a record": (lambda out: (out / ".written.json").unlink(), "expected a folder that `synth` wrote"),
+    "added": (add_mask, "masks/0.png was not written by `synth`"),
+    "edited": (lambda out: (out / "camera.yaml").write_text("mine"), "camera.yaml was not written by `synth`, or chan"),
+    "link": (link_image, "images/0.png: expected a place to write"),
+    "folder linked": (
+        lambda out: os.symlink("/", out / "all"),
+        "all: expected a place to write, got",
+    ),
+    "without a list": (
+        lambda out: (out / ".written.json").unlink(),
+        "one of an earlier synth, got one with came",
+    ),
+    "damaged list": (
+        lambda out: (out / ".written.json").write_text("[]"),
+        "written.json: expected what an earlier",
+    ),
+    "list of another folder": (
+        lambda out: (out / ".written.json").write_text('{"command": "synth", "files": {"../x": ""}}'),
+        r"written.json: files: expected paths in the folder, got '\.\./x'",
+    ),
 }
 
 
@@ -61,48 +76,90 @@ def test_folder_with_files_of_the_user_stays_as_it_is(out: Path, change: str) ->
 
 def test_folder_of_another_command_stays_as_it_is(out: Path) -> None:
     before = content(out)
-    with pytest.raises(InputError, match="expected a folder that `import` wrote"):
+    with pytest.raises(InputError, match="it has what `synth` wrote, which stays as it is"):
         write(out, "second", command="import")
     assert content(out) == before
 
 
 def test_file_that_is_added_while_the_new_folder_is_written_is_kept(out: Path) -> None:
     def overwrite() -> None:
-        with whole_folder(out, command="synth", sign="camera.yaml", overwrite=True) as beside:
+        with whole_folder(out, "synth", overwrite=True) as beside:
             (beside / "camera.yaml").write_text("second")
             add_mask(out)
 
-    with pytest.raises(InputError, match=r"masks/0\.png was added"):
+    with pytest.raises(InputError, match=r"masks/0\.png was not written"):
         overwrite()
     assert (out / "masks" / "0.png").read_text() == "mine"
     assert (out / "camera.yaml").read_text() == "first"
 
 
-@pytest.mark.parametrize("in_one_step", [True, False])
-def test_own_folder_is_replaced(out: Path, monkeypatch: pytest.MonkeyPatch, in_one_step: bool) -> None:
-    if not in_one_step:
-        monkeypatch.setattr(atomic_folder, "_RENAME_EXCHANGE", -1)  # no such flag
+def test_file_that_is_added_in_the_last_moment_is_kept(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    exchange = handles.Folder.exchange
+
+    def add_then_exchange(above: handles.Folder, first: str, second: str) -> bool:
+        add_mask(out)
+        return exchange(above, first, second)
+
+    monkeypatch.setattr(handles.Folder, "exchange", add_then_exchange)
     write(out, "second")
+    assert (out / "masks" / "0.png").read_text() == "mine"
+    assert (out / "camera.yaml").read_text() == "second"
+
+
+@pytest.mark.parametrize("in_one_step", [True, False])
+@pytest.mark.parametrize("link", [True, False])
+def test_own_folder_is_replaced(out: Path, monkeypatch: pytest.MonkeyPatch, in_one_step: bool, link: bool) -> None:
+    if not in_one_step:
+        monkeypatch.setattr(handles, "_EXCHANGE", -1)  # no such flag
+    if link:
+        os.symlink(out, out.parent / "link")
+    write(out.parent / "link" if link else out, "second")
     assert (out / "images" / "0.png").read_text() == "second"
+    assert {path.name for path in out.parent.iterdir()} - {"link"} == {"out"}
+    write(out, "third")
+
+
+def test_what_is_kept_is_in_the_new_folder(out: Path) -> None:
+    with output(out / "alone", "batch"):
+        write_text(out / "alone" / "a.json", "kept")
+    write(out, "second", kept=("alone",))
+    assert (out / "alone" / "a.json").read_text() == "kept"
+    assert (out / "camera.yaml").read_text() == "second"
+    with output(out / "alone", "batch") as alone:
+        assert not alone.is_changed("a.json")
+
+
+def test_failure_leaves_the_earlier_folder(out: Path) -> None:
+    before = content(out)
+
+    def fail() -> None:
+        with whole_folder(out, "synth", overwrite=True) as beside:
+            write_text(beside / "camera.yaml", "half")
+            raise ValueError("half written")
+
+    with pytest.raises(InputError, match="half written"):
+        fail()
+    assert content(out) == before
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
 
 def test_folder_that_a_killed_run_left_is_removed_by_the_next_one(tmp_path: Path) -> None:
     if (child := os.fork()) == 0:
-        with whole_folder(tmp_path / "out", command="synth", sign="camera.yaml"):
+        with whole_folder(tmp_path / "out", "synth"):
             os._exit(0)  # as if killed: nothing is cleaned up
     os.waitpid(child, 0)
     (tmp_path / f".{'a' * 32}.tmp").mkdir()  # of another target
-    assert len(list(tmp_path.iterdir())) == 2
-    write(tmp_path / "out", "first")
+    assert len(list(tmp_path.iterdir())) == 3
+    with whole_folder(tmp_path / "out", "synth") as beside:
+        write_text(beside / "camera.yaml", "first")
     assert {path.name for path in tmp_path.iterdir()} == {"out", f".{'a' * 32}.tmp"}
 
 
-def test_folder_that_a_live_run_fills_is_not_removed_by_another_one(tmp_path: Path) -> None:
+def test_folder_that_a_live_run_fills_is_left_to_it(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with whole_folder(out, command="synth", sign="camera.yaml") as beside:
-        with pytest.raises(InputError, match="half"), whole_folder(out, command="synth", sign="camera.yaml"):
-            raise InputError("half")
-        assert beside.is_dir()
-        (beside / "camera.yaml").write_text("first")
+    with whole_folder(out, "synth") as beside:
+        with pytest.raises(DvrkCmaesError, match="another command is writing there"), whole_folder(out, "synth"):
+            pass
+        write_text(beside / "camera.yaml", "first")
     assert (out / "camera.yaml").read_text() == "first"
+    assert not list(out.glob(".lock*"))

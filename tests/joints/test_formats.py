@@ -143,13 +143,8 @@ def test_gap_beyond_tolerance_is_refused(tmp_path: Path) -> None:
         ),
         ("0.1697", "169.7", "message 1: insertion: expected metres, got 169.7: this looks like millimetres"),
         ("name: [yaw,", "name: [", "message 1: name: expected 6 different names, one for each position, got ["),
-        ("name: [yaw,", "name: [outer_jow,", "message 1: unknown joint 'jow'; expected one of jaw, yaw, roll"),
+        ("name: [yaw,", "name: [outer_jow,", "message 1: name: unknown joint 'jow'; expected one of jaw, yaw, roll"),
         ("secs: 100", "secs: -1", "message 1: header.stamp: expected whole seconds and nanoseconds, got {"),
-        (
-            "position: [0.59, -0.48, 0.1697, 0.39, -0.68, -0.36]",
-            "position: []",
-            "message 1: position: expected a list of numbers, got []",
-        ),
         ("effort: [1.0", "effort: [*x", "expected plain values, got a YAML alias ('x')"),
         ("effort: [1.0", "effort: [" + "[" * 30, "expected a small file, got YAML of more than 20 levels"),
         (

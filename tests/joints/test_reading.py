@@ -132,7 +132,12 @@ def test_reading_just_below_full_turn_is_accepted() -> None:
         (TABLE + ",1,,,,,,\n", "0026", "line 4: frame: expected a name, got a blank cell"),
         (TABLE + "0050,0.1\n", "0026", "line 4: expected 8 cells as in the header, got 2"),
         ("frame,jaw\n", "1", "expected a row for each frame, got a header only"),
-        ("yaw;jaw\n1;2\n", "1", "header: expected a column frame and columns of joints, got yaw;jaw"),
+        (
+            "yaw;pitch\n1;2\n",
+            "1",
+            "header: expected a column frame or time and columns of joints, got yaw, pitch (rows that are only "
+            "counted are read with --columns and the names of the columns)",
+        ),
         ("frame,jaw,jaw\n1,2,3\n", "1", "header: expected each column once, got 'jaw' twice"),
         (
             "frame,jow\n1,2\n",

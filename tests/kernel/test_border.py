@@ -47,6 +47,11 @@ def equations(**changed: Any) -> Any:
     return _kernel.normal_equations(**(given | {"begin": BEGIN, "cauchy": 1.0, "change": np.zeros((1, 9))} | changed))
 
 
+def chain(**changed: Any) -> _kernel.Chain:
+    given = {"parents": [-1, 0], "drivers": [0, 1], "sliding": [False, True], "multipliers": [1.0, 1.0]}
+    return _kernel.Chain(**(given | {"offsets": [0.0, 0.0], "terms": np.zeros((2, 3, 4, 4))} | changed))
+
+
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "a face without its vertex": (
         lambda: _kernel.Mesh([(VERTICES, FACES + 1)]),
@@ -87,6 +92,18 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "two coefficients": (
         lambda: _kernel.Camera(8, 6, 10.0, 10.0, 3.5, 2.5, "plumb_bob", (0.1, 0.2), 1.0),
         "coefficients: expected 4, 5 or 8",
+    ),
+    "a parent after its child": (lambda: chain(parents=[1, -1]), "parents: expected every parent before its children"),
+    "a parent too few": (lambda: chain(parents=[-1]), r"terms: expected an array \(1, 3, 4, 4\)"),
+    "a driver too few": (lambda: chain(drivers=[0]), "joints: expected as many drivers"),
+    "a driver that is no joint": (lambda: chain(drivers=[0, -2]), "drivers: expected numbers of joints"),
+    "values of one joint": (
+        lambda: chain().forward(np.zeros((1, 1)), [0], False),
+        "values: expected one of each joint",
+    ),
+    "a selected joint that is not there": (
+        lambda: chain().forward(np.zeros((1, 2)), [2], True),
+        "selected: expected numbers of joints, or -1, got 2",
     ),
     "a link that is not there": (lambda: points(link=np.array([0, 1])), "link: expected numbers of links, got 1"),
     "offsets beyond the points": (lambda: points(begin=np.array([0, 3])), "begin: expected ascending offsets"),
@@ -157,3 +174,23 @@ def test_an_exception_of_the_decision_is_raised() -> None:
 
     with pytest.raises(KeyError, match="no"):
         mesh().coverage(CAMERA, LINKS, 2, 1, decide)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300, 1e18])
+def test_joints_that_are_no_angles_give_no_pose_and_no_error(value: float) -> None:
+    terms = np.stack([np.stack([np.eye(4)] * 3)] * 2)
+    poses, slopes = chain(terms=terms).forward(np.full((1, 2), value), [-1, 0, 1], True)
+    np.testing.assert_array_equal(poses[0, 0], np.eye(4))
+    assert slopes is not None
+    assert slopes.shape == (1, 2, 3, 4, 4)
+
+
+def test_sine_and_cosine_are_exact_to_the_last_digits() -> None:
+    terms = np.zeros((1, 3, 4, 4))
+    terms[0, 1, 0, 0] = terms[0, 2, 0, 1] = 1
+    tree = _kernel.Chain([-1], [0], [False], [1.0], [0.0], terms)
+    angles = np.concatenate([np.linspace(-10, 10, 20_001), np.arange(-8, 9) * np.pi / 4])
+    poses, slopes = tree.forward(angles[:, None], [0], True)
+    assert slopes is not None
+    np.testing.assert_allclose(poses[:, 0, 0, :2], np.column_stack([np.sin(angles), np.cos(angles)]), atol=3e-16)
+    np.testing.assert_allclose(slopes[:, 0, 0, 0, :2], np.column_stack([np.cos(angles), -np.sin(angles)]), atol=3e-16)

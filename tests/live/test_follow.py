@@ -69,22 +69,22 @@ def test_pose_of_known_frame_is_published(masked: bool) -> None:
     server, lines = RosbridgeServer(), list[str]()
     server.start()
     connection = RosbridgeConnection("127.0.0.1", server.port, lines.append)
-    assert connection.open(20)
+    assert connection.open(60)
     stop = threading.Event()
     topics = TOPICS if masked else replace(TOPICS, mask=None)
     setup = LiveSetup(topics, FrameNames(), prepare("lnd"), lag=0.0, overlay=True)
     thread = threading.Thread(target=follow, args=(setup, connection, lines.append, stop), daemon=True)
     thread.start()
-    wait_for(lambda: len(server.subscribed) == (4 if masked else 3), 30)
+    wait_for(lambda: len(server.subscribed) == (4 if masked else 3))
     server.send("/left/camera_info", camera_info())
-    wait_for(lambda: any(line.startswith("camera: 640 x 480 px") for line in lines), 30)
+    wait_for(lambda: any(line.startswith("camera: 640 x 480 px") for line in lines))
     for k in range(1, 200):
         send_frame(server, k, masked=masked)
-        wait_for(lambda k=k: len(server.received.get(OVERLAY, [])) == k, 60)  # type: ignore[misc]
+        wait_for(lambda k=k: len(server.received.get(OVERLAY, [])) == k)  # type: ignore[misc]
         if len(server.received.get(POSE, [])) == 2:
             break
     stop.set()
-    thread.join(30)
+    thread.join(60)
     connection.close()
     server.stop()
     truth = read_session(DEMO).truth.frames["0001"].camera_from_root

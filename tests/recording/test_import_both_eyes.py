@@ -143,6 +143,6 @@ def test_baseline_that_right_yaml_states_counts_more(imported: Import, tmp_path:
 
 def test_wrong_stereo_calibration_of_a_clip_is_refused(imported: Import, tmp_path: Path) -> None:
     clip = write_clip(tmp_path / "clip")
-    stereo_parameters(clip, 0.4)
+    stereo_parameters(clip, 0.0004)
     refusal = imported(clip, "--arm", "PSM1").refusal
-    assert "stereo_calib_params.json: R and T: expected 1 to 50 mm between the eyes, got 0.4 m" in refusal
+    assert "stereo_calib_params.json: R and T: expected 0.0005 to 0.5 m between the cameras, got " in refusal

@@ -259,8 +259,7 @@ def test_camera_readings_and_start_of_stereo_videos_may_be_given(imported: Impor
 def test_wrong_stereo_folders_are_refused(refused: Refused, tmp_path: Path) -> None:
     folder = stereo_folder(tmp_path / "videos")
     assert refused(folder, "--arm", "PSM1") == (
-        f"{folder}: --arm: expected a clip of SurgSync, with image and kinematic folders or timestamp.parquet, or a "
-        "folder of SurgPose, with regular/left_video.mp4 and api_jp_data.yaml"
+        f"{folder}: --arm: expected a ROS recording, a clip of SurgSync or a folder of SurgPose"
     )
     write_video(folder / "left_2.avi")
     assert (
@@ -273,5 +272,5 @@ def test_wrong_stereo_folders_are_refused(refused: Refused, tmp_path: Path) -> N
     )
     (folder / "suturing_right.avi").unlink()
     assert refused(folder, "--side", "right") == (
-        f"{folder}: --side: expected a ROS recording, a SurgSync clip, or a folder with left and right videos"
+        f"{folder}: expected pictures (PNG or JPEG), or a recording, got none"
     )

@@ -69,12 +69,6 @@ def with_image(message: Message) -> list[Message]:
     ("messages", "arguments", "expected"),
     [
         (
-            without("Image"),
-            (),
-            "--image-topic: expected a topic of images (sensor_msgs/Image or sensor_msgs/CompressedImage), "
-            "got /PSM1/jaw/measured_js, /PSM1/measured_js, /left/camera_info",
-        ),
-        (
             [*good(2), image(BEGIN, pixels(0), topic="/right/image_raw")],
             (),
             "--image-topic: expected one topic of images, got several: /left/image_raw, /right/image_raw",
@@ -106,13 +100,13 @@ def with_image(message: Message) -> list[Message]:
         (
             [*good(2), joints(BEGIN, sweep(BEGIN), topic="/PSM2/measured_js")],
             (),
-            "--joints-topic: expected one topic of the arm's joints (or none), got several: "
+            "--joints-topic: expected one topic of the arm's joints (--arm, or none), got several: "
             "/PSM1/measured_js, /PSM2/measured_js",
         ),
         (
             [*without("JointState"), jaw(BEGIN, 0.1), joints(BEGIN, sweep(BEGIN), topic="/PSM1/setpoint_js")],
             (),
-            "--joints-topic: expected a topic of the arm's joints (or none) (sensor_msgs/JointState), "
+            "--joints-topic: expected a topic of the arm's joints (--arm, or none) (sensor_msgs/JointState), "
             "got /PSM1/jaw/measured_js, /PSM1/setpoint_js, /left/camera_info, /left/image_raw",
         ),
         (
@@ -167,8 +161,7 @@ def test_missing_or_ambiguous_topics_are_refused(
         ),
         (
             [*without("JointState"), joints(BEGIN, [0.1] * 6, ["a", "b", "c", "d", "e", "f"])],
-            "/PSM1/measured_js: name: expected joints of an arm "
-            "(wrist_pitch, wrist_yaw, jaw, yaw, pitch, insertion, roll), got a, b, c, d, e, f",
+            "/PSM1/measured_js: name: unknown joint 'a'; expected one of jaw, yaw,",
         ),
         (
             [*without("JointState"), joints(BEGIN, [0.1] * 5, [])],
@@ -177,8 +170,7 @@ def test_missing_or_ambiguous_topics_are_refused(
         ),
         (
             [*good(2), joints(BEGIN, [0.1] * 5)],
-            "/PSM1/measured_js: expected a position of each of yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw in "
-            "every message, got 5 of yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw",
+            "/PSM1/measured_js: position: expected 6 numbers, one for each name, got 5",
         ),
         (
             [*without("JointState"), *(joints(BEGIN - SECOND - k, sweep(BEGIN)) for k in range(9))],
@@ -195,10 +187,13 @@ def test_unusable_message_is_refused(refused: Refused, tmp_path: Path, messages:
 @pytest.mark.parametrize(
     ("messages", "expected"),
     [
-        ([*without("CameraInfo"), camera_info(BEGIN, k=np.zeros(9))], "session/camera.yaml: camera_matrix: expected"),
+        (
+            [*without("CameraInfo"), camera_info(BEGIN, k=np.zeros(9), p=np.zeros(12))],
+            "/left/camera_info: K: expected positive focal lengths in pixels",
+        ),
         (
             [*without("CameraInfo"), camera_info(BEGIN, distortion_model="wavy")],
-            "session/camera.yaml: distortion_model: expected one of",
+            "/left/camera_info: distortion_model: expected one of",
         ),
         (
             [*without("JointState"), *(joints(BEGIN + k * 10**7, [47.0] * 6) for k in range(20))],
@@ -209,7 +204,7 @@ def test_unusable_message_is_refused(refused: Refused, tmp_path: Path, messages:
 def test_values_that_session_cannot_hold_are_refused(
     refused: Refused, tmp_path: Path, messages: list[Message], expected: str
 ) -> None:
-    assert refused(write_bag(tmp_path / "bag", "mcap", messages)).startswith(expected)
+    assert expected in refused(write_bag(tmp_path / "bag", "mcap", messages))
 
 
 # damage
@@ -244,10 +239,7 @@ def test_other_files_are_refused(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "camera.yaml").write_text(CAMERA)
     (tmp_path / "table.csv").write_text(TABLE)
     beside = ("--camera", "camera.yaml", "--joints", "table.csv")
-    assert refused("folder") == (
-        "folder: expected a ROS 2 recording, got a folder without metadata.yaml "
-        "(give its .mcap or .db3 file, or run: ros2 bag reindex)"
-    )
+    assert refused("folder") == ("folder: expected pictures (PNG or JPEG), or a recording, got none")
     assert refused("away.bag") == "away.bag: no such file; expected a ROS recording"
     assert "loop.bag: not readable (Too many levels of symbolic links)" in refused("loop.bag")
     assert refused("away.mp4", *beside).startswith("away.mp4: no such file; expected a video that OpenCV reads, or a")
@@ -316,7 +308,8 @@ def test_other_files_at_output_are_kept(refused: Refused, tmp_path: Path) -> Non
         "session: expected a new or empty folder, got one with files in it (--overwrite replaces it)"
     )
     assert refused(bag, "--overwrite") == (
-        "session: --overwrite: expected an older folder with camera.yaml, got one without; nothing removed"
+        "session: expected a new or empty folder, or one of an earlier import, got one with thesis.tex; "
+        "nothing was changed"
     )
     (session / "camera.yaml").write_text(CAMERA)
     inside = write_bag(session / "bag", "mcap", good(1))
@@ -331,12 +324,12 @@ def test_older_session_is_kept_on_failure(
     assert main(["import", str(bag), "--out", "session"]) == 0
     capfd.readouterr()
 
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("dvrk_cmaes.io.atomic.os.replace", full)
+    monkeypatch.setattr("dvrk_cmaes.io.handles.os.replace", full)
     assert refused(bag, "--overwrite", code=1) == (
-        "session/images/000000.png: not written (No space left on device); expected a place to write a file"
+        "session: not written (No space left on device); expected a place to write results"
     )
 
 

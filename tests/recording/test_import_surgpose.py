@@ -236,7 +236,7 @@ def test_wrong_files_are_refused(
 def test_wrong_distance_of_the_eyes_is_refused(refused: Callable[..., str], folder: Path) -> None:
     (folder / "StereoCalibrationDVRK.ini").write_text(calibration_ini(T_0=-530.0), encoding="utf-8")
     line = refused(folder, "--arm", "PSM1", "--side", "both")
-    assert "StereoRight: R and T: expected 1 to 50 mm between the eyes, got 530 m or mm" in line
+    assert "StereoRight: R and T: expected 0.0005 to 0.5 m between the cameras, got 530 m or mm" in line
 
 
 def test_video_of_another_rate_is_refused(refused: Callable[..., str], arms: MadeArms, tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_pictures_names_and_shafts_link_to_frames(page: WebDriver) -> None:
     for link in (".pictures a[href='#frame-02']", "#calibration th a[href='#frame-lost']"):
         before = len(opened(page))
         page.find_element(By.CSS_SELECTOR, link).click()
-        WebDriverWait(page, 10).until(lambda page, before=before: len(opened(page)) > before)
+        WebDriverWait(page, 60).until(lambda page, before=before: len(opened(page)) > before)
     page.execute_script(
         "document.querySelector('#plot-meeting [data-f=\"7\"]').dispatchEvent(new MouseEvent('click', {bubbles: true}))"
     )

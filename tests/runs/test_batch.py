@@ -19,9 +19,9 @@ from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.io.output import output
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs.batch import BatchSummary, finish, run_batch
-from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.silhouette import Body
 
 Batch = Callable[..., BatchSummary]
@@ -62,7 +62,7 @@ def test_batch_writes_results_overlays_tables_and_page(batch: Batch, tmp_path: P
     done = batch(make_session(tmp_path / "session", names))
     out = tmp_path / "out"
     assert sorted(comparable(out)) == sorted(
-        [".lock", "poses.csv", "report.html", "run.json", "summary.json"]
+        ["poses.csv", "report.html", "run.json", "summary.json"]
         + [f"frames/{name}.json" for name in names]
         + [f"layers/{name}.json" for name in names]
         + [f"overlays/{name}.jpg" for name in names]
@@ -183,16 +183,36 @@ def test_resume_with_changed_files_is_refused(batch: Batch, two: Path, tmp_path:
 
 
 @pytest.mark.usefixtures("estimates_shared")
-def test_failed_frames_are_repeated_on_request(batch: Batch, two: Path, tmp_path: Path) -> None:
+def test_failed_frames_are_repeated_on_request_or_when_their_files_have_changed(
+    batch: Batch, two: Path, tmp_path: Path
+) -> None:
     mask = two / "masks" / "0002.png"
     sound = mask.read_bytes()
     batch(two, "sound")
     mask.write_bytes(b"nonsense")
     assert batch(two).counts["failed"] == 1
+    assert batch(two).ran == 0
+    done = batch(two, retry_failed=True)
+    assert (done.ran, done.counts["failed"]) == (1, 1)
     mask.write_bytes(sound)
-    assert "0002 (mask)" in refusal(batch, two)
-    assert batch(two, retry_failed=True).counts["failed"] == 0
+    done = batch(two)
+    assert (done.ran, done.counts["failed"]) == (1, 0)
     assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
+
+
+@pytest.mark.usefixtures("estimates_shared")
+def test_settings_may_change_while_all_frames_have_failed(batch: Batch, two: Path, tmp_path: Path) -> None:
+    batch(two, "sound", arm="si")
+    masks = {path: path.read_bytes() for path in (two / "masks").iterdir()}
+    for path in masks:
+        path.write_bytes(b"nonsense")
+    assert batch(two).counts["failed"] == 2
+    for path, data in masks.items():
+        path.write_bytes(data)
+    done = batch(two, arm="si")
+    assert (done.ran, done.counts["failed"]) == (2, 0)
+    assert comparable(tmp_path / "out") == comparable(tmp_path / "sound")
+    assert "arm: si -> classic" in refusal(batch, two)
 
 
 @pytest.mark.usefixtures("estimates_shared")
@@ -250,7 +270,7 @@ def test_file_in_the_place_of_a_folder_is_refused_first(batch: Batch, two: Path,
 def test_damaged_summary_is_replaced(batch: Batch, two: Path, tmp_path: Path) -> None:
     batch(two)
     whole = comparable(tmp_path / "out")
-    (tmp_path / "out" / "summary.json").write_bytes(b"\xff")
+    (tmp_path / "out" / "summary.json").write_bytes(b'{"cut')
     assert batch(two).ran == 0
     assert comparable(tmp_path / "out") == whole
 
@@ -280,9 +300,9 @@ def test_unwritable_names_and_folders_are_refused_first(batch: Batch, tmp_path: 
 @pytest.mark.usefixtures("estimates_shared")
 def test_second_batch_in_same_folder_is_refused(batch: Batch, two: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with locked(out), pytest.raises(DvrkCmaesError) as caught:
+    with output(out, "batch"), pytest.raises(DvrkCmaesError) as caught:
         batch(two)
-    assert str(caught.value) == f"{out}: another batch is writing there; wait for it, or choose another --out"
+    assert str(caught.value) == f"{out}: another command is writing there; wait for it, or choose another --out"
     assert batch(two).ran == 2
 
 

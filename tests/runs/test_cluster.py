@@ -45,7 +45,7 @@ class Cluster:
         self._folder = folder
         self._file = folder / "scheduler.json"
         self._processes = [self._start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", self._file)]
-        limit = time.monotonic() + 60
+        limit = time.monotonic() + 300
         while not self._file.exists() or not self._file.read_text():
             assert time.monotonic() < limit
             time.sleep(0.05)

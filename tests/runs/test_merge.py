@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
@@ -12,9 +11,9 @@ from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.runs.batch import BatchSummary, run_batch
 from dvrk_cmaes.runs.merge import merge_shards
-from dvrk_cmaes.runs.output import locked
 from dvrk_cmaes.runs.worklist import Shard
 from dvrk_cmaes.silhouette import Body
 
@@ -86,12 +85,26 @@ def test_incomplete_shards_may_be_merged(batch: Batch, whole: dict[str, str], tm
     assert comparable(out) == whole
 
 
-def test_interrupted_merge_is_completed(batch: Batch, whole: dict[str, str], tmp_path: Path) -> None:
+def test_interrupted_merge_is_completed(
+    batch: Batch, whole: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "out"
     for k in (1, 2):
         batch(out, shard=Shard(k, 2))
-    (out / "overlays").mkdir()
-    shutil.move(out / "shards" / "1-of-2" / "overlays" / "0000.jpg", out / "overlays")
+    moved: list[str] = []
+
+    def interrupted(own: Output, other: Output, name: str) -> None:
+        if moved:
+            raise KeyboardInterrupt
+        move_from(own, other, name)
+        moved.append(name)
+
+    move_from = Output.move_from
+    monkeypatch.setattr(Output, "move_from", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        merge_shards(out)
+    monkeypatch.undo()
+    assert moved == ["overlays/0000.jpg"]
     merge_shards(out)
     assert comparable(out) == whole
 
@@ -141,7 +154,8 @@ def test_damaged_summary_is_replaced_by_a_merge(
     out = tmp_path / "out"
     for k in range(shards):
         batch(out, shard=Shard(k + 1, shards))
-    (out / "summary.json").write_bytes(b"\xff")
+        merge_shards(out)
+        (out / "summary.json").write_bytes(b"{")
     merge_shards(out)
     assert comparable(out) == whole
 
@@ -149,7 +163,7 @@ def test_damaged_summary_is_replaced_by_a_merge(
 def test_shard_in_use_is_not_merged(batch: Batch, tmp_path: Path) -> None:
     out = tmp_path / "out"
     part = batch(out, shard=Shard(1, 2)).folder
-    with locked(part), pytest.raises(DvrkCmaesError, match="another batch is writing there"):
+    with output(part, "batch"), pytest.raises(DvrkCmaesError, match="another command is writing there"):
         merge_shards(out)
     with pytest.raises(InputError, match="expected results of dvrk-cmaes batch --shard, got none"):
         merge_shards(tmp_path)

@@ -28,7 +28,7 @@ def started_since(before: set[int]) -> list[psutil.Process]:
 def test_process_in_the_background_starts_before_the_first_problem(*, background: bool) -> None:
     before = {child.pid for child in psutil.Process().children(recursive=True)}
     with SolverProcess(prepare("lnd").instrument, background=background) as solver:
-        end = time.monotonic() + (30 if background else 1)
+        end = time.monotonic() + (60 if background else 1)
         while not started_since(before) and time.monotonic() < end:
             time.sleep(0.02)
         assert bool(started_since(before)) is background

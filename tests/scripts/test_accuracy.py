@@ -200,7 +200,7 @@ def test_quick_run_reports_json_and_reuses_results(tmp_path: Path, run_here: Cal
         [sys.executable, str(SCRIPTS / "accuracy.py"), *options],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -243,3 +243,47 @@ def test_answers_are_kept_for_a_commit_and_its_inputs(tmp_path: Path, monkeypatc
     monkeypatch.setattr(answers, "_commit", lambda folder: None)
     answers._kept(checkout, other_inputs, "lnd", tmp_path / "kept")
     assert len(runs) == 3
+
+
+def test_answers_on_other_processors_may_differ_in_digits_but_not_in_verdicts(
+    run_here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import answers
+    from measure.answers.processors import Processor
+
+    frame = {"status": "ok", "reasons": [], "camera_from_root": np.eye(4).tolist(), "loss": 1.0}
+    given = {"": frame, "x": frame | {"loss": 1.0000001}, "y": frame | {"status": "doubtful"}}
+    others = [
+        Processor("digits", {"CPU": "x"}),
+        Processor("status", {"CPU": "y"}),
+        Processor("none", {}, "no such set"),
+    ]
+    monkeypatch.setattr(answers, "processors", lambda: others)
+    monkeypatch.setattr(
+        answers,
+        "_answers",
+        lambda _, case, instrument, variables=None: {"a.json": given[(variables or {}).get("CPU", "")]},
+    )
+    done = run_here("answers", "--processors", "--only", "demo", "--json")
+    assert done.code == 1, done.err
+    rows = done.result["processors"]
+    assert {name: row["accepted"] for name, row in rows.items()} == {
+        "demo, digits": True,
+        "demo, status": False,
+        "demo, none": True,
+    }
+    assert rows["demo, none"]["not run"] == "no such set"
+    assert rows["demo, digits"]["differ"] == 1
+
+
+def test_processors_are_told_to_the_libraries() -> None:
+    from measure.answers.processors import processors
+
+    found = processors()
+    assert [one.name for one in found][:3] == ["BLAS Haswell", "BLAS Zen", "BLAS SkylakeX"]
+    assert all(one.lacking or all(one.variables.values()) for one in found)
+    assert {name for one in found for name in one.variables} == {
+        "OPENBLAS_CORETYPE",
+        "OPENCV_CPU_DISABLE",
+        "NPY_DISABLE_CPU_FEATURES",
+    }

@@ -60,6 +60,38 @@ def test_no_pose_is_ok_before_a_solution(before: tuple[Tracker, list[TrackResult
     assert "base not known yet: 4 keyframes" in results[-1].reasons[0]
 
 
+@pytest.mark.parametrize("outer", ["never read", "read 2 s before the images", "standing still"])
+def test_no_pose_is_ok_before_the_base_is_known_whatever_is_read(world: MovingWorld, outer: str) -> None:
+    """Each of these leaves the base unknown, and the images are followed by their masks and the wrist's readings."""
+    tracker = Tracker(world.camera, world.body, config=CONFIG, keyframes=True)
+    for k in range(-15, 0) if outer != "never read" else ():
+        tracker.add_readings(world.time(k) - (2 if outer.startswith("read") else 0), world.readings[0])
+    read = OUTER_JOINTS if outer == "standing still" else world.body.instrument.joint_names
+    frames = [{name: world.readings[0 if name in OUTER_JOINTS else k][name] for name in read} for k in range(12)]
+    results = world.follow(tracker, frames=range(12), readings=lambda k: frames[k])
+    assert {result.status for result in results} == {"doubtful"}
+    assert results[-1].reasons[0].startswith("base not known yet: 0 keyframes")
+
+
+@pytest.mark.parametrize(("speed", "sparse"), [(1, False), (8, True)])
+def test_readings_that_are_too_sparse_for_the_motion_are_a_reason(
+    world: MovingWorld, speed: int, *, sparse: bool
+) -> None:
+    """Every fourth image has readings, which come 50 ms late; the arm's own motion is slow, and a swing is added."""
+    tracker = Tracker(world.camera, world.body, config=CONFIG, keyframes=True)
+    results = []
+    for k in range(24):
+        if k % 4 == 0 and k:
+            swing = 0.2 * np.sin(speed * (world.time(k) - 0.05)) if sparse else 0.0
+            tracker.add_readings(
+                world.time(k) - 0.05, world.readings[k - 1] | {"yaw": world.readings[k]["yaw"] + swing}
+            )
+        results.append(tracker.step(world.time(k), world.masks[k]))
+    assert any("readings too sparse: every 133 ms" in " ".join(one.reasons) for one in results) == sparse
+    later = [one for one in tracker.problem().keyframes if one.time > 0.4]  # than the third readings, which first tell
+    assert bool(later) != sparse
+
+
 @pytest.fixture(scope="module")
 def solved(world: MovingWorld) -> tuple[Tracker, dict[int, Solution], list[TrackResult]]:
     """A tracker that has used its solutions up to that of 12 keyframes, these, and the results until then."""
@@ -232,8 +264,10 @@ def test_instrument_whose_readings_are_missing_is_followed_without_the_calibrati
     world: MovingWorld, calibration: SessionCalibration
 ) -> None:
     tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True, earlier=True)
-    results = world.follow(tracker, frames=range(4), readings=lambda k: {})
+    wrist = [{name: world.readings[k][name] for name in world.body.instrument.joint_names} for k in range(4)]
+    results = world.follow(tracker, frames=range(4), readings=lambda k: wrist[k])
     assert all(result.camera_from_root is not None for result in results)
+    assert {result.reasons for result in results} == {("no readings of the outer joints so far",)}
 
 
 def keep(known: KnownBase, count: int) -> None:

@@ -11,6 +11,7 @@ from helpers.moving_worlds import SMALL
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, TrackConfig
 from dvrk_cmaes.geometry import Posed, moved
+from dvrk_cmaes.joints.names import OUTER_JOINTS
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.mask_evidence import MaskEvidence
@@ -196,3 +197,15 @@ def test_later_knowledge_of_an_offset_reaches_earlier_images() -> None:
     first, _ = smoothed_states([FilterStep(None, None, state, ANCHOR), FilterStep(prior, transition, known, ANCHOR)])
     assert 0.001 < first.offsets[1] - state.offsets[1] < 0.01
     assert first.covariance[at.offsets.start, at.offsets.start] < state.covariance[at.offsets.start, at.offsets.start]
+
+
+@pytest.mark.parametrize("jaw_first", [False, True])
+def test_readings_of_arm_and_jaw_at_the_same_times_are_all_kept(*, jaw_first: bool) -> None:
+    buffer = ReadingBuffer(NAMES, gap=0.15, still=0.25)
+    for k in range(5):
+        arm = dict.fromkeys((*OUTER_JOINTS, *NAMES[:-1]), 0.1 * k)
+        for joints in ({NAMES[-1]: 0.2}, arm) if jaw_first else (arm, {NAMES[-1]: 0.2}):
+            buffer.add(k / 10, joints)
+    read = buffer.at(0.25)
+    assert read.outer == pytest.approx([0.25] * 4)
+    assert read.joints == pytest.approx([*[0.25] * (len(NAMES) - 1), 0.2])

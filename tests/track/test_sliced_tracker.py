@@ -174,5 +174,5 @@ def test_tracker_that_is_dropped_while_images_wait_ends_its_threads(
     assert waiting
     del tracker
     for thread in waiting:
-        thread.join(10)
+        thread.join(60)
         assert not thread.is_alive()

@@ -141,6 +141,20 @@ def _calibration(name: str, frames: Sequence[str], *options: str) -> Case:
     return Case(f"calibrate {name}", partial(_session, source=name, frames=frames), commands)
 
 
+def given_session(folder: Path) -> Case:
+    """Return the case of a session in a folder, whose frames are solved one by one."""
+    copied = partial(_session, source=folder.resolve())
+    return Case(folder.name, copied, (("batch", "inputs", "--out", "out", *_ONE),))
+
+
+def given_recording(folder: Path) -> Case:
+    """Return the case of a recording in a folder, which is followed with all images, and with those before each."""
+    follow = ("track", "inputs", "--evidence", "masks", *_PLAIN, "--out")
+    return Case(
+        folder.name, partial(_session, source=folder.resolve()), ((*follow, "out"), (*follow, "causal", "--causal"))
+    )
+
+
 _DEMO: Final = partial(_session, source=bundled_path("demo"))
 _STEREO: Final = "made/stereo-medium"
 _REAL_EASY: Final = ("0026", "0030", "0050")

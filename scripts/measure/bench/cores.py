@@ -20,7 +20,7 @@ import numpy as np
 
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
-from measure.bench.render import images_to_sum, population
+from measure.bench.kernel import images_to_sum, population
 
 WORKERS: Final = 2
 _CALLS: Final = 8  # renderings of the population in each timed task of a process

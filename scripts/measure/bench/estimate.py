@@ -58,7 +58,7 @@ def _timed_stages() -> Iterator[dict[str, list[float]]]:
         yield seconds
 
 
-def _estimated(session: Session, files: FrameFiles, instrument: str, config: EstimateConfig) -> Result:
+def estimated(session: Session, files: FrameFiles, instrument: str, config: EstimateConfig) -> Result:
     """Estimate one frame."""
     data = read_frame(files, session.camera)
     return run_frame(files, data, prepare(instrument), arm="classic", config=config, out=None).result
@@ -66,7 +66,7 @@ def _estimated(session: Session, files: FrameFiles, instrument: str, config: Est
 
 def _one_by_one(session: Session, instrument: str, config: EstimateConfig, frames: int | None) -> list[Result]:
     """Estimate the first ``frames`` frames of a session, or all, in this process."""
-    return [_estimated(session, files, instrument, config) for files in session.frames[:frames]]
+    return [estimated(session, files, instrument, config) for files in session.frames[:frames]]
 
 
 def estimate_report(instrument: str, sessions: Sequence[Path], *, frames: int | None) -> dict[str, Any]:
@@ -120,11 +120,11 @@ def workers_report(instrument: str, folder: Path, *, workers: Sequence[int], fra
     for count in workers:
         with ProcessPoolExecutor(count, get_context("spawn"), _prepare_worker, (instrument,)) as pool:
             warm_up = range(_WARM_UP_FRAMES * count)
-            first = [pool.submit(_estimated, session, files[0], instrument, config) for _ in warm_up]
+            first = [pool.submit(estimated, session, files[0], instrument, config) for _ in warm_up]
             for one in first:
                 one.result()
             start = time.perf_counter()
-            done = [pool.submit(_estimated, session, one, instrument, config) for one in files]
+            done = [pool.submit(estimated, session, one, instrument, config) for one in files]
             for one in done:
                 one.result()
             rows.append({"processes": count, "frames a second": len(files) / (time.perf_counter() - start)})

@@ -3,9 +3,13 @@
     python scripts/bench.py live --seconds 60
 
 This needs the extra ros. Another process is the rosbridge server on 127.0.0.1. It sends the images and masks of a
-recorded session at 30 a second, forwards and backwards, and readings of arm and jaw at 100 a second each, and receives
-the poses. The age is from sending an image's mask to receiving its pose there. Memory is the resident set of the
-following process, in MB, after 10 s, after a quarter of the time, and at the end; its growth is that since the quarter.
+recorded session, forwards and backwards, 30 a second unless --images says otherwise, and readings of arm and jaw, 100 a
+second each unless --readings does; at equal rates they have the same times. It receives the poses. The age is from
+sending an image's mask to receiving its pose there. Memory is the resident set of the following process, in MB, after
+10 s, after a quarter of the time, and at the end; its growth is that since the quarter.
+
+Of a session with a truth, ok poses are counted that are in the wrong mode or came before the base was known, and the
+share that is ok of the poses of images with at least half of the jaws in view, after it was.
 
 With --solve, the arm's base is found from keyframes in another process, as by the command; with --losses, the mask is a
 disc in the middle of the image for a quarter of a second each time. Ten minutes with one loss a minute:
@@ -20,6 +24,7 @@ import base64
 import multiprocessing
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -30,11 +35,13 @@ from typing import Any, Final
 import cv2
 import numpy as np
 import psutil
+from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import ARM_ORDER
@@ -45,11 +52,14 @@ from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.runs.long_run import prepare_long_run
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.silhouette import Body
+from measure.accuracy.figures import RIGHT_MODE_DEG
 from measure.places import ROOT, SHARED
 from measure.tables import Report
 
-IMAGES, READINGS = 30, 100  # a second
+RECORDED: Final = 30  # images a second of the session
 _LOSS: Final = 0.25  # s
+UNKNOWN: Final = "base not known yet"
+_IN_VIEW: Final = 0.5  # least share of the jaws in view
 _MEMORY_FROM: Final = 10  # s
 BEGIN: Final = 1_795_000_000 * NANOSECONDS
 POSE: Final = "/dvrk_cmaes/PSM1/camera_from_root"
@@ -69,6 +79,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, help="a session.json")
     parser.add_argument("--lag", type=float, help="lag of the images, s")
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--images", type=float, default=30.0, metavar="RATE", help="images a second (30)")
+    parser.add_argument("--readings", type=float, default=100.0, metavar="RATE", help="readings a second (100)")
+    parser.add_argument("--begin", type=float, default=0.0, metavar="S", help="time in the session of the first image")
     parser.add_argument("--losses", type=float, metavar="S", help="time between losses, s (default: none)")
     parser.add_argument("--solve", action="store_true", help="solve keyframes beside")
     parser.add_argument("--overlay", action="store_true", help="publish overlays too")
@@ -81,7 +94,8 @@ def live_report(options: argparse.Namespace) -> Report:
     calibration = None if options.calibration is None else read_calibration(options.calibration)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    given = (theirs, options.session, options.seconds, options.losses)
+    sending = Sending(options.session, options.seconds, options.images, options.readings, options.losses, options.begin)
+    given = (theirs, sending)
     server = context.Process(target=serve, args=given, daemon=True)
     server.start()
     setup = LiveSetup(
@@ -141,6 +155,25 @@ def _watch(stop: Event, memory: list[float]) -> None:
 
 
 @dataclass(frozen=True)
+class Sending:
+    """What is sent: the session, for how long, s, images and readings a second, losses, and where it begins, s.
+
+    ``losses`` is the time between losses, s, during which the mask is a disc; None for none.
+    """
+
+    folder: Path
+    seconds: float
+    images: float
+    readings: float
+    losses: float | None
+    begin: float
+
+    def place(self, moment: float, count: int) -> float:
+        """Return the place among the ``count`` images of the session at a time after the start, s."""
+        return _back_and_forth((self.begin + moment) * RECORDED, count - 1)
+
+
+@dataclass(frozen=True)
 class Sent:
     """A message to send: its time after the start, s, its topic and its fields."""
 
@@ -149,12 +182,13 @@ class Sent:
     fields: dict[str, Any]
 
 
-def serve(pipe: Any, folder: Path, seconds: float, losses: float | None = None) -> None:
+def serve(pipe: Any, sending: Sending) -> None:
     """Serve a session's messages in real time; send the port, and at the end the figures, through a pipe."""
     sys.path.insert(0, str(ROOT / "tests"))
     from helpers.rosbridge_server import RosbridgeServer, wait_for  # type: ignore[import-not-found]
 
-    messages = list(_messages(read_session(folder), seconds, losses))
+    session = read_session(sending.folder)
+    messages = list(_messages(session, sending))
     server = RosbridgeServer()
     server.start()
     pipe.send(server.port)
@@ -170,7 +204,7 @@ def serve(pipe: Any, folder: Path, seconds: float, losses: float | None = None) 
     time.sleep(0.5)
     elapsed = time.perf_counter() - started - 0.5
     received = server.received.get(POSE, [])
-    ages = np.array([1e3 * (moment - sent[_key(fields)]) for moment, fields in received])
+    ages = np.array([1e3 * (moment - sent[_key(fields)]) for moment, fields in received] or [np.nan])
     pipe.send(
         {
             "seconds": round(elapsed, 2),
@@ -178,6 +212,7 @@ def serve(pipe: Any, folder: Path, seconds: float, losses: float | None = None) 
             "poses_a_second": round(len(received) / elapsed, 2),
             **{f"age_ms p{share}": round(float(np.percentile(ages, share)), 1) for share in (50, 95, 99, 100)},
             "load": round(psutil.getloadavg()[0], 1),
+            **_trust(session, sending, received, server.received.get("/diagnostics", [])),
         }
     )
     server.stop()
@@ -189,11 +224,46 @@ def _key(fields: dict[str, Any]) -> tuple[int, int]:
     return stamp["sec"], stamp["nanosec"]
 
 
-def _messages(session: Session, seconds: float, losses: float | None) -> Iterator[Sent]:
-    """Yield the messages of a session in the order of their times, forwards and backwards for some seconds.
+def _trust(
+    session: Session,
+    sending: Sending,
+    poses: Sequence[tuple[float, dict[str, Any]]],
+    statuses: Sequence[tuple[float, dict[str, Any]]],
+) -> dict[str, Any]:
+    """Compare poses with the truth of the session, if it has one, and with what the statuses say of the base."""
+    truths = [session.truth.frames.get(frame.name) for frame in session.frames]
+    if None in truths:
+        return {}
+    found = {_key(fields): fields["pose"] for _, fields in poses}
+    counts = Counter(ok_wrong_mode=0, ok_before_base=0, in_view_after_base=0, ok_in_view_after_base=0)
+    first, reasons = None, Counter[str]()
+    for _, fields in statuses:
+        (status,) = fields["status"]
+        values = {one["key"]: one["value"] for one in status["values"]}
+        moment = (_key(fields)[0] * NANOSECONDS + _key(fields)[1] - BEGIN) / NANOSECONDS
+        if "age_ms" not in values:  # why there is no pose
+            continue
+        truth = truths[round(sending.place(moment, len(truths)))]
+        assert truth is not None
+        ok, state = status["message"] == "ok", values.get("calibration", UNKNOWN)
+        known = UNKNOWN not in state
+        first = moment if known and first is None else first
+        reasons[status["message"] + " " + values["reasons"].split(":")[0]] += 1
+        counts["ok_before_base"] += ok and not known
+        in_view = known and truth.visible >= _IN_VIEW
+        counts["in_view_after_base"] += in_view
+        counts["ok_in_view_after_base"] += ok and in_view
+        if ok and _key(fields) in found:
+            pose = Rotation.from_quat([found[_key(fields)]["orientation"][axis] for axis in "xyzw"])
+            turned = rotation_angle(pose.as_matrix(), truth.camera_from_root)
+            counts["ok_wrong_mode"] += bool(np.degrees(turned) > RIGHT_MODE_DEG)
+    share = counts["ok_in_view_after_base"] / max(counts["in_view_after_base"], 1)
+    return {**counts, "ok_after_base_%": round(100 * share, 1), "base_known_after_s": first, "statuses": dict(reasons)}
 
-    ``losses`` is the time between losses, s, during which the mask is a disc; None for none.
-    """
+
+def _messages(session: Session, sending: Sending) -> Iterator[Sent]:
+    """Yield the messages of a session in the order of their times, forwards and backwards for some seconds."""
+    seconds, losses = sending.seconds, sending.losses
     images = _images(session.folder)
     masks = [base64.b64encode(frame.mask.read_bytes()).decode() for frame in session.frames if frame.mask is not None]
     disc = _disc(session.camera)
@@ -201,8 +271,9 @@ def _messages(session: Session, seconds: float, losses: float | None) -> Iterato
     times = (table.times - table.times[0]) / NANOSECONDS
     count = min(len(images), len(masks))
     later = list[Sent]()
-    for k in range(round(seconds * IMAGES)):
-        frame, moment = _back_and_forth(k, count - 1), k / IMAGES
+    for k in range(round(seconds * sending.images)):
+        moment = k / sending.images
+        frame = sending.place(moment, count)
         lost = losses is not None and moment >= losses / 2 and (moment - losses / 2) % losses < _LOSS
         later.append(
             Sent(moment, TOPICS.image, {"header": _header(moment), "format": "jpeg", "data": images[round(frame)]})
@@ -214,9 +285,9 @@ def _messages(session: Session, seconds: float, losses: float | None) -> Iterato
                 {"header": _header(moment), "format": "png", "data": disc if lost else masks[round(frame)]},
             )
         )
-    for k in range(round(seconds * READINGS)):
-        moment = k / READINGS
-        at = _back_and_forth(moment * IMAGES, count - 1) / IMAGES
+    for k in range(round(seconds * sending.readings)):
+        moment = k / sending.readings
+        at = sending.place(moment, count) / RECORDED
         row = dict(zip(table.joints, [float(np.interp(at, times, column)) for column in table.values.T], strict=True))
         for topic, names in zip(TOPICS.joints, (ARM_ORDER, ("jaw",)), strict=True):
             fields = {"header": _header(moment), "name": list(names), "position": [row[name] for name in names]}

@@ -32,14 +32,14 @@ def track_report(
     evidence: Sequence[EvidenceKind],
 ) -> dict[str, Any]:
     """Measure the time of a step by session and kind of evidence, and, with ``steps``, the memory after so many."""
-    rows = [_latency(instrument, folder, frames, kind) for folder in sessions for kind in evidence]
+    rows = [latency(instrument, folder, frames, kind) for folder in sessions for kind in evidence]
     report: dict[str, Any] = {"following, ms a step": rows}
     if steps is not None:
         report["memory"] = [_memory(instrument, sessions[0], steps)]
     return report
 
 
-def _latency(instrument: str, folder: Path, frames: int | None, evidence: EvidenceKind) -> dict[str, Any]:
+def latency(instrument: str, folder: Path, frames: int | None, evidence: EvidenceKind) -> dict[str, Any]:
     """Follow a session whose masks and images are read beforehand; steps with a global search are counted apart."""
     body = prepare(instrument)
     asked = TrackSettings(EstimateConfig(), evidence=evidence)
@@ -68,6 +68,7 @@ def _latency(instrument: str, folder: Path, frames: int | None, evidence: Eviden
         names = ("median", "95 %", "99 %", "worst")
         row |= dict(zip(names, np.percentile(np.array(elapsed)[usual], [50, 95, 99, 100]).tolist(), strict=True))
         row["CPU, median"], row["CPU, 99 %"] = np.percentile(np.array(cpu)[usual], [50, 99]).tolist()
+    row["CPU, mean"] = float(np.mean(cpu))
     return row | {"first": elapsed[0], "searched": int(np.sum(searched))}
 
 

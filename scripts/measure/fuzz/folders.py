@@ -43,6 +43,7 @@ COMMANDS: Final[dict[str, tuple[str, ...]]] = {
 """Command lines without the folder, which is the last word."""
 
 _NOTES: Final = "notes.txt"
+_APART: Final = "elsewhere"
 
 
 def _made_by(*command: str) -> Callable[[Path, Runner], None]:
@@ -97,7 +98,7 @@ class FolderReport:
 
 
 def fuzz_folders(material: Path, place: Path, run: Runner, commands: tuple[str, ...] = tuple(COMMANDS)) -> FolderReport:
-    """Tell each command to write to each kind of folder, with and without a file of the user in it.
+    """Tell each command to write to each kind of folder, as it is, with a file of the user in it, and with a link.
 
     ``place`` is a folder for a copy of the material; it is the working folder meanwhile.
     """
@@ -109,17 +110,30 @@ def fuzz_folders(material: Path, place: Path, run: Runner, commands: tuple[str, 
         (place / _OUT).mkdir()
         with contextlib.chdir(place):
             KINDS[kind](Path(_OUT), run)
-        for notes in (False, True):
+        for more in ("nothing", "notes", "link"):
             for name in commands:
                 fresh = place.with_name(f"{place.name} again")
                 shutil.rmtree(fresh, ignore_errors=True)
                 _copy(place, fresh)
-                if notes:
+                if more == "notes":
                     (fresh / _OUT / _NOTES).write_text("mine")
+                elif more == "link":
+                    _put_link(fresh)
                 with contextlib.chdir(fresh):
                     _attempt(report, name, kind, run)
                 shutil.rmtree(fresh, ignore_errors=True)
     return report
+
+
+def _put_link(place: Path) -> None:
+    """Put a link in the place of a folder in OUT, to that folder beside OUT, in which is a file of the user."""
+    inner = sorted(path for path in (place / _OUT).iterdir() if path.is_dir())
+    linked = inner[0] if inner else place / _OUT / "frames"
+    linked.mkdir(exist_ok=True)
+    (place / _APART).mkdir()
+    shutil.move(linked, place / _APART / "apart")
+    (place / _APART / "apart" / _NOTES).write_text("mine")
+    os.symlink(place / _APART / "apart", linked)
 
 
 def _copy(place: Path, fresh: Path) -> None:
@@ -185,11 +199,18 @@ def _written_paths() -> Iterator[set[str]]:
 def _note(event: str, arguments: tuple[Any, ...]) -> None:
     if not _noted:
         return
-    paths: tuple[Any, ...] = ()
+    paths: tuple[tuple[Any, Any], ...] = ()  # each with the handle of the folder that it is relative to, -1 for none
     if event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_TRUNC):
-        paths = arguments[:1]
-    elif event in ("os.remove", "os.rmdir", "os.mkdir", "os.truncate", "shutil.rmtree"):
-        paths = arguments[:1] if len(arguments) < 2 or arguments[-1] in (-1, None) or event == "os.mkdir" else ()
-    elif event in ("os.rename", "os.link", "os.symlink"):
-        paths = arguments[:2]
-    _noted[-1].update(os.path.abspath(os.fsdecode(path)) for path in paths if isinstance(path, str | bytes | Path))
+        paths = ((arguments[0], -1),)  # the handle is not told: what is opened by one has a temporary name
+    elif event in ("os.remove", "os.rmdir", "os.mkdir", "shutil.rmtree"):
+        paths = ((arguments[0], arguments[-1]),)
+    elif event == "os.truncate":
+        paths = ((arguments[0], -1),)
+    elif event in ("os.rename", "os.link"):
+        paths = tuple(zip(arguments[:2], arguments[2:], strict=True))
+    elif event == "os.symlink":
+        paths = ((arguments[1], arguments[2]),)
+    for path, handle in paths:
+        if isinstance(path, str | bytes | Path):
+            above = os.readlink(f"/proc/self/fd/{handle}") if isinstance(handle, int) and handle >= 0 else ""
+            _noted[-1].add(os.path.abspath(os.path.join(above, os.fsdecode(path))))

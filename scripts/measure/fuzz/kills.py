@@ -1,4 +1,4 @@
-"""Commands that are killed, whose disk is full, whose clock is set back, or that run twice at once into one folder.
+"""Commands that are killed or run twice at once, without disk or streams, or with their clock set back.
 
 After a few faults in the same folder, the command is run to its end: it must end well, and the files must be those of a
 run without a fault. Before that, all documents and pictures must be whole, and no process may be left.
@@ -35,19 +35,26 @@ COMMANDS: Final[dict[str, tuple[list[str], str]]] = {
     "calibrate": (["calibrate", "session", *_QUICK, "--workers", "2", "--results", "results", "--out", "made"], "made"),
     "track": (["track", "session", *_QUICK, "--out", "made"], "made"),
     "import": ([*_VIDEO, "--overwrite", "--out", "made"], "made"),
+    "estimate": (
+        [
+            *("estimate", "--mask", "session/masks/0000.png", "--camera", "session/camera.yaml"),
+            *("--joints", "session/joints.csv", *_QUICK, "--out", "made"),
+        ],
+        "made",
+    ),
     "export": (["export", "results", "--to", "csv", "--out", "made"], "made"),
     "golden record": (["golden", "record", "session", *_QUICK, "--overwrite"], "session/golden.json"),
 }
 """Command lines, and the file or folder that each writes, in the folder of the material."""
 
 KILLS: Final = ("kill", "kill worker", "kill both", "terminate")
-FAULTS: Final = (*KILLS, "full disk", "clock", "twice")
+FAULTS: Final = (*KILLS, "full disk", "clock", "twice", "closed")
 _OF_WORKERS: Final = ("kill worker", "kill both")
 _WITH_WORKERS: Final = ("batch", "calibrate")
 _IN_A_ROW: Final = 4  # faults, at most
 _DONE: Final = (0, 3)  # exit codes
 _LONGEST: Final = 300.0  # s, of a command
-_ORPHANS: Final = 10.0  # s, after which the workers of a killed command must have ended
+_ORPHANS: Final = 60.0  # s, after which the workers of a killed command must have ended
 _SHOWN: Final = 300  # characters of a message
 
 
@@ -159,18 +166,26 @@ def _suffer(place: Path, usual: _Undisturbed, fault: str, chance: random.Random)
             found = _refused(_run(place, name))
             _date_forward(place / COMMANDS[name][1])
             return found
+        case "closed":
+            ended = _run(place, name, closed=True)
+            return [] if ended.code in _DONE else [f"exit code {ended.code}"]
         case "twice":
             return _twice(place, name, chance.uniform(0, usual.seconds))
     return _killed(place, name, fault, chance.uniform(0, usual.seconds))
 
 
-def _start(place: Path, name: str, largest: int | None = None) -> subprocess.Popen[str]:
-    """Start a command in a group of its own; ``largest`` is the size of files in bytes from which writing fails."""
+def _start(place: Path, name: str, largest: int | None = None, *, closed: bool = False) -> subprocess.Popen[str]:
+    """Start a command in a group of its own; ``largest`` is the size of files in bytes from which writing fails.
+
+    With ``closed``, it has no standard streams.
+    """
 
     def limit() -> None:
         if largest is not None:
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+        if closed:
+            os.closerange(0, 3)
 
     with open(place / "stderr.txt", "w") as err:
         return subprocess.Popen(
@@ -184,10 +199,10 @@ def _start(place: Path, name: str, largest: int | None = None) -> subprocess.Pop
         )
 
 
-def _run(place: Path, name: str, largest: int | None = None) -> _Ended:
+def _run(place: Path, name: str, largest: int | None = None, *, closed: bool = False) -> _Ended:
     """Run a command to its end."""
     began = time.monotonic()
-    process = _start(place, name, largest)
+    process = _start(place, name, largest, closed=closed)
     try:
         err = process.communicate(timeout=_LONGEST)[1]
     except subprocess.TimeoutExpired:

@@ -33,7 +33,7 @@ def damaged_files(made: Path) -> list[str]:
 def written(made: Path) -> dict[str, Any]:
     """Return the contents of a file or of a folder's files by name, without times; of a page and a video, nothing."""
     files = [made] if made.is_file() else [path for path in made.rglob("*") if path.is_file()]
-    return {str(path.relative_to(made.parent)): _content(path) for path in files if path.name != ".lock"}
+    return {str(path.relative_to(made.parent)): _content(path) for path in files if not path.name.startswith(".")}
 
 
 def _content(path: Path) -> Any:

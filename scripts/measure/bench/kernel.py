@@ -1,24 +1,30 @@
-"""Milliseconds a candidate: our renderer compared with peers, and by image size and mesh size."""
+"""Microseconds a silhouette beside peers, by image and mesh size; the kernel's share of frames and steps."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
+from unittest import mock
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.instrument import Instrument, Link, load_instrument
 from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
+from measure.bench.estimate import estimated
 from measure.bench.peers import Peer, all_peers
+from measure.bench.track import latency
 
 Float64 = NDArray[np.float64]
 
@@ -28,8 +34,8 @@ THREADS: Final = 2
 RAYS: Final = "ours, 1 thread(s), a ray for each span"
 POSE_SIGMA: Final = np.array([1e-3] * 3 + [3e-2] * 3)  # m and rad, of candidates about a golden pose
 JOINT_SIGMA: Final = 5e-2  # rad
-SIZES: Final = ((320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
-FACES: Final = (5_000, 10_000, 18_000, 40_000, 80_000)
+SIZES: Final = ((27, 20), (80, 60), (160, 120), (320, 240), (640, 480), (1280, 720), (1920, 1080), (3840, 2160))
+FACES: Final = (1_000, 5_000, 10_000, 18_000, 40_000, 80_000)
 _TRIES: Final = 12  # cell sizes of the decimation tried for a number of faces
 
 
@@ -75,7 +81,7 @@ def _disagreement(ours: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> tuple[i
     return different, far
 
 
-def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
+def _compared(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     """Compare our renderer, with one and two threads, with all peers; DvrkCmaesError if their masks disagree."""
     instrument = load_instrument(source)
     body = Body.prepare(instrument)
@@ -110,11 +116,11 @@ def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     work |= {RAYS: lambda: by_rays.sums(poses, joints, table)}
     candidates = dict.fromkeys(work, len(poses)) | {peer.name: PEER_POSES for peer in peers}
     seconds = median_seconds(work | {peer.name: theirs(peer) for peer in peers}, repeats)
-    each = {name: 1e3 * value / candidates[name] for name, value in seconds.items()}
+    each = {name: 1e6 * value / candidates[name] for name, value in seconds.items()}
     best = min(each[f"ours, {n} thread(s)"] for n in renderers)
     threads = {f"ours, {n} thread(s){rest}": str(n) for n in renderers for rest in ("", ", to the pixel")}
     threads |= {RAYS: "1"} | {peer.name: peer.threads for peer in peers}
-    rows = [{"way": k, "threads": threads[k], "ms a candidate": v, "times ours": v / best} for k, v in each.items()]
+    rows = [{"way": k, "threads": threads[k], "us a silhouette": v, "times ours": v / best} for k, v in each.items()]
     one, two = (each[f"ours, {n} thread(s)"] for n in renderers)
     faces = sum(len(link.faces) for link in instrument.links)
     ratios = {
@@ -125,6 +131,87 @@ def render_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     }
     report: dict[str, Any] = {f"{camera.width} x {camera.height}": rows, "masks": agreement, "ratios": [ratios]}
     return report | ({"left out": [{"renderer": text} for text in left_out]} if left_out else {})
+
+
+def kernel_report(source: str, golden: Path, recording: Path, *, repeats: int, frames: int | None) -> dict[str, Any]:
+    """Report the comparison with peers, times by size, and the kernel's share of a frame and of a tracker's step."""
+    return {
+        **_compared(source, golden, repeats=repeats),
+        **scale_report(source, golden, repeats=repeats),
+        "processor time": [_share_of_frames(source, golden, frames), _share_of_steps(source, recording, frames)],
+    }
+
+
+class _TimedMesh:
+    """A mesh whose methods' processor time is added up."""
+
+    def __init__(self, mesh: _kernel.Mesh, timed: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
+        self._mesh, self._timed = mesh, timed
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._mesh, name)
+        return self._timed(found) if callable(found) else found
+
+
+@contextmanager
+def _timed_kernel() -> Iterator[list[float]]:
+    """Record the processor time, s, of each call of the kernel meanwhile."""
+    spent: list[float] = []
+
+    def timed(function: Callable[..., Any]) -> Callable[..., Any]:
+        def measured(*given: Any, **named: Any) -> Any:
+            started = time.process_time()
+            value = function(*given, **named)
+            spent.append(time.process_time() - started)
+            return value
+
+        return measured
+
+    prepared = Body.mesh.func  # type: ignore[attr-defined]
+
+    def mesh_of(body: Body) -> Any:
+        if "untimed mesh" not in body.__dict__:
+            body.__dict__["untimed mesh"] = prepared(body)
+        return _TimedMesh(body.__dict__["untimed mesh"], timed)
+
+    with ExitStack() as stack:
+        stack.enter_context(mock.patch.object(Body, "mesh", property(mesh_of)))
+        for name in ("move_points", "cauchy_losses", "sample_profiles", "normal_equations"):
+            stack.enter_context(mock.patch.object(_kernel, name, timed(getattr(_kernel, name))))
+        yield spent
+
+
+def _share(what: str, each: float, count: int, spent: Sequence[float]) -> dict[str, Any]:
+    """Return the processor time, s, of each of ``count`` frames or steps, and what of it is not spent in the kernel."""
+    kernel = sum(spent) / count
+    return {
+        "of": what,
+        "ms": 1e3 * each,
+        "kernel, ms": 1e3 * kernel,
+        "calls of it": len(spent) / count,
+        "left in Python": 1 - kernel / each,
+    }
+
+
+def _share_of_frames(source: str, golden: Path, frames: int | None) -> dict[str, Any]:
+    """Measure frames of a session, solved one by one in one thread."""
+    session = read_session(golden, known=load_instrument(source).joint_names)
+    chosen, config = session.frames[:frames], EstimateConfig(threads=1)
+    estimated(session, session.frames[0], source, config)
+    with _timed_kernel() as spent:
+        started = time.process_time()
+        for files in chosen:
+            estimated(session, files, source, config)
+        each = (time.process_time() - started) / len(chosen)
+    return _share("a frame", each, len(chosen), spent)
+
+
+def _share_of_steps(source: str, recording: Path, frames: int | None) -> dict[str, Any]:
+    """Measure the steps of a tracker by masks, those with a search as well."""
+    with _timed_kernel() as spent:
+        row = latency(source, recording, frames, "masks")
+    steps = row["steps"] + row["searched"]
+    return _share("a step of a tracker", 1e-3 * row["CPU, mean"], steps, spent)
 
 
 def _seen_at(camera: Camera, width: int, height: int) -> Camera:
@@ -171,7 +258,7 @@ def with_faces(body: Body, wanted: int) -> Body:
 
 
 def scale_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
-    """Measure our renderer with one thread by image and mesh size, relative to 640 x 480 and to the given mesh."""
+    """Measure the kernel with one thread by image and mesh size, relative to 640 x 480 and to the given mesh."""
     body = Body.prepare(load_instrument(source))
     camera, poses, joints = population(body.instrument, golden)
 
@@ -183,12 +270,12 @@ def scale_report(source: str, golden: Path, *, repeats: int) -> dict[str, Any]:
     bodies = [body, *(with_faces(body, wanted) for wanted in FACES)]
     by_faces = median_seconds({str(_faces(one)): sums(one, camera) for one in bodies}, repeats)
     sizes: Sequence[dict[str, Any]] = [
-        {"image": name, "ms a candidate": 1e3 * s / len(poses), "times 640 x 480": s / by_size["640 x 480"]}
+        {"image": name, "us a silhouette": 1e6 * s / len(poses), "times 640 x 480": s / by_size["640 x 480"]}
         for name, s in by_size.items()
     ]
     own = by_faces[str(_faces(body))]
     meshes: Sequence[dict[str, Any]] = [
-        {"triangles": int(name), "ms a candidate": 1e3 * s / len(poses), "times the mesh as it is": s / own}
+        {"triangles": int(name), "us a silhouette": 1e6 * s / len(poses), "times the mesh as it is": s / own}
         for name, s in sorted(by_faces.items(), key=lambda item: int(item[0]))
     ]
     return {"image size": sizes, "mesh size": meshes}

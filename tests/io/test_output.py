@@ -1,0 +1,222 @@
+"""The folder that a command writes to: its list, its lock, links in it, and files of the user."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import multiprocessing
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.io import handles
+from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.output import LONG, Output, appended, base, check_output_folder, output, remove, written_beside
+
+FILES = ("frames/a.json", "summary.json")
+
+
+def write(out: Path, text: str = "x", *, replaces: bool = False, names: tuple[str, ...] = FILES) -> None:
+    with output(out, "batch", replaces=replaces) as own:
+        if replaces:
+            own.clear()
+        for name in names:
+            write_text(out / name, text)
+
+
+def listed(out: Path) -> set[str]:
+    return set(json.loads((out / ".written.json").read_text())["files"])
+
+
+@pytest.fixture(params=[True, False], ids=["by handle", "by path"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reach files by handles, or by paths as on Windows."""
+    monkeypatch.setattr(handles, "BY_HANDLE", request.param)
+
+
+@pytest.mark.usefixtures("way")
+def test_files_are_listed_and_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "a" / "out"
+    write(out)
+    assert listed(out) == set(FILES)
+    write(out, "y", replaces=True, names=("frames/b.json",))
+    assert listed(out) == {"frames/b.json"}
+    assert sorted(path.name for path in out.iterdir()) == [".written.json", "frames"]
+    assert not (out / "frames" / "a.json").exists()
+
+
+@pytest.mark.usefixtures("way")
+@pytest.mark.parametrize("place", ["", "frames", "frames/a.json", "summary.json", ".written.json", ".lock", "new"])
+@pytest.mark.parametrize("target", ["folder", "file", "nothing", "loop"])
+@pytest.mark.parametrize("earlier", [True, False])
+def test_nothing_is_written_or_removed_through_a_link(tmp_path: Path, place: str, target: str, earlier: bool) -> None:
+    session, home = tmp_path / "session", tmp_path / "home"
+    out, home_files = session / "results", {home / name: f"{name} of the user" for name in ("a.json", "file")}
+    home.mkdir()
+    for path, text in home_files.items():
+        path.write_text(text)
+    session.mkdir()
+    if earlier:
+        with base(session, strict=True):
+            write(out)
+        if (out / place).is_dir():
+            (out / place).rename(tmp_path / "apart")
+        else:
+            (out / place).unlink(missing_ok=True)
+    link = out / place
+    link.parent.mkdir(parents=True, exist_ok=True)
+    os.symlink({"folder": home, "file": home / "file", "nothing": home / "new", "loop": link}[target], link)
+    for replaces in (False, True):
+        with pytest.raises(InputError, match="got a link; nothing is written"), base(session, strict=True):
+            write(out, replaces=replaces)
+    assert {path: path.read_text() for path in home.iterdir()} == home_files
+    assert os.path.islink(link)
+
+
+def test_output_folder_may_be_a_link_that_was_typed(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    os.symlink(tmp_path / "disk", tmp_path / "out")
+    with base(tmp_path / "out"):
+        write(tmp_path / "out")
+    assert listed(tmp_path / "disk") == set(FILES)
+
+
+def test_files_of_the_user_stay(tmp_path: Path) -> None:
+    write(tmp_path / "out")
+    mine = [tmp_path / "out" / name for name in ("notes.txt", "frames/mine.json", "frames/picture.jpg")]
+    for path in mine:
+        path.write_text("mine")
+    write(tmp_path / "out", "y", replaces=True)
+    assert {path.read_text() for path in mine} == {"mine"}
+    with pytest.raises(InputError, match="was not written by `batch`"), base(tmp_path, strict=True):
+        write(tmp_path / "out")
+
+
+USERS: dict[str, Callable[[Path], None]] = {
+    "write": lambda out: write_text(out / "summary.json", "y"),
+    "remove": lambda out: remove(out / "summary.json"),
+    "beside": lambda out: _write_beside(out / "summary.json"),
+    "append": lambda out: _append(out / "summary.json"),
+}
+
+
+def _write_beside(path: Path) -> None:
+    with written_beside(path, "a file") as beside:
+        beside.write_text("y")
+
+
+def _append(path: Path) -> None:
+    with appended(path, b"y") as file:
+        file.write(b"z")
+
+
+@pytest.mark.parametrize("does", USERS)
+def test_changed_file_is_neither_replaced_nor_removed(tmp_path: Path, does: str) -> None:
+    out = tmp_path / "out"
+    write(out)
+    with output(out, "batch"):
+        USERS[does](out)
+    write_text(out / "summary.json", "mine")
+    with pytest.raises(InputError, match=r"summary\.json was not written by `batch`, or changed"), output(out, "batch"):
+        USERS[does](out)
+    assert (out / "summary.json").read_text() == "mine"
+
+
+def test_list_is_whole_after_a_process_was_killed(tmp_path: Path) -> None:
+    write(tmp_path / "out")
+    if (child := os.fork()) == 0:
+        with output(tmp_path / "out", "batch") as own:
+            write_text(tmp_path / "out" / "summary.json", "y")
+            write_text(tmp_path / "out" / "b.json", "y")
+            own.note("frames/a.json", "f" * 64)  # and killed before it was written
+            os._exit(0)
+    os.waitpid(child, 0)
+    write(tmp_path / "out", "z", replaces=True)
+    assert listed(tmp_path / "out") == set(FILES)
+    assert not (tmp_path / "out" / "b.json").exists()
+
+
+def test_folder_of_another_command_is_refused(tmp_path: Path) -> None:
+    write(tmp_path / "out")
+    with pytest.raises(InputError, match="it has what `batch` wrote"):
+        check_output_folder(tmp_path / "out", "track")
+
+
+def test_refused_run_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError), base(tmp_path / "a"), output(tmp_path / "a" / "b", "batch"):
+        raise InputError("refused")
+    assert not (tmp_path / "a").exists()
+
+
+def _one(arguments: tuple[Path, int]) -> None:
+    out, number = arguments
+    with output(out, "estimate", owns=False, wait=LONG):
+        write_text(out / "frames" / f"{number}.json", f"{number}")
+
+
+def test_commands_that_write_at_once_are_all_listed(tmp_path: Path) -> None:
+    with multiprocessing.get_context("fork").Pool(4) as pool:
+        pool.map(_one, [(tmp_path / "out", number) for number in range(200)], chunksize=1)
+    names = {f"frames/{number}.json" for number in range(200)}
+    assert listed(tmp_path / "out") == names
+    assert {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.json")} == {
+        *names,
+        ".written.json",
+    }
+    assert not list((tmp_path / "out").glob(".lock*"))
+
+
+@pytest.fixture
+def no_flock(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
+
+    monkeypatch.setattr(fcntl, "flock", fail)
+
+
+@pytest.mark.usefixtures("no_flock")
+def test_file_stands_for_the_lock_where_the_file_system_has_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    with output(out, "batch"):
+        assert (out / ".lock.held").exists()
+        with pytest.raises(DvrkCmaesError, match=r"another command is writing there; wait .*\.lock\.held"):
+            write(out)
+        write_text(out / "a", "a")
+    assert "the file system has no locks" in capsys.readouterr().err
+    assert not list(out.glob(".lock.held"))
+    words = f"{os.uname().nodename} {2**22 + 1}"  # no process has this number
+    (out / ".lock.held").write_text(words)
+    write(out)
+    (out / ".lock.held").write_text("another-machine 17")
+    with pytest.raises(DvrkCmaesError, match="another command is writing"):
+        write(out)
+
+
+def test_functions_that_write_are_those_of_one_module() -> None:
+    package = Path(handles.__file__).parents[1]
+    own = {"io/handles.py", "io/output.py", "io/folder_lock.py"}
+    writes = (
+        ".unlink(",
+        ".write_text(",
+        ".write_bytes(",
+        "rmtree(",
+        "os.replace(",
+        ".mkdir(",
+        "os.remove(",
+        "os.rename(",
+    )
+    found = {
+        f"{path.relative_to(package).as_posix()}: {word}"
+        for path in package.rglob("*.py")
+        if path.relative_to(package).as_posix() not in own
+        for word in writes
+        if word in path.read_text(encoding="utf-8")
+    }
+    assert found == {"report/page_template.py: .mkdir("}  # the cache of templates
+    assert Output.__module__ == "dvrk_cmaes.io.output"

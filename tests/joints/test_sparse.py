@@ -1,0 +1,72 @@
+"""Readings between which the arm moves too far: the error of interpolation that they bound, and the reason."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.joints.sparse import Sparseness
+
+DEPTH = 0.15  # m
+
+
+def swinging(rate: float, amplitude_deg: float, hertz: float, until: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
+    """Readings of an arm whose yaw swings; ``rate`` is a second."""
+    stamps = np.arange(0, until, 1 / rate)
+    values = np.zeros((len(stamps), 4))
+    values[:, 0] = yaw(stamps, amplitude_deg, hertz)
+    values[:, 2] = DEPTH
+    return stamps, values
+
+
+def yaw(times: np.ndarray | float, amplitude_deg: float, hertz: float) -> np.ndarray:
+    return np.asarray(np.deg2rad(amplitude_deg) * np.sin(2 * np.pi * hertz * np.asarray(times)))
+
+
+@pytest.mark.parametrize("rate", [5.0, 8.0, 9.0, 20.0])
+def test_error_of_a_straight_line_is_stated_to_a_third_nearly_always(rate: float) -> None:
+    stamps, values = swinging(rate, 10.0, 0.7)
+    times = np.linspace(stamps[2], stamps[-3], 400)
+    off = np.abs(np.interp(times, stamps, values[:, 0]) - yaw(times, 10.0, 0.7))
+    stated = np.array([Sparseness.of(stamps, values, time).error[0] for time in times])
+    assert np.mean(off <= 1.33 * stated + 1e-6) > 0.9
+    assert np.median(stated[off > 0] / off[off > 0]) < 2
+
+
+def test_readings_at_the_time_itself_have_no_error() -> None:
+    stamps, values = swinging(9.0, 20.0, 1.4)
+    assert not Sparseness.of(stamps, values, float(stamps[5])).error.any()
+
+
+def test_too_sparse_readings_are_a_reason_with_their_spacing_and_the_turn_between_them() -> None:
+    stamps, values = swinging(1 / 0.11, 20.0, 1.4)
+    reasons = {Sparseness.of(stamps, values, float(time) + 0.055).reason for time in stamps[2:-3]}
+    assert "readings too sparse: every 110 ms, the arm turns 18 deg between them" in reasons
+    assert all(not reason or reason.startswith("readings too sparse: every 110 ms") for reason in reasons)
+    slow = swinging(1 / 0.11, 20.0, 0.1)
+    assert {Sparseness.of(*slow, float(time) + 0.055).reason for time in slow[0][2:-3]} == {""}
+
+
+def test_insertion_is_named_where_that_is_what_changes() -> None:
+    stamps, values = swinging(8.0, 0.0, 1.0)
+    values[:, 2] += 0.06 * np.sin(2 * np.pi * 1.2 * stamps)
+    reasons = {Sparseness.of(stamps, values, float(time) + 0.0625).reason for time in stamps[2:-3]}
+    assert any("every 125 ms, the insertion changes by" in reason for reason in reasons)
+
+
+def test_error_grows_beyond_the_last_reading() -> None:
+    stamps, values = swinging(8.0, 5.0, 0.7)
+    last = float(stamps[-1])
+    errors = [Sparseness.of(stamps, values, last + beyond).error[0] for beyond in (0.0, 0.05, 0.1, 0.2)]
+    assert errors == sorted(errors)
+    assert errors[-1] > 10 * max(errors[0], 1e-4)
+
+
+def test_dense_readings_are_not_too_sparse_whatever_a_single_one_says() -> None:
+    stamps, values = swinging(100.0, 5.0, 0.7)
+    values[50, 0] += 0.5
+    assert Sparseness.of(stamps, values, 0.503).reason == ""
+
+
+def test_too_few_readings_say_nothing() -> None:
+    assert Sparseness.of(np.array([0.0, 0.1]), np.zeros((2, 4)), 0.05).reason == ""

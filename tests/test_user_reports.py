@@ -1,0 +1,200 @@
+"""Small inputs made after public bug reports of users (``../shared/reports``): each is read with the right value."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.canned_results import canned
+from helpers.commands import Ran, run_command
+
+from dvrk_cmaes.calibration.calibrate import find_lag
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.lasting_errors import LastingSize
+from dvrk_cmaes.camera.files import read_camera_file
+from dvrk_cmaes.camera.rig_files import read_rig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.images import read_mask
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.truth import read_golden
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.joints.reading import ReadAs, read_joint_file, read_joints
+from dvrk_cmaes.joints.series import ReadingSeries
+
+Run = Callable[..., Ran]
+Table = list[dict[str, str]]
+
+
+@pytest.fixture
+def reports(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give the folder of the reports; the working folder is an empty one."""
+    monkeypatch.chdir(tmp_path)
+    return shared / "reports"
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    return partial(run_command, capsys)
+
+
+def rows(path: str) -> Table:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def imported(run: Run, recording: Path, *more: object) -> list[str]:
+    """Import a recording to ``session``; give the notes."""
+    done = run("import", recording, "--out", "session", "--json", *more)
+    assert done.code == 0
+    notes: list[str] = done.result["notes"]
+    return notes
+
+
+@pytest.mark.parametrize("name", ["mixed.yaml", "psm1_first.yaml", "two_arms.csv"])
+def test_joints_of_two_arms_are_those_of_the_arm_that_is_asked_for(reports: Path, run: Run, name: str) -> None:
+    path = reports / "joints-two-arms" / name
+    with pytest.raises(InputError, match=r"expected the joints of one arm, got those of PSM1, PSM2: .*--only PSM1"):
+        read_joint_file(path)
+    own = {
+        arm: list(read_joint_file(path, read_as=ReadAs(arm)).rows.values())[-1].readings() for arm in ("PSM1", "PSM2")
+    }
+    assert own["PSM2"] == dict.fromkeys(own["PSM2"], 0.1)
+    assert len(own["PSM1"]) == 7
+    if name.endswith(".yaml"):
+        assert own["PSM1"]["pitch"] == -0.111204
+        assert own["PSM1"]["roll"] == -1.649538
+    demo = bundled_path("demo")
+    frame = ("--mask", demo / "masks" / "0001.png", "--camera", demo / "camera.yaml", "--joints", path)
+    assert "--only" in run("estimate", *frame).refusal
+
+
+def test_stamps_that_stand_still_are_those_of_recording(reports: Path, run: Run) -> None:
+    notes = imported(run, reports / "bag-stamps-stand-still" / "rec.bag")
+    assert any("times: those of recording" in note and "do not advance" in note for note in notes)
+    readings = [row["wrist_yaw"] for row in rows("session/joints.csv")]
+    assert len(set(readings)) == 8
+
+
+def test_two_frames_of_one_time_count_as_one_moment(reports: Path, run: Run) -> None:
+    session = read_session(reports / "time-twice")
+    times = np.array([frame.time for frame in session.frames], np.float64)
+    assert len(set(times.tolist())) < len(times)
+    np.linalg.cholesky(LastingSize(0.4, 0.2).correlation(times))
+    done = run("track", reports / "time-twice", "--out", "tracks", "--no-video", "--no-page", "--causal")
+    assert "left out, for they have the time of the frame before: 0024" in done.err
+    assert [row["frame"] for row in rows("tracks/tracks.csv")] == [f"{k:04d}" for k in (0, 6, 12, 18, 30, 36, 42)]
+
+
+@pytest.mark.parametrize("causal", [(), ("--causal",)])
+def test_time_that_goes_back_is_refused_at_the_start(reports: Path, run: Run, causal: tuple[str, ...]) -> None:
+    refusal = run("track", reports / "time-jumps-back", "--out", "tracks", *causal).refusal
+    assert "joints.csv: frame 0024: expected a later time than that of frame 0022" in refusal
+    assert not Path("tracks").exists()
+
+
+def test_both_camera_infos_may_name_the_left_frame(reports: Path) -> None:
+    folder = reports / "rig-same-frame"
+    same, own = (read_rig(folder / f"left_{kind}.yaml", folder / f"right_{kind}.yaml").rig for kind in ("same", "own"))
+    np.testing.assert_array_equal(same.views[1].view_from_camera, own.views[1].view_from_camera)
+
+
+def test_messages_without_joints_are_skipped_and_counted(reports: Path, run: Run) -> None:
+    notes = imported(run, reports / "bag-empty-first" / "jaw.bag")
+    assert "/PSM1/jaw/measured_js: 2 messages without positions skipped" in notes
+    assert [row["jaw"] == "" for row in rows("session/joints.csv")] == [True, True, False, False, False, False]
+    folder = reports / "joints-first-message-empty"
+    for name, count in (("first_empty.yaml", 6), ("jaw_first_empty.yaml", 1)):
+        file = read_joint_file(folder / name)
+        assert "1 message without positions skipped" in file.notes
+        assert [len(row.cells) for row in file.rows.values()] == [count, count]
+    assert read_joints(folder / "jaw.yaml") == {"jaw": 0.835055}
+
+
+def test_index_of_a_palette_is_the_label(reports: Path) -> None:
+    folder, alone = reports / "mask-palette", read_mask(bundled_path("demo", "masks", "0001.png"))
+    np.testing.assert_array_equal(read_mask(folder / "palette_two_tools.png", label=1), alone)
+    assert read_mask(folder / "palette_two_tools.png", label="any").sum() > alone.sum()
+    np.testing.assert_array_equal(read_mask(folder / "palette_voc.png", label="any"), alone)
+    with pytest.raises(InputError, match="labels by --label"):
+        read_mask(folder / "palette_voc.png")
+
+
+def test_packed_colours_are_read_under_their_new_names(reports: Path, run: Run) -> None:
+    imported(run, reports / "bag-encodings" / "yuyv.bag")
+    assert len(list(Path("session", "images").iterdir())) == 3
+
+
+def test_camera_messages_of_rectified_images_are_read(reports: Path, run: Run) -> None:
+    for name in ("k_zero.bag", "model_none.bag"):
+        imported(run, reports / "bag-camera-info" / name, "--overwrite")
+        lens = read_camera_file("session/camera.yaml")
+        assert lens.camera.is_pinhole
+        assert (lens.camera.width, lens.camera.height) == (400, 300)
+        assert lens.camera.fx > 100
+
+
+def test_reindexed_recording_is_read_by_its_suffix(reports: Path, run: Run) -> None:
+    imported(run, reports / "bag-reindexed" / "rec_mcap")
+    assert len(rows("session/joints.csv")) == 4
+
+
+def test_session_whose_name_ends_in_bag_is_a_session(reports: Path, run: Run) -> None:
+    session = Path("rec.bag")
+    (session / "masks").mkdir(parents=True)
+    demo = bundled_path("demo")
+    for name in ("camera.yaml", "joints.csv"):
+        shutil.copy(demo / name, session / name)
+    shutil.copy(demo / "masks" / "0001.png", session / "masks" / "0001.png")
+    done = run("track", session, "--out", "tracks", "--no-video", "--no-page", "--causal")
+    assert done.code in (0, 3)
+    assert [row["frame"] for row in rows("tracks/tracks.csv")] == ["0001"]
+
+
+def test_jaw_of_surgpose_is_read(reports: Path, run: Run) -> None:
+    notes = imported(run, reports / "surgpose-jaw" / "SurgPose" / "000000", "--arm", "PSM1", "--side", "both")
+    assert "jaw: gripper_angle.yaml, PSM1" in notes
+    assert [float(row["jaw"]) for row in rows("session/joints.csv")][:2] == [0.570412, 0.59326]
+
+
+def test_camera_file_with_the_directive_of_yaml_1_0_is_read(reports: Path) -> None:
+    assert read_camera_file(reports / "cam-yaml10-header" / "yaml10_space.yaml").camera.fx == 1042.6
+
+
+def frames_and_series(folder: Path, later: float = 0.0) -> tuple[list[SessionFrame], ReadingSeries | None]:
+    """Give every eighth frame of a recording with its true pose, and all readings; images are ``later`` by some s."""
+    session, truth = read_session(folder), read_golden(folder / "golden.json")
+    covariance = np.diag([2e-4] * 3 + [0.01] * 6) ** 2
+    frames = []
+    for files in session.frames[::8]:
+        own = truth.frames[files.name]
+        joints = {name: own.joints[name] for name in ("wrist_pitch", "wrist_yaw", "jaw")}
+        pose = own.camera_from_root
+        result = canned(
+            files.name, camera_from_root=pose, joints=joints, readings=files.readings, covariance=covariance
+        )
+        frames.append(SessionFrame(files.name, FrameData(()), result))
+    times = {files.name: round(((files.time or 0.0) + later) * 1e9) for files in session.frames}
+    return frames, ReadingSeries.of_files(session.joint_files, times)
+
+
+def test_lag_of_two_seconds_is_found(reports: Path) -> None:
+    frames, series = frames_and_series(reports / "lag-beyond-range")
+    lag, _ = find_lag(frames, series=series)
+    assert lag is not None
+    assert lag.applied
+    assert lag.seconds == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("later", [1.6, -6.0])
+def test_lag_beyond_the_range_is_not_told(reports: Path, later: float) -> None:
+    frames, series = frames_and_series(reports / "lag-beyond-range", later)
+    lag, why = find_lag(frames, series=series)
+    assert lag is None
+    assert "not told in the range searched, -3 to +3 s" in why
+    assert "beyond" in why
