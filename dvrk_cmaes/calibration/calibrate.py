@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.instrument_test import CandidateFit, untold_instrume
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
-from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on
+from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again
 from dvrk_cmaes.config import EstimateConfig
@@ -207,7 +207,9 @@ def calibrate_with_evidence(
     tried = tuple(CandidateFit.of(*one, calibration.leave_one_out) for one in (others or {}).items())
     if text := untold_instrument(tried, calibration.instrument):
         calibration = replace(calibration, untold=(*calibration.untold, text))
-    calibration = replace(calibration, instruments=tried)
+    unusual = unusual_insertion(calibration, settings.session)
+    remarks = (*calibration.remarks, *([unusual] if unusual else []))
+    calibration = replace(calibration, instruments=tried, remarks=remarks)
     calibration = replace(calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     predicted = {name: report.leave_one_out for name, report in reported.items()}

@@ -24,6 +24,7 @@ _LARGEST_LOSS = 0.15  # of the overlap, from the frames' own fits to their predi
 _TRUSTED_SHARE = 0.5  # of the frames that were solved together; if fewer agree, these few may be the wrong ones
 _LARGEST_MARGIN_PX = 2.0  # of all masks of a session
 _FAR_INSERTION = 3.0  # standard deviations of prior and estimate together
+_LARGEST_INSERTION = 10e-3  # m, beyond which tools of one kind do not differ
 _BEYOND_CABLES_DEG = {"roll": 15.0, "wrist": 20.0, "jaw": 30.0}  # by the beginning of the joint's name
 _CAUSES_OF_ROLL = (
     "another instrument, a tool that was exchanged or homed during the recording, readings of another tool, or a lag "
@@ -116,24 +117,39 @@ def _few_agree(calibration: SessionCalibration) -> str:
     )
 
 
+def unusual_insertion(calibration: SessionCalibration, config: SessionConfig) -> str:
+    """Describe an offset of insertion that is larger than usual, with likely causes; empty where it is not.
+
+    Parameters
+    ----------
+    calibration
+        The calibration, in which the offset is taken out.
+    config
+        Settings with which it was made.
+    """
+    off, usual = 1e3 * calibration.offsets["insertion"], config.insertion_offset_mm
+    own = 1e3 * float(np.sqrt(calibration.covariance[6, 6]))
+    if abs(off) <= _FAR_INSERTION * float(np.hypot(own, usual)):
+        return ""
+    return (
+        f"offset of insertion: {off:+.1f} mm (std {own:.1f}), where {usual:.1f} mm are usual; likely causes: "
+        f"{_CAUSES_OF_INSERTION}"
+    )
+
+
 def _far_offsets(calibration: SessionCalibration, config: SessionConfig) -> list[str]:
-    """Describe each offset that is beyond what cables do, or of insertion beyond its prior, with likely causes.
+    """Describe each offset that is beyond what cables do, or an insertion farther off than tools are, with causes.
 
     That of a joint whose readings are commanded values is no offset of its cables.
     """
-    texts, std = [], np.sqrt(np.diag(calibration.covariance)[6:])
-    for (name, offset), own in zip(calibration.offsets.items(), std.tolist(), strict=True):
-        if name == "insertion":
-            off, own, usual = 1e3 * offset, 1e3 * own, config.insertion_offset_mm
-            far, unit, causes = _FAR_INSERTION * float(np.hypot(own, usual)), "mm", _CAUSES_OF_INSERTION
-        else:
-            off, own = float(np.degrees(offset)), float(np.degrees(own))
-            usual = next((most for start, most in _BEYOND_CABLES_DEG.items() if name.startswith(start)), np.inf)
-            far, unit = usual + own, "deg"
-            causes = _CAUSES_OF_ROLL if name == "roll" else _CAUSES_OF_CABLES
-        if abs(off) > far and name not in calibration.commanded:
+    far_insertion = abs(calibration.offsets["insertion"]) > _LARGEST_INSERTION
+    texts = [unusual_insertion(calibration, config)] if far_insertion else []
+    std = np.degrees(np.sqrt(np.diag(calibration.covariance)[7:]))
+    for (name, offset), own in zip(list(calibration.offsets.items())[1:], std.tolist(), strict=True):
+        most = next((most for start, most in _BEYOND_CABLES_DEG.items() if name.startswith(start)), np.inf)
+        if abs(np.degrees(offset)) > most + own and name not in calibration.commanded:
             texts.append(
-                f"offset of {name}: {off:+.1f} {unit} (std {own:.1f}), where {usual:.1f} {unit} "
-                f"{'are usual' if name == 'insertion' else 'are the most that cables do'}; likely causes: {causes}"
+                f"offset of {name}: {np.degrees(offset):+.1f} deg (std {own:.1f}), where {most:.1f} deg are the most "
+                f"that cables do; likely causes: {_CAUSES_OF_ROLL if name == 'roll' else _CAUSES_OF_CABLES}"
             )
     return texts

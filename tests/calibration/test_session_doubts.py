@@ -11,8 +11,9 @@ from helpers.page_calibrations import calibration, solved
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_camera import SessionCamera
-from dvrk_cmaes.calibration.session_doubts import DISAGREES, bad_predictions, doubts_of, resting_on
+from dvrk_cmaes.calibration.session_doubts import DISAGREES, bad_predictions, doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_masks import SessionMasks
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.results.tracked import TrackResult
 
 FRAMES = ("0000", "0001", "0002")
@@ -65,7 +66,12 @@ def test_contradicted_camera_is_a_doubt_unless_it_is_put_right() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "std", "expected"),
     [
-        ("insertion", 6.8e-3, 0.1e-3, "offset of insertion: +6.8 mm (std 0.1), where 0.5 mm are usual; likely causes"),
+        (
+            "insertion",
+            16.8e-3,
+            0.1e-3,
+            "offset of insertion: +16.8 mm (std 0.1), where 0.5 mm are usual; likely",
+        ),
         ("roll", np.deg2rad(-28), np.deg2rad(1), "offset of roll: -28.0 deg (std 1.0), where 15.0 deg are the most"),
         ("wrist_yaw", np.deg2rad(24), np.deg2rad(1), "offset of wrist_yaw: +24.0 deg (std 1.0), where 20.0 deg are"),
     ],
@@ -77,10 +83,18 @@ def test_offset_beyond_what_cables_do_is_a_doubt(name: str, value: float, std: f
 
 
 def test_uncertain_or_commanded_offset_is_no_doubt() -> None:
-    assert doubts_of(with_offset("insertion", 6.8e-3, 3e-3)) == ()
+    assert doubts_of(with_offset("insertion", 16.8e-3, 8e-3)) == ()
     assert doubts_of(with_offset("roll", np.deg2rad(20), np.deg2rad(8))) == ()
     commanded = replace(with_offset("wrist_yaw", np.deg2rad(60), 0.01), commanded={"wrist_yaw": 0.0})
     assert doubts_of(commanded) == ()
+
+
+def test_insertion_of_another_tool_of_the_kind_is_only_remarked() -> None:
+    other = with_offset("insertion", 6.8e-3, 0.1e-3)
+    text = unusual_insertion(other, SessionConfig())
+    assert text.startswith("offset of insertion: +6.8 mm (std 0.1), where 0.5 mm are usual; likely causes")
+    assert doubts_of(other) == ()
+    assert unusual_insertion(session(), SessionConfig()) == ""
 
 
 def test_masks_that_are_far_too_wide_are_a_doubt() -> None:
