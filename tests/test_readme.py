@@ -90,7 +90,8 @@ def test_shown_commands_exist() -> None:
 def test_named_options_exist() -> None:
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9_-]*", MANUAL))
     of_others = {"--local-dir", "--multimask_output", "--once"}  # of the makers of SAM 2 exports, and of ros2 topic
-    assert named - of_others <= {*options(app), "--help"}
+    of_script = set(re.findall(r'"(--[a-z-]+)"', (ROOT / "scripts" / "run_benchmark.py").read_text(encoding="utf-8")))
+    assert named - of_others <= {*options(app), *of_script, "--help"}
 
 
 def test_named_scripts_exist() -> None:

@@ -27,6 +27,7 @@ from worlds.scene import Placed, ends_seen
 from worlds.table import World
 
 Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
 
 WORLD: Final = "world.json"
 """File of a folder's parameters, written last."""
@@ -65,9 +66,14 @@ class Folder:
         frames: dict[str, Any] = json.loads((self.path / "golden.json").read_text(encoding="utf-8"))["frames"]
         return frames
 
+    def camera_from_base(self) -> Float64:
+        """Return the true pose (4, 4) of the base of the arm that is solved."""
+        return np.array(json.loads((self.path / "golden.json").read_text(encoding="utf-8"))["camera_from_base"])
+
     def times(self) -> dict[str, float]:
         """Return the times of the images by frame, on the clock of the readings, s."""
-        return {name: float(truth["time"]) for name, truth in self.golden().items()}
+        with (self.path / "images.csv").open(encoding="utf-8", newline="") as file:
+            return {row["frame"]: float(row["time"]) for row in csv.DictReader(file)}
 
     def nearest_readings(self, stamp: float) -> dict[str, float]:
         """Return the row of joints.csv, by joint, whose time is nearest to that of an image, s."""

@@ -17,7 +17,7 @@ from dvrk_cmaes.instrument import Instrument
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
-_NEAREST: Final = 1e-3  # m, along the optical axis
+NEAREST: Final = 1e-3  # m, along the optical axis
 _MOST_RAYS: Final = 2_000_000  # at a time
 _HIDDEN: Final = 1.5e-3  # m, by which what a ray meets must be nearer than an end to hide it
 
@@ -68,11 +68,11 @@ class Scene:
     def hits(self, rays: Float32) -> tuple[NDArray[np.int64], Float32]:
         """Return for rays (N, 3), whose z is 1, the triangle that each meets first, or -1, and its depth, m."""
         found = [
-            self._scene.run(np.ascontiguousarray(_NEAREST * part), np.ascontiguousarray(part), output=True)
+            self._scene.run(np.ascontiguousarray(NEAREST * part), np.ascontiguousarray(part), output=True)
             for part in np.array_split(rays, max(1, -(-len(rays) // _MOST_RAYS)))
         ]
         face = np.concatenate([each["primID"] for each in found]).astype(np.int64)
-        return face, np.asarray(np.concatenate([each["tfar"] for each in found]) + _NEAREST, np.float32)
+        return face, np.asarray(np.concatenate([each["tfar"] for each in found]) + NEAREST, np.float32)
 
 
 def ends_seen(tools: Sequence[Placed], number: int) -> float:
@@ -80,4 +80,4 @@ def ends_seen(tools: Sequence[Placed], number: int) -> float:
     placed = tools[number]
     ends = apply(placed.camera_from_root, placed.instrument.ends(placed.joints))
     _, depth = Scene(tools).hits((ends / ends[:, 2:]).astype(np.float32))
-    return float(np.mean((depth > ends[:, 2] - _HIDDEN) | (depth <= _NEAREST)))
+    return float(np.mean((depth > ends[:, 2] - _HIDDEN) | (depth <= NEAREST)))

@@ -120,7 +120,7 @@ def test_two_tools_are_labels_of_a_session_of_two_arms(tmp_path: Path) -> None:
     drawn = drawn_folder(tmp_path, world, 2, "recording", 2)
     entries = read_session_toml(drawn.path)
     assert entries is not None
-    assert [(tool.arm, tool.label) for tool in entries.tools] == [("PSM2", 1), ("PSM1", 2)]
+    assert [(tool.arm, tool.label) for tool in entries.tools] == [("PSM2", (1,)), ("PSM1", (2,))]
     labels = cv2.imread(str(drawn.path / "masks" / "0000.png"), cv2.IMREAD_UNCHANGED)
     assert set(np.unique(labels)) == {0, 1, 2}
     assert cv2.imread(str(drawn.path / "images" / "0000.jpg"), cv2.IMREAD_UNCHANGED).shape == (120, 160)
@@ -130,7 +130,7 @@ def test_two_tools_are_labels_of_a_session_of_two_arms(tmp_path: Path) -> None:
     assert border[60, 80] == 0
     assert (ignored[labels == 2] == 255).all()
     assert (ignored[(labels == 1)] == 0).all()
-    assert drawn.times()["0001"] - drawn.times()["0000"] == pytest.approx(1 / 30)
+    assert drawn.times()["0001"] - drawn.times()["0000"] == pytest.approx(1 / 30, abs=2e-6)
     assert set(drawn.nearest_readings(1001.61)) >= {"yaw", "pitch", "insertion", "roll", "jaw"}
 
 

@@ -41,14 +41,14 @@ PARAMETERS: Final = (
     *("size", "focal", "lens", "distance", "instrument", "side", "arm", "images_hz", "readings_hz"),
     *("colour", "border", "tools", "level"),
 )
-_WRONG_MM: Final = 3.0
+WRONG_MM: Final = 3.0
 _WRONG_PX: Final = 2.0
 _WRONG_STD: Final = 3.0
 _WRONG_SHARE: Final = 0.2
 _LEAST_SEEN: Final = 0.5
 _CLEAR_OVERLAP: Final = 0.01  # by which the truth must overlap the mask more than a pose that is missed
 _REFUSED: Final = 2  # exit code
-_WITHOUT_POSE_MM: Final = 1000.0
+WITHOUT_POSE_MM: Final = 1000.0
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Solved:
         """Whether more than a fifth of the ok frames are off by more than 3 mm; not of frames estimated each alone."""
         if self.command == "estimate":
             return False
-        ok = [frame.error_mm > _WRONG_MM for frame in self.frames if frame.ok]
+        ok = [frame.error_mm > WRONG_MM for frame in self.frames if frame.ok]
         return bool(ok) and float(np.mean(ok)) > _WRONG_SHARE
 
 
@@ -145,7 +145,7 @@ def solved(drawn: Folder, command: Command) -> Solved:
     path = drawn.path.parent / f"{command}-{drawn.frames}.json"
     if not path.exists() or path.stat().st_mtime < (drawn.path / "world.json").stat().st_mtime:
         started = sum(os.times()[:4])
-        results, failures = _estimated(drawn) if command == "estimate" else _whole(drawn, command)
+        results, failures = estimated(drawn) if command == "estimate" else solved_whole(drawn, command)
         seconds = sum(os.times()[:4]) - started
         scores = [asdict(frame) for frame in scored(drawn, results)]
         write_json(path, {"frames": scores, "failures": [asdict(each) for each in failures], "seconds": seconds})
@@ -167,7 +167,7 @@ def scored(drawn: Folder, results: Mapping[str, Mapping[str, Any]]) -> Iterator[
             continue
         true, pose = np.array(truth["tips_camera_m"]), np.array(truth["T_camera_roll_link"])
         result = results.get(name, {})
-        error, std, rotation = _WITHOUT_POSE_MM, 0.0, 180.0
+        error, std, rotation = WITHOUT_POSE_MM, 0.0, 180.0
         if result.get("camera_from_root") is not None:
             joints = [result["joints"][joint] for joint in instrument.joint_names]
             ends = apply(np.array(result["camera_from_root"]), instrument.ends(joints))
@@ -175,7 +175,7 @@ def scored(drawn: Folder, results: Mapping[str, Mapping[str, Any]]) -> Iterator[
             std = _stated(result["std"])
             rotation = float(np.degrees(rotation_angle(np.array(result["camera_from_root"]), pose)))
         pixel_mm = 1e3 * float(true[:, 2].mean()) / drawn.world.camera.fx
-        limit = max(_WRONG_MM, _WRONG_PX * pixel_mm, _WRONG_STD * std)
+        limit = max(WRONG_MM, _WRONG_PX * pixel_mm, _WRONG_STD * std)
         overlap = (result.get("quality") or {}).get("iou", 1.0)
         missed = rotation >= RIGHT_MODE_DEG and overlap < truth["overlap"] - _CLEAR_OVERLAP
         yield Scored(name, result.get("status", "failed"), error, std, rotation, limit, missed)
@@ -194,7 +194,7 @@ def _stated(std: Mapping[str, Any]) -> float:
     )
 
 
-def _estimated(drawn: Folder) -> tuple[dict[str, Any], list[Failure]]:
+def estimated(drawn: Folder) -> tuple[dict[str, Any], list[Failure]]:
     """Estimate each frame by itself; return the results by frame, and what failed.
 
     A frame that is refused with the file of readings and its time is estimated with the values of the nearest row.
@@ -218,22 +218,35 @@ def _estimated(drawn: Folder) -> tuple[dict[str, Any], list[Failure]]:
     return results, failures
 
 
-def _whole(drawn: Folder, command: Command) -> tuple[dict[str, Any], list[Failure]]:
-    """Calibrate a session or follow a recording; return the results by frame, and the failure if it failed."""
-    out = drawn.path.parent / f"{command}-{drawn.frames}"
+def solved_whole(
+    drawn: Folder, command: Command, *options: str, out: Path | None = None
+) -> tuple[dict[str, Any], list[Failure]]:
+    """Calibrate a session or follow a recording; return the results by frame, and the failure if it failed.
+
+    ``options`` are further ones of the command. ``out`` is a folder for its files, which are replaced.
+    """
+    out = drawn.path.parent / f"{command}-{drawn.frames}" if out is None else out
     shutil.rmtree(out, ignore_errors=True)
-    arguments = [command, str(drawn.path), "--out", str(out), "--workers", "1", "--json"]
+    arguments = [command, str(drawn.path), "--out", str(out), "--workers", "1", "--json", *options]
     arguments += ["--only", drawn.arm] if drawn.world.tools > 1 else []
     _, failure = run(arguments, "")
-    own = out / drawn.arm if (out / drawn.arm).is_dir() else out
+    return whole_results(drawn, command, out), [] if failure is None else [failure]
+
+
+def whole_results(drawn: Folder, command: Command, out: Path) -> dict[str, Any]:
+    """Return the results by frame of a session or recording that was solved as a whole, from the files in ``out``."""
+    own = written_by(drawn, out)
     if command == "track":
         tracks = own / "tracks.jsonl"
         rows = [json.loads(line) for line in tracks.read_text(encoding="utf-8").splitlines()] if tracks.exists() else []
-        results = {row["frame"]: row for row in rows}
-    else:
-        files = sorted((own / "frames").glob("*.json"))
-        results = {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in files}
-    return results, [] if failure is None else [failure]
+        return {row["frame"]: row for row in rows}
+    files = sorted((own / "frames").glob("*.json"))
+    return {file.stem: json.loads(file.read_text(encoding="utf-8")) for file in files}
+
+
+def written_by(drawn: Folder, out: Path) -> Path:
+    """Return the folder of the files of the arm that is solved, of a command that wrote to ``out``."""
+    return out / drawn.arm if (out / drawn.arm).is_dir() else out
 
 
 def run(arguments: Sequence[str], frame: str) -> tuple[str, Failure | None]:
