@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
     from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
     from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
+    from dvrk_cmaes.calibration.instrument_test import CandidateFit
     from dvrk_cmaes.calibration.lag import LagCurve
     from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
     from dvrk_cmaes.calibration.session_cables import SessionCables
@@ -92,6 +93,7 @@ _HOMES = {
     "Session": "frames.session_folder",
     "SessionCables": "calibration.session_cables",
     "SessionCalibration": "calibration.document",
+    "CandidateFit": "calibration.instrument_test",
     "SessionCamera": "calibration.session_camera",
     "SessionConfig": "config",
     "SessionFrame": "calibration.frame_task",
@@ -130,6 +132,7 @@ __all__ = [
     "BaseKnown",
     "Body",
     "Camera",
+    "CandidateFit",
     "DvrkCmaesError",
     "EstimateConfig",
     "ExpectedError",

@@ -50,7 +50,8 @@ from measure.accuracy.fleet import fleet_report
 from measure.accuracy.halves import halved, halves_report
 from measure.accuracy.image_sizes import image_sizes_report
 from measure.accuracy.lag import find_lags, lag_report
-from measure.accuracy.lies import doubt_report, falsified_cases, load_others
+from measure.accuracy.lies import doubt_report, falsified_cases, load_other_make, load_others
+from measure.accuracy.mistakes import mistake_report, mistaken_cases
 from measure.accuracy.perturbed import perturbed_report
 from measure.accuracy.rig import rig_report
 from measure.accuracy.rig_rotations import rotations_report
@@ -184,13 +185,17 @@ def _trust(given: Measurement, _: argparse.Namespace) -> Report:
 
 
 def _lies(given: Measurement, options: argparse.Namespace) -> Report:
-    """Report the share of falsified frames that are doubtful."""
+    """Report the share of falsified frames that are doubtful, and what happens to frames with users' mistakes."""
     original, others = given.cases(), load_others(options.others)
+    mistaken = mistaken_cases(original, load_other_make(options.others))
     if not others:
         print(f"{options.others}: no such folder; no lies of other instruments", file=sys.stderr)
-    runs = given.runs([*original, *falsified_cases(original, others, options.cases, options.seed)], "frames and lies")
-    _write_features(given, options, runs)
-    return {"share doubted": doubt_report(runs)}
+    falsified = falsified_cases(original, others, options.cases, options.seed)
+    runs = given.runs([*original, *falsified, *mistaken], "frames and lies")
+    count = len(runs) - len(mistaken)
+    _write_features(given, options, runs[:count])
+    mistakes = mistake_report(given.body.instrument, runs[count:])
+    return {"share doubted": doubt_report(runs[:count]), "mistakes": mistakes}
 
 
 def _bound(given: Measurement, _: argparse.Namespace) -> Report:
@@ -242,7 +247,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "bound": _bound,
     "sessions": _sessions,
     "halves": _halves,
-    "session-lies": lambda given, _: measure_session_lies(given),
+    "session-lies": lambda given, options: measure_session_lies(given, load_other_make(options.others)),
     "lag": lambda given, _: lag_report(find_lags(given)),
     "track": _track,
     "fleet": lambda given, options: fleet_report(

@@ -35,12 +35,25 @@ class Record:
         """Record an event; an audit hook."""
         if event in _STARTS:
             self.started.append(event)
+        elif _is_within_open_folder(event, arguments):
+            return
         elif event in _READS and arguments and isinstance(arguments[0], str | bytes | os.PathLike):
             path = os.path.abspath(os.fsdecode(arguments[0]))
             if event == "open" and isinstance(arguments[2], int) and arguments[2] & _WRITING:
                 self.written.add(path)
             elif path not in self.written:
                 self.read.append(path)
+
+
+def _is_within_open_folder(event: str, arguments: tuple[Any, ...]) -> bool:
+    """Return whether an event opens a folder itself, or what is in a folder that is open already.
+
+    The audit hook is not told which folder that is. The package writes in this way, and never through links.
+    """
+    if event != "open" or arguments[1] is not None or not isinstance(arguments[2], int):
+        return False
+    within = not os.path.isabs(os.fsdecode(arguments[0])) and arguments[2] & os.O_NOFOLLOW
+    return bool(within or arguments[2] & os.O_DIRECTORY)
 
 
 def outside(read: Iterable[str], allowed: Iterable[str]) -> list[str]:

@@ -88,7 +88,7 @@ def test_unknown_name_is_refused() -> None:
 
 # the docstrings of which the site's page is made
 
-INTERNAL = {"from_document", "ViewDocument.of", "SessionCamera.of", "SessionMasks.of"} | {
+INTERNAL = {"from_document", "ViewDocument.of", "SessionCamera.of", "SessionMasks.of", "CandidateFit.of"} | {
     "SessionCalibration.model",
     "ViewRotation.with_values",
 }

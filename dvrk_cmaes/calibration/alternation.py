@@ -23,7 +23,6 @@ from dvrk_cmaes.calibration.few_frames import few_of
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_reports import (
     check_agreement,
-    check_count,
     describe_disagreements,
     report_tasks,
     with_readings,
@@ -45,8 +44,7 @@ from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask, with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, offset_deviations, outer_readings
-from dvrk_cmaes.calibration.offset_check import describe_far_offsets
-from dvrk_cmaes.calibration.session_camera import SessionCamera, untested
+from dvrk_cmaes.calibration.session_camera import SessionCamera, covariance_of_camera, untold
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.solve import FrameFits, leave_one_out, solution_at, solve, solve_with_modes
@@ -75,10 +73,10 @@ class Alternation:
     """State of the alternating estimation.
 
     ``frames`` are the frames in use, ``stored`` their evidence and ``model`` their model; ``solution`` is the current
-    solution and ``fits`` are the frames' current fits. ``warnings`` are texts about faults of the session as a whole,
-    ``undetermined`` about what it does not determine; ``lag`` is the estimate of the lag of the images behind the
-    readings, ``camera`` the change of the camera that the frames fit, None where it is not determined; ``change`` the
-    one that is used, and ``rig`` what the further views differ in from the file.
+    solution and ``fits`` are the frames' current fits. ``remarks`` are texts about faults of the session as a whole
+    that are put right, ``undetermined`` about what it does not determine; ``lag`` is the estimate of the lag of the
+    images behind the readings, ``camera`` the change of the camera that the frames fit, None where it is not
+    determined; ``change`` the one that is used, and ``rig`` what the further views differ in from the file.
     ``again`` is what changed as masks were found again, None where they were not; ``masks_found_again`` are those that
     are used, by frame and view.
     ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera cause.
@@ -123,7 +121,7 @@ class Alternation:
         self._imaging = Imaging(np.zeros(3) if refine_camera else None, rig)
         self.of_camera: Float64
         self.fits: list[FrameFit] = []
-        self.warnings: list[str] = []
+        self.remarks: list[str] = []
         self.camera: SessionCamera | None = None
         self.undetermined: list[str] = []
         self.again: MasksAgain | None = None
@@ -156,7 +154,7 @@ class Alternation:
             to be refined, and the session does not determine it.
         """
         check_motion(self.model)
-        if self.change is not None and (reason := untested(self.model)):
+        if self.change is not None and (reason := untold(self.model)):
             raise InputError(f"--refine-camera: {reason}")
         if lag is None:
             self.search_lag()
@@ -169,15 +167,13 @@ class Alternation:
     def search_lag(self) -> None:
         """Find the lag from the frames' own modes, without correcting the readings."""
         self.lag.search(self.model, self._modes, self._offset_std, self._prior)
-        if self.lag.nowhere:
-            self.warnings.append(f"lag between images and readings: {self.lag.undetermined}")
 
     def at_lag(self, lag: float) -> Alternation:
         """Solve the same frames from the beginning with readings less another lag; as `initialise` and `iterate`."""
         other = copy.copy(self)
         other.frames, other._modes, other.model, other._imaging = self._given
         other.lag, other.cables = self.lag.of_all(), CableEstimate(*self._of_cables)
-        other.fits, other.warnings, other.undetermined, other._left_out = [], [], [], {}
+        other.fits, other.remarks, other.undetermined, other._left_out = [], [], [], {}
         other.initialise(lag)
         other.iterate()
         return other
@@ -215,7 +211,7 @@ class Alternation:
             return consensus
         before, after = (self.frames[i].name for i in move.between)
         text = f"the arm's base or the camera moved between frames {before} and {after}"
-        self.warnings.append(f"{text}: calibrated for the {move.side} of them")
+        self.remarks.append(f"{text}: calibrated for the {move.side} of them")
         self._keep([i for i in range(len(self.frames)) if i not in move.others], text)
         return find_consensus(self.model, self._modes, self._offset_std)
 
@@ -318,7 +314,8 @@ class Alternation:
         ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few do.
         """
         if not keep_all:
-            check_count(sum(fit.explains_mask for fit in self.fits), len(self.fits), LEAST_FRAMES)
+            texts = ["" if fit.explains_mask else fit.describe_overlap() for fit in self.fits]
+            check_agreement(self.frames, texts, LEAST_FRAMES)
         fits = self._frame_fits(keep_all=keep_all)
         self._solve(fits, calibration)
         if not keep_all and self._config.session.cables:
@@ -350,7 +347,7 @@ class Alternation:
         """Return a copy with other masks of some frames, solved in one more round from the current solution."""
         other = copy.copy(self)
         other.lag, other.cables = copy.copy(self.lag), copy.copy(self.cables)
-        other.warnings, other.undetermined = list(self.warnings), list(self.undetermined)
+        other.remarks, other.undetermined = list(self.remarks), list(self.undetermined)
         other.frames = [
             replace(frame, data=with_masks(frame.data, masks[i])) if i in masks else frame
             for i, frame in enumerate(self.frames)
@@ -502,22 +499,29 @@ class Alternation:
         return self._imaging.change
 
     def check_constants(self) -> None:
-        """Test whether the frames contradict the camera file, and whether the offsets are far outside their priors."""
+        """Test whether the frames contradict the camera file."""
         solution, session = self.solution, self._config.session
         if self.lag.applied is not None:
-            self.warnings.append(
+            self.remarks.append(
                 f"{self.lag.applied.describe()}: taken out; other commands take it out with {self.lag.applied.option}"
             )
-        self.progress("checking camera and offsets", len(self.frames))
+        self.progress("checking the camera", len(self.frames))
         check = self._fitted.check_camera(solution.calibration)
         self.of_camera, self.camera = check.covariance, check.camera
         if check.camera is None:
             self.undetermined.append(check.undetermined)
-        else:
-            self.warnings += check.camera.warnings(session)
-        self.warnings += describe_far_offsets(solution.calibration, solution.covariance, self.model, self._offset_std)
+        elif check.camera.applied:
+            self.remarks += check.camera.contradictions(session)
         if self.change is not None:
             self.stored = self.run(gather_task, [with_changed_cameras(frame, self.change) for frame in self.frames])
+
+    @property
+    def camera_remarks(self) -> tuple[str, ...]:
+        """What is unusual about the camera files of the first frame."""
+        first = self.stored[0]
+        further = [view for view in first.views if not np.array_equal(view.view_from_camera, np.eye(4))]
+        of_views = (f"view {view.name}: {text}" for view in further for text in view.stored.evidence.camera.remarks)
+        return (*first.camera.remarks, *of_views)
 
     @property
     def evidence(self) -> dict[str, Evidence]:
@@ -535,11 +539,17 @@ class Alternation:
         self.progress("leaving one out", len(self.frames))
         session, model, solution = self._config.session, self.model, self.solution
         disagreements = describe_disagreements(self.fits, solution, session)
-        self.warnings += check_agreement(disagreements, LEAST_FRAMES)
+        check_agreement(self.frames, disagreements, LEAST_FRAMES)
         named = zip(self.frames, disagreements, strict=True)
         reasons = self._left_out | {frame.name: text for frame, text in named if text}
         frames = self.frames if self.lag.applied is None else with_readings(self.frames, model)
         stated = {**self._config.as_dict(), "instrument": self._instrument.describe_limits(self._arm)}
         tasks = report_tasks(frames, self.stored, self.fits, model, solution, disagreements, session, stated)
         tasks = [replace(task, first=self._first.get(i), change=self.change) for i, task in enumerate(tasks)]
+        of_camera = [
+            covariance_of_camera(self.camera, fit.at, stored.camera)
+            for fit, stored in zip(self.fits, self.stored, strict=True)
+        ]
+        pairs = zip(tasks, of_camera, strict=True)
+        tasks = [replace(task, covariance=task.covariance + own) for task, own in pairs]
         return self.run(report_task, tasks), reasons

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
+from dvrk_cmaes.calibration.instrument_test import CandidateFit, untold_instrument
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
+from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again
 from dvrk_cmaes.config import EstimateConfig
@@ -121,10 +123,13 @@ def calibrate_with_evidence(
     config: EstimateConfig | None,
     run: Run[Any, Any] | None,
     progress: Callable[[str, int], None],
+    others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
 ) -> tuple[SolvedSession, dict[str, Evidence]]:
     """Do what `calibrate_session` does, and also return what was found in the masks, for drawings.
 
-    That is of the first view of each frame that was fitted, by name, without its image.
+    That is of the first view of each frame that was fitted, by name, without its image. ``others`` are the
+    leave-one-out predictions of calibrations of the same frames with other instruments, by name of the instrument, or
+    why they were refused.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
@@ -188,17 +193,25 @@ def calibrate_with_evidence(
         masks_again=alternation.again,
         rig=alternation.rig,
         commanded=_only_readings(usable, commanded),
-        warnings=(
+        remarks=(
+            *alternation.camera_remarks,
             *(text for each in alternation.rig for text in each.warnings()),
             *([describe_commanded(commanded)] if commanded else []),
-            *alternation.warnings,
+            *alternation.remarks,
         ),
         seconds=time.perf_counter() - started,
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,
     )
-    if calibration.doubt:
-        calibration = replace(calibration, warnings=(calibration.doubt, *calibration.warnings))
+    without_lag = alternation.lag.undetermined if alternation.lag.nowhere else ""
+    tried = tuple(CandidateFit.of(*one, calibration.leave_one_out) for one in (others or {}).items())
+    if text := untold_instrument(tried, calibration.instrument):
+        calibration = replace(calibration, untold=(*calibration.untold, text))
+    unusual = unusual_insertion(calibration, settings.session)
+    remarks = (*calibration.remarks, *([unusual] if unusual else []))
+    calibration = replace(calibration, instruments=tried, remarks=remarks)
+    calibration = replace(calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag))
+    results = {name: resting_on(result, calibration) for name, result in results.items()}
     predicted = {name: report.leave_one_out for name, report in reported.items()}
     return SolvedSession(calibration, results, predicted, alternation.masks_found_again), alternation.evidence
 

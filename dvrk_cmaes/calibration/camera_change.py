@@ -23,6 +23,7 @@ from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
+from dvrk_cmaes.camera.critical import FILE
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Posed
@@ -64,6 +65,11 @@ class SessionOutlines:
     def width(self) -> int:
         """Width of the images, px, to which changes of the camera refer."""
         return self._evidence[0].camera.width
+
+    @property
+    def unusual(self) -> bool:
+        """Whether the file of the camera has unusual values."""
+        return any(text.startswith(FILE) for text in self._evidence[0].camera.remarks)
 
     @property
     def _evidence(self) -> list[Evidence]:

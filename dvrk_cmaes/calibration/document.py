@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.instrument_test import CandidateFit
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
@@ -23,6 +24,7 @@ from dvrk_cmaes.calibration.model import (
 )
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_doubts import doubts_of
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.solve import Solution
@@ -58,7 +60,6 @@ CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads 
 # standard deviations above which a part of the calibration is reported as not determined
 _UNDETERMINED_SHARE = 0.9  # of an offset, relative to the standard deviation of its prior
 _UNDETERMINED_ROTATION = np.deg2rad(5.0)  # of the base
-_LARGEST_LOSS = 0.15  # of the overlap, from the frames' own fits to their predictions by the others
 _UNDETERMINED_POSITION = 5e-3  # of the base, m
 _ELSEWHERE = np.deg2rad(30.0)  # from the only reading of a joint, where its offset says nothing any more
 
@@ -113,8 +114,11 @@ class SessionCalibration:
     masks_again : what changed as masks were found again around the expected silhouettes; None where they were not.
     rig : what the further views differ in from the rig's file, of those that were tested.
     views : the cameras and their places with which the session was solved; empty of frames in memory.
+    instruments : how other instruments fit the frames; empty if none were tried.
     commanded : the only reading, rad, of each joint whose readings never move while the arm does; offsets hold there.
-    untold : descriptions of what the session does not determine. warnings : doubts about the session as a whole.
+    untold : descriptions of what the session does not determine.
+    doubts : what is wrong with the session as a whole and was not put right: every result that rests on it is doubtful.
+    remarks : what was found and put right, or is unusual, as of the camera's file; they make nothing doubtful.
     """
 
     instrument: str
@@ -138,9 +142,11 @@ class SessionCalibration:
     masks_again: MasksAgain | None = None
     rig: tuple[ViewRotation, ...] = ()
     views: tuple[ViewDocument, ...] = ()
+    instruments: tuple[CandidateFit, ...] = ()
     commanded: dict[str, Number] = field(default_factory=dict)
     untold: Texts = ()
-    warnings: Texts = ()
+    doubts: Texts = ()
+    remarks: Texts = ()
     arm: Arm = "classic"
     roll_offset: Number = 0.0
     seconds: Number = 0.0
@@ -177,29 +183,25 @@ class SessionCalibration:
         return changed_views(own, changes_of(self.rig))
 
     @property
+    def predicted_iou(self) -> float:
+        """Mean overlap of the frames' masks with what the other frames predict of them; 1 if none was predicted."""
+        overlaps = [iou for iou, _ in self.leave_one_out.values()]
+        return float(np.mean(overlaps)) if overlaps else 1.0
+
+    @property
     def applied_lag(self) -> Lag | None:
         """The lag that was taken out of the readings; None if none was."""
         return self.lag if self.lag is not None and self.lag.applied else None
 
     @property
-    def doubt(self) -> str:
-        """Why the calibration should not be used, in words; empty if nothing speaks against it.
-
-        The silhouettes that the other frames predict overlap the masks far less than those of the frames' own fits,
-        whatever the stated standard deviations.
-        """
-        predicted = float(np.mean([iou for iou, _ in self.leave_one_out.values()])) if self.leave_one_out else 1.0
-        if predicted >= self.iou - _LARGEST_LOSS:
-            return ""
-        return (
-            f"this calibration predicts frames badly that it has not seen: IoU {predicted:.2f} by the other frames, "
-            f"{self.iou:.2f} by their own fits; its lag, camera file, instrument or readings may be wrong"
-        )
+    def status(self) -> str:
+        """``doubtful`` if there are doubts about the session as a whole, ``ok`` otherwise."""
+        return "doubtful" if self.doubts else "ok"
 
     @property
-    def status(self) -> str:
-        """``doubtful`` if there are warnings about the session as a whole, ``ok`` otherwise."""
-        return "doubtful" if self.warnings or self.doubt else "ok"
+    def warnings(self) -> Texts:
+        """All doubts and remarks, the doubts first."""
+        return (*self.doubts, *self.remarks)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration in the documented schema, ready for JSON."""
@@ -217,7 +219,7 @@ class SessionCalibration:
                 "matrix": rounded_matrix(self.covariance),
                 "given_camera": rounded_matrix(self.covariance_given_camera),
             },
-            **encoded_fields(self, "spreads", "untold", "warnings", "frames"),
+            **encoded_fields(self, "spreads", "untold", "doubts", "remarks", "warnings", "frames"),
             "left_out": [{"frame": name, "reason": reason} for name, reason in self.left_out.items()],
             "leave_one_out": _predictions(self.leave_one_out),
             "leave_one_out_of_views": {view: _predictions(own) for view, own in self.leave_one_out_of_views.items()},
@@ -225,7 +227,8 @@ class SessionCalibration:
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "masks", "masks_again", "rig", "views", "commanded", "arm"),
+            **encoded_fields(self, "camera", "masks", "masks_again", "rig", "views", "instruments"),
+            **encoded_fields(self, "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,
@@ -268,13 +271,16 @@ class SessionCalibration:
         cables = SessionCables.from_document(where, fields.pop("cables", None))
         if cables is not None and tuple(cables.joints) != tuple(parts.offsets)[1:]:
             raise refused(where, "cables.joints", ", ".join(tuple(parts.offsets)[1:]), list(cables.joints))
-        fields = {name: value for name, value in fields.items() if name not in ("lag", "lag_curve")}
-        return replace(
+        older = "doubts" not in fields  # all that was said was in ``warnings``
+        fields["remarks"] = fields.pop("warnings", ()) if older else fields.get("remarks", ())
+        fields = {name: value for name, value in fields.items() if name not in ("lag", "lag_curve", "warnings")}
+        found = replace(
             convert_document(where, fields, cls),
             lag=Lag.from_document(parts.lag),
             cables=cables,
             lag_curve=LagCurve.from_document(parts.lag_curve),
         )
+        return replace(found, doubts=doubts_of(found)) if older else found
 
     def model(self, outer: Float64, joints: Float64, joint_names: tuple[str, ...]) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.

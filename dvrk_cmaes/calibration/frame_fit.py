@@ -95,6 +95,10 @@ class FrameFit:
         """Whether the fit overlaps the mask about as well as the frame's own estimate."""
         return self.iou > max(self.own_iou - _OVERLAP_LOSS, _LEAST_OVERLAP)
 
+    def describe_overlap(self) -> str:
+        """Say how much less of the mask the fit overlaps than the frame's own estimate, which explains it."""
+        return f"what it expects does not explain the mask (IoU {self.iou:.2f}, by itself {self.own_iou:.2f})"
+
     def step_to(self, expected: Expected) -> float:
         """Return how far the fit would move with another prior, in standard deviations per parameter.
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import ReportTask, SessionFrame
 from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.session_doubts import DISAGREES
 from dvrk_cmaes.calibration.solve import FrameFits, Solution, frame_covariances, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import SessionConfig
@@ -21,8 +22,9 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 
 Float64 = NDArray[np.float64]
 
+_MOST_NAMED = 4
+_TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"
 _SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
-_TRUSTED_SHARE = 0.5  # of the frames; if fewer agree, there is a warning
 
 
 def describe_disagreements(fits: Sequence[FrameFit], solution: Solution, config: SessionConfig) -> list[str]:
@@ -34,35 +36,38 @@ def describe_disagreements(fits: Sequence[FrameFit], solution: Solution, config:
         if not misfit < config.largest_misfit * dimension:
             text = f"{np.sqrt(misfit / dimension):.1f} times the expected error from what it expects"
         elif not fit.explains_mask:
-            text = f"what it expects does not explain the mask (IoU {fit.iou:.2f}, by itself {fit.own_iou:.2f})"
-        texts.append(text and f"disagrees with the session: {text}")
+            text = fit.describe_overlap()
+        texts.append(text and f"{DISAGREES}: {text}")
     return texts
 
 
-def check_count(agree: int, count: int, least: int) -> None:
-    """Raise InputError if fewer than ``least`` of ``count`` frames agree."""
-    if agree < least:
-        raise InputError(
-            f"session: expected at least {least} frames that agree on where the arm's base is, got {agree} of {count}"
-        )
+def check_agreement(frames: Sequence[SessionFrame], disagreements: Sequence[str], least: int) -> None:
+    """Refuse a session of which too few frames agree.
 
-
-def check_agreement(disagreements: Sequence[str], least: int) -> list[str]:
-    """Return a warning if only few of N frames agree, whose texts are those of `describe_disagreements`.
+    Parameters
+    ----------
+    frames, disagreements
+        The frames, and why each disagrees; an empty text where it agrees.
+    least
+        Number of frames that must agree.
 
     Raises
     ------
     InputError
-        Fewer than ``least`` frames agree.
+        Fewer agree: names those that do not, with by how much, and what to try.
     """
-    count, agree = len(disagreements), sum(not text for text in disagreements)
-    check_count(agree, count, least)
-    if agree >= _TRUSTED_SHARE * count:
-        return []
-    return [
-        f"only {agree} of {count} frames agree on where the arm's base is: the others' masks or the "
-        "readings are wrong, or these few are"
+    off = [
+        f"{frame.name} {text.removeprefix(f'{DISAGREES}: ')}"
+        for frame, text in zip(frames, disagreements, strict=True)
+        if text
     ]
+    if len(frames) - len(off) >= least:
+        return
+    more = f"; and {len(off) - _MOST_NAMED} more" if len(off) > _MOST_NAMED else ""
+    raise InputError(
+        f"session: expected at least {least} frames that agree on where the arm's base is, got "
+        f"{len(frames) - len(off)} of {len(frames)} ({'; '.join(off[:_MOST_NAMED])}{more}): {_TO_TRY}"
+    )
 
 
 def report_tasks(

@@ -11,6 +11,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
+from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, inverse
@@ -90,6 +91,7 @@ def fit_session_pose(
     if misfit > config.session.largest_misfit:
         return f"session: the mask is {misfit**0.5:.1f} times the expected error from what it expects: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
+    fitted += covariance_of_camera(session.camera, fit.at, views[0].evidence.camera)
     error = expected_error(instrument, fit.at, fitted)
     doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust)
     base_from_root = model.base_from_root(calibration.offsets)[0]

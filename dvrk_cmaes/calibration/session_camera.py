@@ -18,7 +18,7 @@ from dvrk_cmaes.io.typed_document import Count, Number
 
 Float64 = NDArray[np.float64]
 
-_LEAST_FRAMES = 10
+_LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
 _SHARED_ERRORS = 1.2
 """Factor on the standard deviations, because the frames of a session share errors of masks and meshes.
@@ -28,6 +28,7 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 """
 
 _CONTRADICTION = 7.81  # squared Mahalanobis distance from no change; that of 95 % with three unknowns
+_CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
 _HARDLY_TOLD = 2.0  # standard deviations of the file's principal point
 _PASSES = 6  # largest number of linearisations of the outlines
 _NOT_ASKED = "camera: not tested, as the settings say"
@@ -58,17 +59,31 @@ class SessionCamera(Document):
     width: Count
 
     @classmethod
-    def of(cls, estimate: CameraEstimate, config: SessionConfig, width: int, *, applied: bool) -> SessionCamera:
-        """Decide whether an estimate contradicts the camera file, and state it.
+    def of(
+        cls,
+        estimate: CameraEstimate,
+        config: SessionConfig,
+        width: int,
+        *,
+        applied: bool,
+        frames: int,
+        unusual: bool = False,
+    ) -> SessionCamera:
+        """Decide whether an estimate from some frames contradicts the camera file, and state it.
 
         Where the frames hardly determine the principal point, as those of a short recording, each linearisation may be
-        farther away than the one before. What they tell at the camera of the file must then contradict it as well.
+        farther away than the one before. What they tell at the camera of the file must then contradict it as well,
+        unless the file is ``unusual`` in itself. Few frames must contradict a usual file clearly.
         """
         change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
-        contradicts = _distance(change, covariance, config) > _CONTRADICTION
-        if not applied and np.sqrt(np.diag(covariance)[1:].max()) > _HARDLY_TOLD * config.principal_point_px:
+        limit = _CONTRADICTION if unusual or applied or frames >= _MANY_FRAMES else _CLEAR_CONTRADICTION
+        contradicts = _distance(change, covariance, config) > limit
+        if (
+            not (applied or unusual)
+            and np.sqrt(np.diag(covariance)[1:].max()) > _HARDLY_TOLD * config.principal_point_px
+        ):
             first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
-            contradicts = contradicts and first > _CONTRADICTION
+            contradicts = contradicts and first > limit
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
         scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))
@@ -104,7 +119,7 @@ class SessionCamera(Document):
             f"point {right:+.0f} px right (std {std_right:.0f}), {down:+.0f} px down (std {std_down:.0f})"
         )
 
-    def warnings(self, config: SessionConfig) -> list[str]:
+    def contradictions(self, config: SessionConfig) -> list[str]:
         """Describe what of the camera file the frames contradict, with likely causes; empty if they do not.
 
         Parameters
@@ -133,15 +148,48 @@ class SessionCamera(Document):
         return [f"the camera file is contradicted: these frames fit {' and '.join(parts)}; {then}"]
 
 
-def untested(model: SessionModel) -> str | None:
-    """Say why a session cannot test its camera; None if it can."""
+def covariance_of_camera(change: SessionCamera | None, at: Posed, camera: Camera) -> Float64:
+    """Return the covariance (D, D) of a pose and its joints by what is not known of a camera that was changed.
+
+    The image stays as it is: a shift of the principal point turns the pose about the camera's centre, and a longer
+    focal length moves it away in proportion. It is zero where the camera of the file is used.
+
+    Parameters
+    ----------
+    change
+        The change of a session's camera; None where it was not tested.
+    at
+        Pose and joints in the changed camera.
+    camera
+        That camera, for images of any size.
+    """
+    covariance = np.zeros((6 + len(at.joints),) * 2)
+    if change is None or not change.applied:
+        return covariance
+    x, y, z = at.pose[:3, 3]
+    rotation = np.array([[y / z, 0.0, 1 / camera.fy], [-x / z, -1 / camera.fx, 0.0], [0.0, 0.0, 0.0]])
+    translation = np.cross(rotation.T, at.pose[:3, 3]).T
+    translation[:, 0] = 0.0, 0.0, z
+    size = camera.width / change.width
+    std = [change.std_focal_scale / change.focal_scale, *(size * np.array(change.std_principal_point_px))]
+    moves = np.concatenate([at.pose[:3, :3].T @ translation, at.pose[:3, :3].T @ rotation]) * std
+    covariance[:6, :6] = moves @ moves.T
+    return covariance
+
+
+def untold(model: SessionModel) -> str | None:
+    """Say why a session cannot tell its camera; None if it can."""
+    return _lacking(model, _MANY_FRAMES, "tell")
+
+
+def _lacking(model: SessionModel, least: int, purpose: str) -> str | None:
     frames, spread = len(model.outer), float(np.ptp(model.outer[:, 2]))
-    if frames < _LEAST_FRAMES:
-        return f"camera: {frames} frames; at least {_LEAST_FRAMES} are needed to test its focal length"
+    if frames < least:
+        return f"camera: {frames} frames; at least {least} are needed to {purpose} its focal length"
     if spread < _LEAST_INSERTION:
         return (
             f"camera: insertion moves by {spread * 1e3:.1f} mm; at least {_LEAST_INSERTION * 1e3:.0f} mm are needed to "
-            "test its focal length"
+            f"{purpose} its focal length"
         )
     return None
 
@@ -174,7 +222,7 @@ def check_camera(
     ``applied`` is the change (3,) of the camera with which the frames were fitted, None if they were fitted with the
     file's; the other arguments are as in `estimate_camera`.
     """
-    reason = untested(model) if config.test_camera or applied is not None else _NOT_ASKED
+    reason = _lacking(model, _LEAST_FRAMES, "test") if config.test_camera or applied is not None else _NOT_ASKED
     passes = _PASSES if reason is None and applied is None else 1
     try:
         estimate = estimate_camera(model, calibration, prior, config, at, outlines, start=applied, passes=passes)
@@ -188,7 +236,15 @@ def check_camera(
     covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None)
     if reason is not None:
         return CameraCheck(None, reason, covariance)
-    return CameraCheck(SessionCamera.of(estimate, config, outlines.width, applied=applied is not None), "", covariance)
+    camera = SessionCamera.of(
+        estimate,
+        config,
+        outlines.width,
+        applied=applied is not None,
+        frames=len(at),
+        unusual=outlines.unusual,
+    )
+    return CameraCheck(camera, "", covariance)
 
 
 def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool, applied: bool) -> Float64:

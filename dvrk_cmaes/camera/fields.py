@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from dvrk_cmaes.camera.critical import remarks_on
 from dvrk_cmaes.camera.model import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed, shown
@@ -20,12 +21,6 @@ Size = tuple[int, int]
 Distortion = tuple[str, tuple[float, ...]]
 
 ONE_CAMERA = "the file holds one camera: it is taken for the right one"
-
-OFF_CENTRE = 0.15
-"""Share of width or height by which a principal point is off the middle of the image that is worth a word."""
-
-UNUSUAL = 0.3
-"""As `OFF_CENTRE`, but worth a warning: rectified cameras of real endoscopes are off by up to a quarter."""
 
 _LARGEST = 1e6  # px, of a focal length or a principal point
 _LEAST_FOCAL = 0.1
@@ -40,7 +35,8 @@ class Intrinsics:
 
     ``kind`` describes the file format and which of its cameras and matrices were used. ``size`` is width and height in
     pixels, None if the file does not state them. ``fx, fy, cx, cy`` are in pixels; ``model`` and ``distortion`` are as
-    in `Camera`. ``notes`` state assumptions that were made about the file.
+    in `Camera`. ``notes`` state assumptions that were made about the file. ``ratio`` is the fx / fy that the file
+    states beside the focal lengths, as by an uneven binning.
     """
 
     kind: str
@@ -52,9 +48,10 @@ class Intrinsics:
     model: str = "plumb_bob"
     distortion: tuple[float, ...] = ()
     notes: tuple[str, ...] = ()
+    ratio: float = 1.0
 
     def camera(self, where: str | Path, size: Size) -> Camera:
-        """Return the camera for images of a size, px; an InputError begins with ``where``.
+        """Return the camera for images of a size, px, with remarks on it; an InputError begins with ``where``.
 
         A focal length of a few units is one in millimetres, and refused.
         """
@@ -68,25 +65,10 @@ class Intrinsics:
                     f"{size[1]} px: this looks like millimetres (pixels = millimetres / pitch of the sensor's pixels)"
                 )
         try:
-            return Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion, self.model)
+            camera = Camera(*size, self.fx, self.fy, self.cx, self.cy, self.distortion, self.model)
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
-
-    def remarks(self, size: Size, most: float) -> tuple[str, ...]:
-        """Return a remark on a principal point off the middle of images of a size, px; empty without one.
-
-        ``most`` is the share of width or height by which it may be off.
-        """
-        off = [value / length - 0.5 for value, length in zip((self.cx + 0.5, self.cy + 0.5), size, strict=True)]
-        if max(map(abs, off)) <= most:
-            return ()
-        across = f"{100 * abs(off[0]):.0f} % of the width {'right' if off[0] > 0 else 'left'}"
-        along = f"{100 * abs(off[1]):.0f} % of the height {'below' if off[1] > 0 else 'above'}"
-        return (
-            f"principal point {self.cx:g}, {self.cy:g}: {across} and {along} of the middle of "
-            f"{size[0]} x {size[1]} px; usual for cropped or rectified images, otherwise check the camera file's size, "
-            "cx and cy",
-        )
+        return replace(camera, remarks=remarks_on(*size, self.fx, self.fy, self.cx, self.cy, ratio=self.ratio))
 
 
 def take_field(where: str, document: Mapping[str, Any], names: Sequence[str]) -> tuple[str, Any]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.camera.fields import UNUSUAL, Intrinsics, Side, Size, unknown_layout
+from dvrk_cmaes.camera.fields import Intrinsics, Side, Size, unknown_layout
 from dvrk_cmaes.camera.kalibr import is_camchain, read_camchain
 from dvrk_cmaes.camera.opencv import is_storage, read_storage, read_storage_xml
 from dvrk_cmaes.camera.other_formats import (
@@ -120,7 +120,7 @@ def read_camera_file(
             )
         notes = (*notes, f"the camera file states no image size: taken to be {width} x {height}, that of the frames")
     camera = intrinsics.camera(path, (width, height))
-    return CameraFile(camera, intrinsics.kind, (*notes, *intrinsics.remarks((width, height), UNUSUAL)))
+    return CameraFile(camera, intrinsics.kind, notes)
 
 
 def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:

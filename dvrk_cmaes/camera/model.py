@@ -7,7 +7,7 @@ image covers [-0.5, width - 0.5] x [-0.5, height - 0.5]. The ray of a pixel is `
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -34,6 +34,8 @@ class Camera:
         ``equidistant``, where zeros mean that the distorted radius equals the angle to the optical axis.
     model
         ``plumb_bob`` (0, 4 or 5 coefficients), ``rational_polynomial`` (0 or 8) or ``equidistant`` (4).
+    remarks
+        What is unusual about the camera's file; every result that uses the camera repeats it.
 
     Raises
     ------
@@ -50,6 +52,7 @@ class Camera:
     cy: float
     distortion: tuple[float, ...] = ()
     model: str = "plumb_bob"
+    remarks: tuple[str, ...] = field(default=(), compare=False, repr=False, metadata={"content": False})
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -114,15 +117,14 @@ class Camera:
         if width <= 0 or height <= 0:
             raise InputError(f"image size: expected positive sizes in pixels, got {width} x {height}")
         sx, sy = width / self.width, height / self.height
-        return Camera(
-            width,
-            height,
-            self.fx * sx,
-            self.fy * sy,
-            (self.cx + 0.5) * sx - 0.5,
-            (self.cy + 0.5) * sy - 0.5,
-            self.distortion,
-            self.model,
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=(self.cx + 0.5) * sx - 0.5,
+            cy=(self.cy + 0.5) * sy - 0.5,
         )
 
     def changed(self, focal_scale: float, shift: tuple[float, float]) -> Camera:

@@ -94,7 +94,14 @@ def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, si
         else:
             refuse_rectified(where, str(document.get(FORMAT, "OpenCV")), distortion)
         distortion, more = ("plumb_bob", ()), ()
-    return Intrinsics(f"{kind}, {images}", _size(where, plain, spelled), *focal, *distortion, (*notes, *more))
+    return Intrinsics(
+        f"{kind}, {images}",
+        _size(where, plain, spelled),
+        *focal,
+        *distortion,
+        (*notes, *more),
+        as_number(plain.get("aspectratio")) or 1.0,
+    )
 
 
 def _names(side: str) -> tuple[tuple[str, ...], ...]:

@@ -157,6 +157,11 @@ class Rig:
         """The reference camera."""
         return self.views[0].camera
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is unusual about the cameras' files, of further views with the view's name."""
+        return remarks_on_cameras(self.views)
+
     def view(self, name: str) -> View:
         """Return the view of a name; InputError, which lists the names, if there is none.
 
@@ -181,6 +186,13 @@ class Rig:
         for name in cameras:
             self.view(name)
         return Rig(tuple(replace(view, camera=cameras.get(view.name, view.camera)) for view in self.views))
+
+
+def remarks_on_cameras(views: Sequence[View]) -> tuple[str, ...]:
+    """Return the remarks on the cameras of views, the first one the reference, of further ones with the view's name."""
+    first, *others = views
+    further = [f"view {view.name}: {text}" for view in others for text in view.camera.remarks]
+    return (*first.camera.remarks, *further)
 
 
 def turned_place(view_from_camera: Float64, rotation: Float64) -> Float64:

@@ -69,7 +69,9 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
     form = "topic dump" if "width" in document else "calibration"
     images = f"rectified images ({name})" if rectified else f"raw images ({name} and distortion)"
     notes = (*notes, *one_camera(where, side, frame, right=_is_right(document)))
-    return Intrinsics(f"ROS camera_info {form}, {images}", size, *focal, model, distortion, notes)
+    across, down = (as_number(document.get(name)) or 1.0 for name in ("binning_x", "binning_y"))
+    ratio = down / across
+    return Intrinsics(f"ROS camera_info {form}, {images}", size, *focal, model, distortion, notes, ratio)
 
 
 def _is_zero(document: Mapping[str, Any], names: tuple[str, ...]) -> bool:

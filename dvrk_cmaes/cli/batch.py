@@ -281,7 +281,8 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard |
         if not json:
             show([*([Line(name, "bold")] if name else []), *_lines(done.document, done.folder, shard)])
         commanded = done.document.get("commanded")
-        texts = [*([describe_commanded(commanded)] if commanded else []), *done.document.get("rig_doubts", ())]
+        texts = [*done.setup.rig.remarks, *([describe_commanded(commanded)] if commanded else [])]
+        texts += done.document.get("rig_doubts", ())
         for text in texts:
             warn(f"{name}: {text}" if name else text)
 

@@ -36,9 +36,11 @@ if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
+    Predictions = Mapping[str, tuple[float, float]]
 
 _DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_LISTED = 10
+_REFUSED = "session: "  # begins what is said of a session that cannot be solved
 _LEAST_KEYFRAMES = 3
 
 
@@ -53,6 +55,7 @@ def calibrate(
     every: Annotated[int, Parameter(group=FOLDER)] = 1,
     keyframes: Annotated[int | None, Parameter(group=FOLDER)] = None,
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
+    instrument_candidates: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
@@ -66,8 +69,8 @@ def calibrate(
     good, and that the errors of the cable-driven joints are mostly one offset in the session. Each frame's pose is
     estimated as well, given the calibration. The table [session] of the settings file configures this command.
 
-    Exit codes: 0 ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or left
-    out, or there is a warning about the session as a whole, 130 interrupted.
+    Exit codes: 0 ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but the session is doubtful or a
+    frame that was solved with it, 130 interrupted.
 
     Example:
 
@@ -100,6 +103,9 @@ def calibrate(
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
         written to OUT/camera.yaml; of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at
         least 10 frames and 5 mm of insertion.
+    instrument_candidates
+        Folder of URDFs of other instruments. The session is solved with each of them, too, which takes as long each
+        time, and the calibration is doubtful if its frames fit another one better.
     workers
         Number of processes that work at a time; by default the number of cores. Few frames are done by one.
     reading
@@ -144,6 +150,16 @@ def calibrate(
             check_output_folder(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,))
             check_same_session(target / name, arms[name].session)
         for name, arm in arms.items():
+            others: dict[str, Predictions | str] = {}
+            for path in _candidates(instrument_candidates):
+                tool = session_tools(session, replace(instrument, instrument=str(path)), only)[name]
+                other = tool.read(session, camera, joints=joints, reading=reading)
+                if other.body.instrument.name != arm.body.instrument.name:
+                    with_other = _share(other, every, keyframes)
+                    found = _predicted_with(with_other, refine_camera=refine_camera, workers=workers, settings=settings)
+                    if found is None:
+                        return _INTERRUPTED
+                    others[other.body.instrument.name] = found
             solution = _calibrate_arm(
                 arm,
                 target / name,
@@ -151,12 +167,13 @@ def calibrate(
                 refine_camera=refine_camera,
                 workers=workers,
                 settings=settings,
+                others=others,
             )
             if solution is None:
                 return _INTERRUPTED
             solved[name] = solution
         for name, solution in solved.items():
-            for text in solution.calibration.warnings:
+            for text in solution.calibration.remarks if not json else solution.calibration.warnings:
                 warn(f"{name}: {text}" if name else text)
         if json:
             documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
@@ -182,6 +199,39 @@ def _share(arm: ArmInSession, every: int, keyframes: int | None) -> ArmInSession
     return arm if every == 1 else replace(arm, session=replace(arm.session, frames=arm.session.frames[::every]))
 
 
+def _candidates(folder: Path | None) -> list[Path]:
+    """Return the URDFs of a folder; InputError if it has none."""
+    if folder is None:
+        return []
+    found = sorted(folder.glob("*.urdf"))
+    if not found:
+        raise InputError(f"--instrument-candidates: expected a folder with URDFs of instruments, got {folder}")
+    return found
+
+
+def _predicted_with(
+    arm: ArmInSession, *, refine_camera: bool, workers: int | None, settings: EstimateConfig
+) -> Predictions | str | None:
+    """Solve a session with another instrument: what it predicts of left-out frames, or why that is not possible.
+
+    None if it was interrupted.
+    """
+    from tempfile import TemporaryDirectory
+
+    print(f"dvrk-cmaes: trying instrument {arm.body.instrument.name}", file=sys.stderr, flush=True)
+    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
+        out = Path(folder) / "session"
+        try:
+            solved = _calibrate_arm(
+                arm, out, None, refine_camera=refine_camera, workers=workers, settings=settings, others={}
+            )
+        except InputError as error:
+            if not str(error).startswith(_REFUSED):
+                raise
+            return str(error).removeprefix(_REFUSED)
+    return None if solved is None else solved.calibration.leave_one_out
+
+
 def _calibrate_arm(
     arm: ArmInSession,
     target: Path,
@@ -190,6 +240,7 @@ def _calibrate_arm(
     refine_camera: bool,
     workers: int | None,
     settings: EstimateConfig,
+    others: Mapping[str, Predictions | str],
 ) -> SolvedSession | None:
     """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
     from dvrk_cmaes.io.output import output
@@ -241,14 +292,15 @@ def _calibrate_arm(
             workers=count,
             processes=processes,
             opened=own,
+            others=others,
             progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
         )
 
 
 def _is_doubtful(solved: SolvedSession) -> bool:
-    """Return whether a frame is doubtful or left out, or there is a warning about the session as a whole."""
-    doubtful = any(result.status != "ok" for result in solved.results.values())
-    return doubtful or bool(solved.calibration.left_out or solved.calibration.warnings)
+    """Return whether the session is doubtful, or a frame of those that were solved together."""
+    together = (solved.results[name] for name in solved.leave_one_out)
+    return solved.calibration.status != "ok" or any(result.status != "ok" for result in together)
 
 
 def _write_bases(calibrations: Mapping[str, SessionCalibration], out: Path, *, quiet: bool) -> None:
@@ -274,8 +326,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     base = calibration.camera_from_base
     position, axis_angle = base[:3, 3] * 1e3, np.degrees(log_rotation(base[:3, :3]))
     std_position, std_rotation = std[:3] * 1e3, np.degrees(std[3:6])
-    if calibration.doubt:
-        yield Line(f"doubtful: {calibration.doubt}", STATUS_STYLES["doubtful"])
+    for doubt in calibration.doubts:
+        yield Line(f"doubtful: {doubt}", STATUS_STYLES["doubtful"])
     yield Line(
         "arm's base in the camera (x right, y down, z forward); its origin is the remote centre of motion", "bold"
     )

@@ -204,7 +204,7 @@ def estimate(
         settings=model.resolve(),
         hints=hints_within(prompts.resolve(), files.crop),
     )
-    for text in run.result.warnings:
+    for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
         warn(text)
     if json:
         print(json_text(run.result.to_dict()), end="")

@@ -161,6 +161,7 @@ def read_calibration_of(
     if path is None:
         return None
     from dvrk_cmaes.calibration.document import check_made_for, read_calibration
+    from dvrk_cmaes.calibration.session_doubts import bad_predictions
     from dvrk_cmaes.results.folder import SESSION
 
     if path.is_dir():
@@ -168,10 +169,11 @@ def read_calibration_of(
         path = own if own.exists() else path / SESSION
     calibration = read_calibration(path)
     check_made_for(f"{path}", calibration, body.instrument.name, kinematics)
-    if calibration.doubt and not doubtful:
-        raise InputError(f"{path}: {calibration.doubt}; --doubtful-session uses it all the same")
-    if calibration.doubt:
-        warn(f"{path}: {calibration.doubt}")
+    bad = bad_predictions(calibration)
+    if bad and not doubtful:
+        raise InputError(f"{path}: {bad}; --doubtful-session uses it all the same")
+    for doubt in calibration.doubts:
+        warn(f"{path}: {doubt}; all results are doubtful")
     return calibration
 
 

@@ -255,6 +255,10 @@ def track(
                 show(_lines(summary, target / name, page=page, rerun=rerun))
             if len(tools) > 1 and page and not done.interrupted:
                 show([Line(f"all arms: {target / 'report.html'}")])
+        for name, summary in finished.items():
+            told = () if summary.calibration is None else summary.calibration.warnings
+            for text in dict.fromkeys((*arms[name].session.rig.remarks, *told)):
+                warn(f"{name}: {text}" if name else text)
         for text in exchanged:
             warn(text)
         if done.interrupted:

@@ -7,9 +7,6 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import cv2
-import numpy as np
-
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io.output import write_bytes
 
@@ -18,6 +15,7 @@ if TYPE_CHECKING:
 
 FORMATS: Final = (".png", ".pdf", ".svg", ".jpg")
 
+_COLOURS: Final = 64
 _STABLE: Final[dict[str, dict[str, Any]]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
 
 
@@ -46,16 +44,19 @@ def new_figure(width: float, height: float) -> Figure:
 def write_figure(path: str | Path, figure: Figure, dots_per_inch: int = 110) -> None:
     """Write a figure in the format of the file name's suffix; errors as in ``dvrk_cmaes.io.output.write_bytes``.
 
-    A PNG has no alpha channel, which would take a sixth of its size.
+    A PNG has a palette, with which it takes a third of its size.
     """
     suffix = Path(path).suffix.lower()
     buffer = io.BytesIO()
     figure.savefig(buffer, format=suffix[1:], dpi=dots_per_inch, metadata=_STABLE.get(suffix))
-    write_bytes(path, _without_alpha(buffer.getvalue()) if suffix == ".png" else buffer.getvalue())
+    write_bytes(path, _with_palette(buffer.getvalue()) if suffix == ".png" else buffer.getvalue())
 
 
-def _without_alpha(picture: bytes) -> bytes:
-    """Return a PNG without its alpha channel."""
-    pixels = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
-    assert pixels is not None
-    return cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+def _with_palette(picture: bytes) -> bytes:
+    """Return a PNG with at most 64 colours and without transparency."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    with Image.open(io.BytesIO(picture)) as opened:
+        opened.convert("RGB").quantize(_COLOURS).save(buffer, format="PNG", optimize=True)
+    return buffer.getvalue()

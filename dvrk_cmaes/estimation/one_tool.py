@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera.rig import remarks_on_cameras
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
@@ -167,7 +168,7 @@ def estimate_views(
         found, source = _in_camera(find_pose(views, decimated, readings, settings, modes), shown[0]), "frame"
         base = find_camera_from_base(found.at.pose, given, arm, roll_offset=model.roll_offset)
     tips, tips_px = locate_tips(model, reference.camera, found.at)
-    return Result(
+    result = Result(
         frame=frame,
         status="doubtful" if found.reasons else "ok",
         reasons=found.reasons,
@@ -178,6 +179,7 @@ def estimate_views(
         joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,
         warnings=(*warnings, *outside, *([predicted] if isinstance(predicted, str) else ()), *found.notes),
+        remarks=remarks_on_cameras(seen),
         unused=(*(left_out_views(seen) if named else ()), *_unused_evidence(views), *unused),
         camera_from_base=base,
         source=source,
@@ -199,6 +201,11 @@ def estimate_views(
         config={**settings.as_dict(), "instrument": model.describe_limits(arm)},
         model=model,
     )
+    if session is None:
+        return result
+    from dvrk_cmaes.calibration.session_doubts import resting_on
+
+    return resting_on(result, session)
 
 
 def _modes(start: Result, view: SeenView, model: Instrument) -> list[Candidate]:

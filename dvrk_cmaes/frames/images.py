@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -158,7 +159,8 @@ def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tu
             "(--crop x,y,w,h for a part of the picture, --stretch for one that was resized unevenly)"
         )
     note = f"the {what} is {sizes[0]}, the calibration {sizes[1]}: intrinsics rescaled by {width / camera.width:.4g}"
-    return camera.scaled(width, height), note
+    scaled = camera.scaled(width, height)
+    return replace(scaled, remarks=(*camera.remarks, note)), note
 
 
 def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:

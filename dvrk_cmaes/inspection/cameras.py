@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from dvrk_cmaes.camera.fields import OFF_CENTRE
 from dvrk_cmaes.camera.files import read_intrinsics
 from dvrk_cmaes.inspection.finding import Finding, Options
 
@@ -21,15 +20,14 @@ def inspect_camera(path: Path, options: Options) -> Finding:
         notes.append("without a stated image size, that of the masks or images is taken")
     else:
         size = f"{intrinsics.size[0]} x {intrinsics.size[1]} px"
-        intrinsics.camera(path, intrinsics.size)  # raises InputError if the values are not those of a camera
-        remarks = intrinsics.remarks(intrinsics.size, OFF_CENTRE)
+        remarks = intrinsics.camera(path, intrinsics.size).remarks
     if not options.rectified and "ROS" in intrinsics.kind:
         notes.append("images are taken for raw ones unless --rectified says otherwise")
     if "stereo" in intrinsics.kind or "camchain" in intrinsics.kind:
         notes.append("the left camera is taken unless --side says otherwise")
     lens = f"{intrinsics.model} {' '.join(f'{c:.6g}' for c in intrinsics.distortion)}" if distorted else "no distortion"
     read = asdict(intrinsics)
-    del read["kind"], read["notes"]
+    del read["kind"], read["notes"], read["ratio"]
     return Finding(
         "camera",
         (
@@ -39,6 +37,6 @@ def inspect_camera(path: Path, options: Options) -> Finding:
             lens,
             *remarks,
         ),
-        {"form": intrinsics.kind, **read},
+        {"form": intrinsics.kind, **read, "remarks": list(remarks)},
         tuple(notes),
     )

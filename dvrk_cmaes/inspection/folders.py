@@ -119,11 +119,17 @@ def _of_arm(session: Session) -> Finding:
         f"of these with {', '.join(f'{name} {count}' for name, count in parts.items())}",
         *(note for note in session.notes if note.startswith(_DESCRIPTIONS)),
         f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
+        *session.rig.remarks,
         *problems.values(),
     ]
     rules = [note for note in session.notes if not note.startswith(_DESCRIPTIONS)]
     rules += dict.fromkeys(note for frame in frames for note in frame.notes if note not in session.notes)
-    read = {"frames": [frame.name for frame in frames], "counts": parts, "problems": problems}
+    read = {
+        "frames": [frame.name for frame in frames],
+        "counts": parts,
+        "problems": problems,
+        "remarks": session.rig.remarks,
+    }
     return Finding("session", tuple(lines), read, ("its layout is found by looking", *rules[1:]))
 
 

@@ -29,6 +29,15 @@ def within(tolerance: float) -> Gaps:
     return known
 
 
+def largest_distance(stamps: Times, tolerance: int) -> int:
+    """Return the tolerance, or one and a half times the median spacing of ``stamps`` (N,) where that is more.
+
+    Readings that a robot sends five times a second are thus interpolated as those of a faster one are. Fewer than four
+    readings have no usual spacing.
+    """
+    return tolerance if len(stamps) < 4 else max(tolerance, round(1.5 * float(np.median(np.diff(stamps)))))
+
+
 def longest(gap: float) -> Gaps:
     """Return the rule that the two readings are at most ``gap`` apart, or one is at the time itself."""
 

@@ -18,7 +18,7 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, read_joint_csv
-from dvrk_cmaes.joints.gaps import within
+from dvrk_cmaes.joints.gaps import largest_distance, within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, weighted_mean
 from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
@@ -274,13 +274,14 @@ def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tup
     farthest = 0
     at = np.array([time])
     for timed in file.timed:
-        value = float(timed.at(at, within(tolerance), weighted_mean)[0, 0])
+        most = largest_distance(timed.times, tolerance)
+        value = float(timed.at(at, within(most), weighted_mean)[0, 0])
         nearest, farther = (int(distance[0]) for distance in timed.distances(at))
         if math.isnan(value):
             away = nearest / NANOSECONDS
             raise InputError(
                 f"{file.path}: frame {frame}: {timed.joints[0]}: expected readings before and after the image's time "
-                f"{time / NANOSECONDS:.3f} s, within {tolerance / NANOSECONDS:g} s, got the nearest {away:.3f} s away"
+                f"{time / NANOSECONDS:.3f} s, within {most / NANOSECONDS:g} s, got the nearest {away:.3f} s away"
             )
         found[timed.joints[0]] = value
         farthest = max(farthest, farther)

@@ -38,6 +38,10 @@ class StepResult(Protocol):
         """Corrected joints by name, rad."""
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """Remarks on the camera and the session; they do not decide the status."""
+
+    @property
     def status(self) -> str:
         """One of ok, doubtful and lost."""
 
@@ -117,6 +121,7 @@ class Outputs:
         level = max(_LEVELS.get(result.status, 2), 1 if silent else 0)
         values = {
             "reasons": "; ".join(result.reasons),
+            "remarks": "; ".join(result.remarks),
             "age_ms": f"{1e3 * age:.1f}",
             "silent_topics": " ".join(silent),
         }

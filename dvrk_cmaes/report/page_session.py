@@ -247,11 +247,12 @@ def counted_reasons(reasons: Iterable[Sequence[str]]) -> list[tuple[str, int]]:
 
 
 def common_warnings(results: Sequence[Result]) -> list[str]:
-    """Return the warnings that all of at least two frames have."""
+    """Return the remarks and warnings that all of at least two frames have."""
     if len(results) < 2:
         return []
-    shared = set.intersection(*(set(result.warnings) for result in results))
-    return [text for text in dict.fromkeys(results[0].warnings) if text in shared]
+    of_frames = [(*result.remarks, *result.warnings) for result in results]
+    shared = set.intersection(*(set(texts) for texts in of_frames))
+    return [text for text in dict.fromkeys(of_frames[0]) if text in shared]
 
 
 def provenances(results: Sequence[Result]) -> list[Provenance]:

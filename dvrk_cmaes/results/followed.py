@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.results.result import POSE_AXES, Result
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 
-_SAME = ("frame", "time", "reasons", "camera_from_root", "joints", "tips", "seconds")
+_SAME = ("frame", "time", "reasons", "remarks", "camera_from_root", "joints", "tips", "seconds")
 
 
 def read_followed(folder: Path) -> dict[str, Result]:

@@ -72,7 +72,8 @@ class Result:
     camera_from_root : (4, 4), maps points of the root link to the camera's frame, m; None where the frame failed.
     joints : corrected joint values, rad. readings : those given, rad or m.
     shaft_radius : of the instrument that was sought, m; None if it has no straight shaft.
-    reasons : of a doubtful or failed status. warnings : remarks on the inputs. unused : evidence not used, and why.
+    reasons : of a doubtful or failed status. warnings : about this frame's inputs. unused : evidence not used, and why.
+    remarks : on the camera's file and the session that the result rests on; they do not decide the status.
     camera_from_base : (4, 4), m, where the readings of the outer joints were given.
     source : whether the frame was solved by itself or with its session. change : from the former to the latter.
     time : of the image, s; None if it is not known.
@@ -98,6 +99,7 @@ class Result:
     readings: dict[str, Number]
     shaft_radius: Number | None = None
     warnings: Texts = ()
+    remarks: Texts = ()
     unused: Texts = ()
     camera_from_base: Transform | None = None
     source: Source = "frame"
@@ -146,6 +148,7 @@ class Result:
         root_link: str,
         shaft_radius: float | None = None,
         warnings: Sequence[str] = (),
+        remarks: Sequence[str] = (),
         time: float | None = None,
         seed: int = 0,
         config: Mapping[str, Any] | None = None,
@@ -168,6 +171,8 @@ class Result:
             Radius of its shaft, m; None if it has no straight shaft.
         warnings
             Warnings on the frame.
+        remarks
+            Remarks on the camera's file.
         time
             Time of the image, s.
         seed
@@ -186,6 +191,7 @@ class Result:
             joints={},
             readings=dict(readings),
             warnings=tuple(warnings),
+            remarks=tuple(remarks),
             time=time,
             seed=seed,
             version=__version__,
@@ -286,7 +292,8 @@ class Result:
         return {
             "schema": SCHEMA,
             **encoded_fields(self, "frame", "time", "status", "reasons", "instrument", "shaft_radius", "root_link"),
-            **encoded_fields(self, "camera_from_root", "joints", "readings", "tips", "tips_px", "warnings", "unused"),
+            **encoded_fields(self, "camera_from_root", "joints", "readings", "tips", "tips_px", "warnings"),
+            **encoded_fields(self, "remarks", "unused"),
             **encoded_fields(self, "camera_from_base", "source"),
             "change": self.change,
             "quality": encoded(self.quality),

@@ -44,7 +44,8 @@ class TrackResult:
     joints, if they were read, rad: true = reading + offset. seconds : of this step. searched : whether the step
     included a global search. residual_px : standard deviation, px, of the distances between the outline and the edges
     that support it; None where none do, and in images that were searched globally. base : how far the base is known, of
-    a tracker that keeps keyframes.
+    a tracker that keeps keyframes. remarks : on the camera's file and the session that the result rests on; they do not
+    decide the status.
     """
 
     time: float
@@ -61,6 +62,7 @@ class TrackResult:
     searched: bool = False
     residual_px: float | None = None
     base: BaseKnown | None = None
+    remarks: tuple[str, ...] = ()
 
     def to_dict(self, frame: str, *, timed: bool = True) -> dict[str, Any]:
         """Return the line of a frame in tracks.jsonl; without ``timed``, its ``time`` is null.
@@ -84,7 +86,7 @@ class TrackResult:
         return {
             "frame": frame,
             "time": rounded(self.time) if timed else None,
-            **encoded_fields(self, "status", "reasons", "camera_from_root", "joints"),
+            **encoded_fields(self, "status", "reasons", "remarks", "camera_from_root", "joints"),
             "std": std,
             **encoded_fields(self, "offsets", "tips"),
             "seconds": round(self.seconds, 5),

@@ -70,6 +70,7 @@ def calibrate_folder(
     workers: int,
     processes: Processes | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
+    others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
     opened: Output | None = None,
 ) -> SolvedSession:
     """Calibrate a session folder from its frames' own results, and write everything to a folder.
@@ -77,8 +78,8 @@ def calibrate_folder(
     ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
     are taken from there; with ``segment``, how they were found there, they are found again around the silhouettes that
     the session expects. ``processes`` are those of `instrument_processes` or `worker_processes`, to use instead of
-    new ones, up to ``workers``; ``opened`` is the folder, if it is open already. All files are written to a folder
-    beside, which takes the place of an earlier one when
+    new ones, up to ``workers``; ``opened`` is the folder, if it is open already; ``others`` is as in
+    `calibrate_with_evidence`. All files are written to a folder beside, which takes the place of an earlier one when
     it is whole.
 
     Raises
@@ -116,6 +117,7 @@ def calibrate_folder(
             config=config,
             run=run,
             progress=progress,
+            others=others,
         )
         progress("drawing", len(solved.leave_one_out))
         masks = Path(stack.enter_context(TemporaryDirectory(prefix="dvrk-cmaes-")))

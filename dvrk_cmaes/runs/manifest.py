@@ -82,8 +82,10 @@ def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
 
 
 def _described(camera: Camera) -> dict[str, Any]:
-    """Return the fields of a camera, for JSON."""
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(camera).items()}
+    """Return the fields of a camera, for JSON, without what follows from them."""
+    fields = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(camera).items()}
+    del fields["remarks"]
+    return fields
 
 
 def _further_views(rig: Rig) -> dict[str, Any]:

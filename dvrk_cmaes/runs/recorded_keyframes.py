@@ -16,6 +16,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.first_frames import predict_from_first
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
+from dvrk_cmaes.calibration.session_doubts import bad_predictions
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -247,7 +248,7 @@ def solve_together(
         if not str(error).startswith(_REFUSED):
             raise  # a file that is missing or damaged
         return str(error).removeprefix(_REFUSED)
-    return solved.calibration.doubt or solved
+    return bad_predictions(solved.calibration) or solved
 
 
 def _estimated(

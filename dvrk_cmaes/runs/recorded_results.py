@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
+from dvrk_cmaes.calibration.session_camera import covariance_of_camera
+from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument import Instrument
@@ -81,6 +83,7 @@ def smooth_frames(
     at = [predicted.at[i].moved(smoothed.deviations[i]) for i in range(count)]
     camera = session.corrected(recorded.rig.views[0].camera)
     covariance += np.array([covariance_of_margin(one, session.masks, camera, instrument) for one in at])
+    covariance += np.array([covariance_of_camera(session.camera, one, camera) for one in at])
     return SmoothedFrames(at, covariance, misfit)
 
 
@@ -113,7 +116,7 @@ def results_of(
     """Describe the frames as results, in order; ``source`` is what the evidence is taken from, for reasons."""
     frozen = describe_frozen(recorded.frozen, [own.name for own in recorded.files])
     base_from_root = predicted.model.base_from_root(predicted.calibration.offsets)
-    results = []
+    remarks, results = recorded.rig.remarks, []
     for i, one in enumerate(judged):
         status, reasons = status_of(one, smoothed.misfit[i], session, config, source)
         if (of_image := fits[i]) is not None:
@@ -127,21 +130,20 @@ def results_of(
         if reasons and status == "ok":
             status = "doubtful"
         fitted = fits[i]
-        results.append(
-            describe(
-                float(recorded.times[i]),
-                status,
-                tuple(reasons),
-                smoothed.at[i],
-                smoothed.covariance[i],
-                np.asarray(smoothed.at[i].pose @ inverse(base_from_root[i])),
-                _offsets(predicted, smoothed.at[i], i),
-                body.instrument,
-                recorded.rig.views[0].camera,
-                seconds=0.0 if fitted is None else fitted.seconds,
-                judged=one,
-            )
+        result = describe(
+            float(recorded.times[i]),
+            status,
+            tuple(reasons),
+            smoothed.at[i],
+            smoothed.covariance[i],
+            np.asarray(smoothed.at[i].pose @ inverse(base_from_root[i])),
+            _offsets(predicted, smoothed.at[i], i),
+            body.instrument,
+            recorded.rig.views[0].camera,
+            seconds=0.0 if fitted is None else fitted.seconds,
+            judged=one,
         )
+        results.append(resting_on(replace(result, remarks=remarks), session))
     return results
 
 

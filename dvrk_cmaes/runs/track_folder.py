@@ -203,8 +203,8 @@ def track_folder(
             late = 0.0 if lag is None else lag.in_seconds(1 / clock.interval)
         interrupted = len(rows) < len(frames)
         if calibration is not None:
-            new = tuple(text for text in remarks if text not in calibration.warnings)
-            calibration = replace(calibration, warnings=(*calibration.warnings, *new))
+            new = tuple(text for text in remarks if text not in calibration.remarks)
+            calibration = replace(calibration, remarks=(*calibration.remarks, *new))
         if calibration is not None and rows:
             write_json(out / SESSION, calibration.to_dict())
         readings = _readings(run, late)

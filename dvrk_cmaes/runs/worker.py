@@ -134,6 +134,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
         root_link=setup.instrument.root_link,
         shaft_radius=setup.instrument.shaft_radius,
         warnings=files.notes,
+        remarks=setup.rig.remarks,
         time=files.time,
         seed=setup.config.seed,
         config={**setup.config.as_dict(), "instrument": setup.instrument.describe_limits(setup.arm)},

@@ -5,11 +5,12 @@ The kernel draws each pose by itself, so results do not depend on the number of 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from threading import Lock
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,11 @@ from dvrk_cmaes.silhouette.sliced_call import worked
 from dvrk_cmaes.silhouette.span_rays import SpanRays
 
 Float64 = NDArray[np.float64]
+T = TypeVar("T")
+S = TypeVar("S", bound=np.generic)
+
+_DRAWN, _SUMMED = 16, 64
+"""Largest number of poses that are drawn, and of those of which only sums are computed, in a slice of a long call."""
 
 
 @lru_cache(maxsize=256)
@@ -211,10 +217,13 @@ class Renderer:
         to_pixel
             Whether to sum over whole pixels instead of integrating over areas.
         """
-        links = self._links(camera_from_root, joints)
-        decide = self._rays(links, lines_per_pixel, to_pixel=to_pixel)
-        camera = kernel_camera(self.camera)
-        return self.body.mesh.sums(camera, links, images.table, lines_per_pixel, to_pixel, self.threads, decide)
+        camera, mesh = kernel_camera(self.camera), self.body.mesh
+
+        def add(links: Float64) -> Float64:
+            decide = self._rays(links, lines_per_pixel, to_pixel=to_pixel)
+            return mesh.sums(camera, links, images.table, lines_per_pixel, to_pixel, self.threads, decide)
+
+        return _joined(self._in_batches(camera_from_root, joints, add, _SUMMED))
 
     def coverage(self, camera_from_root: Float64, joints: Float64, *, lines_per_pixel: int = 4) -> NDArray[np.float32]:
         """Render antialiased silhouettes of C poses: the covered fraction of each pixel, (C, H, W).
@@ -228,9 +237,12 @@ class Renderer:
         lines_per_pixel
             Lines of the image along which edges are found, for each row of pixels.
         """
-        links = self._links(camera_from_root, joints)
-        decide = self._rays(links, lines_per_pixel)
-        return self.body.mesh.coverage(kernel_camera(self.camera), links, lines_per_pixel, self.threads, decide)
+        camera, mesh = kernel_camera(self.camera), self.body.mesh
+
+        def draw(links: Float64) -> NDArray[np.float32]:
+            return mesh.coverage(camera, links, lines_per_pixel, self.threads, self._rays(links, lines_per_pixel))
+
+        return _joined(self._in_batches(camera_from_root, joints, draw, _DRAWN))
 
     def outlines(self, camera_from_root: Float64, joints: Float64) -> list[OutlinePoints]:
         """Find points on the outlines of C poses, in the image and on the instrument, on all pixel rows and columns.
@@ -242,7 +254,8 @@ class Renderer:
         joints
             Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
         """
-        return self._outlines(camera_from_root, joints, 1, with_coverage=False)[1]
+        drawn = self._outlines(camera_from_root, joints, 1, with_coverage=False)
+        return [outline for _, outlines in drawn for outline in outlines]
 
     def coverage_and_outlines(
         self, camera_from_root: Float64, joints: Float64, *, lines_per_pixel: int = 2
@@ -261,9 +274,9 @@ class Renderer:
         lines_per_pixel
             Lines of the image along which edges are found, for each row of pixels.
         """
-        coverage, outlines = self._outlines(camera_from_root, joints, lines_per_pixel, with_coverage=True)
-        assert coverage is not None
-        return coverage, outlines
+        drawn = self._outlines(camera_from_root, joints, lines_per_pixel, with_coverage=True)
+        coverage = _joined([image for image, _ in drawn if image is not None])
+        return coverage, [outline for _, outlines in drawn for outline in outlines]
 
     def masks(self, camera_from_root: Float64, joints: Float64) -> NDArray[np.bool_]:
         """Render masks of C poses: whether each pixel's centre is covered, (C, H, W).
@@ -275,9 +288,12 @@ class Renderer:
         joints
             (C, J), rad, in the order of ``body.instrument.joint_names``.
         """
-        links = self._links(camera_from_root, joints)
-        decide = self._rays(links, 1, to_pixel=True)
-        return self.body.mesh.masks(kernel_camera(self.camera), links, self.threads, decide)
+        camera, mesh = kernel_camera(self.camera), self.body.mesh
+
+        def draw(links: Float64) -> NDArray[np.bool_]:
+            return mesh.masks(camera, links, self.threads, self._rays(links, 1, to_pixel=True))
+
+        return _joined(self._in_batches(camera_from_root, joints, draw, _DRAWN))
 
     def trace(self, camera_from_root: Float64, joints: Float64) -> NDArray[np.bool_]:
         """Trace one ray through the centre of every pixel: the reference for ``masks``, (C, H, W).
@@ -303,22 +319,32 @@ class Renderer:
 
     def _outlines(
         self, camera_from_root: Float64, joints: Float64, lines_per_pixel: int, *, with_coverage: bool
-    ) -> tuple[NDArray[np.float32] | None, list[OutlinePoints]]:
-        links = self._links(camera_from_root, joints)
-        decide = self._rays(links, lines_per_pixel)
-        coverage, begin, link, pixels, normals, points = self.body.mesh.outlines(
-            kernel_camera(self.camera), links, lines_per_pixel, with_coverage, self.threads, decide
-        )
-        parts = [slice(*ends) for ends in pairwise(begin.tolist())]
-        return coverage, [OutlinePoints(link[part], pixels[part], normals[part], points[part]) for part in parts]
+    ) -> list[tuple[NDArray[np.float32] | None, list[OutlinePoints]]]:
+        camera, mesh = kernel_camera(self.camera), self.body.mesh
 
-    def _links(self, camera_from_root: Float64, joints: Float64) -> Float64:
-        """Check C poses, count them, and return those of their links, (C, L, 4, 4)."""
+        def draw(links: Float64) -> tuple[NDArray[np.float32] | None, list[OutlinePoints]]:
+            decide = self._rays(links, lines_per_pixel)
+            coverage, begin, link, pixels, normals, points = mesh.outlines(
+                camera, links, lines_per_pixel, with_coverage, self.threads, decide
+            )
+            parts = [slice(*ends) for ends in pairwise(begin.tolist())]
+            return coverage, [OutlinePoints(link[part], pixels[part], normals[part], points[part]) for part in parts]
+
+        return self._in_batches(camera_from_root, joints, draw, _DRAWN)
+
+    def _in_batches(
+        self, camera_from_root: Float64, joints: Float64, draw: Callable[[Float64], T], most: int
+    ) -> list[T]:
+        """Check C poses, and draw those of their links, (C, L, 4, 4), in batches of at most ``most``."""
         _check_poses(self.body.instrument.joint_names, camera_from_root, joints)
-        links = self.body.camera_from_links(camera_from_root, joints)
-        worked(len(links) * self.camera.height)
+        links = np.ascontiguousarray(self.body.camera_from_links(camera_from_root, joints))
+        drawn = []
+        for begin in range(0, max(len(links), 1), most):
+            batch = links[begin : begin + most]
+            drawn.append(draw(batch))
+            worked(len(batch) * self.camera.height)
         self._count(poses=len(links))
-        return np.ascontiguousarray(links, dtype=np.float64)
+        return drawn
 
     def _rays(self, links: Float64, lines_per_pixel: int, *, to_pixel: bool = False) -> SpanRays | None:
         """Return what decides by rays what is covered, if the body asks for that."""
@@ -330,6 +356,11 @@ class Renderer:
         with self._counting:
             self.rays += rays
             self.poses += poses
+
+
+def _joined(batches: Sequence[NDArray[S]]) -> NDArray[S]:
+    """Return what was drawn in batches as one array; a single one is not copied."""
+    return batches[0] if len(batches) == 1 else np.concatenate(batches)
 
 
 def _check_poses(names: tuple[str, ...], camera_from_root: Float64, joints: Float64) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.seen_view import seen_views
@@ -265,6 +266,7 @@ class CalibratedFollowing:
         covariance = own + response @ calibrated @ response.T
         camera = self.calibration.corrected(self._rig.views[0].camera)
         covariance = covariance + covariance_of_margin(at, self.calibration.masks, camera, self._body.instrument)
+        covariance += covariance_of_camera(self.calibration.camera, at, camera)
         return at, np.asarray(covariance)
 
     def _offsets(self, at: Posed, predicted: PredictedImage, reading: ReadingAt) -> dict[str, float]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.session_doubts import bad_predictions
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -153,7 +154,7 @@ class KeyframeProblem:
             return Solution(None, str(error), len(frames), alone, self.base)
         found = SessionCalibration.from_dict(solved.calibration.to_dict())  # in the digits of its document
         tip_mm = self._tip_error(found, body.instrument)
-        return Solution(found, found.doubt, len(frames), alone, self.base, tip_mm)
+        return Solution(found, bad_predictions(found), len(frames), alone, self.base, tip_mm)
 
     def _tip_error(self, calibration: SessionCalibration, instrument: Instrument) -> float:
         """Return the expected error of the tips, mm, in the median of the keyframes by the calibration alone."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration, check_made_for
+from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -138,6 +139,7 @@ class Tracker:
         self._sliced = SlicedFollowing(self._following) if sliced else None
         known = KnownBase(rig, body, self._arm, settings, calibration, earlier=earlier) if keyframes else None
         self._known = known
+        self._remarks, self._given = rig.remarks, calibration
         self._time: float | None = None
         self._by_filter: float | None = None  # s, the last image that was followed without a calibration
         self._recorder = Recorder() if record else None
@@ -188,7 +190,14 @@ class Tracker:
             return None
         instrument = self._following.follower.instrument
         lag = self.lag
-        return calibration_of(best.state, lag, instrument, self._arm, self._config, interval=interval, unit=unit)
+        found = calibration_of(best.state, lag, instrument, self._arm, self._config, interval=interval, unit=unit)
+        given = self._session
+        return replace(found, doubts=() if given is None else given.doubts, remarks=self._remarks)
+
+    @property
+    def _session(self) -> SessionCalibration | None:
+        """The calibration that poses rest on; None where they rest on the images alone."""
+        return self._given if self._known is None else self._known.calibration
 
     @property
     def searching(self) -> bool:
@@ -385,7 +394,8 @@ class Tracker:
         base = None if self._known is None else self._known.known
         if self._known is not None:
             self._known.note(result)
-        result = replace(result, seconds=clock.perf_counter() - started, base=base)
+        result = replace(result, seconds=clock.perf_counter() - started, base=base, remarks=self._remarks)
+        result = resting_on(result, self._session)
         if self._recorder is not None:
             late = self._sliced is not None and self._sliced.late
             self._recorder.add(self._following.last_step, None if late else self._best, result)

@@ -65,7 +65,8 @@ def calibration() -> SessionCalibration:
             ),
         ),
         untold=("offset of insertion",),
-        warnings=("readings come 2 frames late",),
+        doubts=("the camera file is contradicted",),
+        remarks=("readings come 2 frames late",),
         arm="si",
         roll_offset=0.4162,
         seconds=12.5,
@@ -94,7 +95,8 @@ def test_written_calibration_is_read_back(tmp_path: Path) -> None:
         "lag",
         "camera",
         "untold",
-        "warnings",
+        "doubts",
+        "remarks",
         "arm",
     ):
         assert getattr(after, name) == getattr(before, name)
@@ -149,10 +151,11 @@ def test_document_without_camera_is_read() -> None:
     assert SessionCalibration.from_dict(document).camera is None
 
 
-def test_calibration_with_warning_is_doubtful() -> None:
+def test_calibration_with_doubt_is_doubtful() -> None:
     document = calibration().to_dict()
     assert document["status"] == "doubtful"
-    assert SessionCalibration.from_dict({**document, "warnings": []}).status == "ok"
+    assert document["warnings"] == ["the camera file is contradicted", "readings come 2 frames late"]
+    assert SessionCalibration.from_dict({**document, "doubts": []}).status == "ok"
 
 
 Damage = Callable[[dict[str, Any]], None]

@@ -10,10 +10,13 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.session_camera import covariance_of_camera
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.silhouette import Body
 
 SCALE = 1.1
@@ -51,7 +54,8 @@ def test_focal_length_is_found_and_applied(refined: SolvedSession) -> None:
     assert camera.focal_scale == pytest.approx(SCALE, abs=0.02)
     right = refined.calibration.corrected(WRONG)
     assert right.fx == pytest.approx(SMALL.fx, rel=0.02)
-    assert refined.calibration.warnings[0].endswith("; which is used")
+    assert refined.calibration.remarks[0].endswith("; which is used")
+    assert refined.calibration.doubts == ()
 
 
 def test_session_agrees_with_refined_camera(bundled_body: Body, refined: SolvedSession) -> None:
@@ -74,6 +78,37 @@ def test_new_frame_is_estimated_with_refined_camera(
     assert found.camera_from_root is not None
     assert together is not None
     assert 1e3 * np.linalg.norm(found.camera_from_root[:3, 3] - together[:3, 3]) < 1
+
+
+def test_covariance_of_a_pose_has_the_error_of_the_refined_camera(
+    bundled_body: Body, frames: list[SessionFrame], refined: SolvedSession
+) -> None:
+    """The same outline is seen with other cameras from where the covariance says."""
+    camera = refined.calibration.camera
+    assert camera is not None
+    right = refined.calibration.corrected(WRONG)
+    result = refined.results[frames[0].name]
+    assert result.camera_from_root is not None
+    assert result.covariance is not None
+    at = Posed(result.camera_from_root, np.array(list(result.joints.values())))
+    links = bundled_body.instrument.tips(at.joints)
+    seen = right.project(apply(at.pose, links))
+    for number, (focal, shift) in enumerate([(0.01, (0.0, 0.0)), (0.0, (5.0, 0.0)), (0.0, (0.0, 5.0))]):
+        std = [0.0, 0.0, 0.0]
+        std[number] = focal or 5.0
+        alone = replace(camera, std_focal_scale=std[0] * camera.focal_scale, std_principal_point_px=(std[1], std[2]))
+        values, vectors = np.linalg.eigh(covariance_of_camera(alone, at, right)[:6, :6])
+        step = np.concatenate([np.sqrt(values[-1]) * vectors[:, -1], np.zeros(3)])
+        other = right.changed(float(np.exp(focal)), shift)
+        moved = min(off(other, at.moved(sign * step), links, seen) for sign in (1, -1))
+        assert moved < 0.15 * off(other, at, links, seen) + 0.05
+    assert (np.diag(result.covariance)[:3] > np.diag(covariance_of_camera(camera, at, right))[:3]).all()
+    assert not covariance_of_camera(replace(camera, applied=False), at, right).any()
+
+
+def off(camera: Camera, at: Posed, points: np.ndarray, seen: np.ndarray) -> float:
+    """Return how far points of the root's frame are seen from where they should be, px."""
+    return float(np.linalg.norm(camera.project(apply(at.pose, points)) - seen, axis=1).mean())
 
 
 def test_few_frames_refine_no_camera(bundled_body: Body, frames: list[SessionFrame]) -> None:

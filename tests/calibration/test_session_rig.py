@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -107,15 +108,17 @@ def test_poses_are_as_good_as_with_the_right_file(by_right: SolvedSession, turne
 
 
 def test_exchanged_eyes_are_named(bundled_body: Body, frames_of: dict[str, list[SessionFrame]]) -> None:
+    """None is ok; which of the wrong poses is found, and so whether the other side fits it, is chance."""
     named = 0
-    for frame in frames_of["right"]:
+    for frame, seed in product(frames_of["right"], (0, 2)):
         assert isinstance(frame.data, FrameData)
         left, right = (view.mask for view in frame.data.views)
-        found = estimate({"left": right, "right": left}, RIG, frame.result.readings, bundled_body)
+        masks, config = {"left": right, "right": left}, EstimateConfig(seed=seed)
+        found = estimate(masks, RIG, frame.result.readings, bundled_body, config=config)
         assert found.status == "doubtful"
         named += found.reasons[0].startswith("views disagree: right fits left only from its other side: the ")
         assert not any("other side" in text for text in frame.result.reasons)
-    assert named >= 4
+    assert named >= len(frames_of["right"])
 
 
 def test_one_frame_far_off_counts_little() -> None:

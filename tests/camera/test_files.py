@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from dvrk_cmaes.camera.files import read_camera, read_camera_file
+from dvrk_cmaes.camera.files import read_camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.bundled import bundled_path
 
 CALIBRATION = """\
 image_width: 640
@@ -97,13 +96,6 @@ def test_rectified_camera_uses_p_without_distortion(tmp_path: Path) -> None:
         camera = read_camera(written(tmp_path, text), rectified=True)
         assert (camera.fx, camera.fy, camera.cx, camera.cy) == (700, 701, 330, 250)
         assert camera.is_pinhole
-
-
-@pytest.mark.parametrize(("cx", "warned"), [("326.3", False), ("445.0", False), ("560.0", True), ("60.0", True)])
-def test_principal_point_far_off_the_middle_gives_a_note(tmp_path: Path, cx: str, warned: bool) -> None:
-    text = (bundled_path("demo") / "camera.yaml").read_text().replace("326.3", cx)
-    notes = read_camera_file(written(tmp_path, text)).notes
-    assert any(note.startswith(f"principal point {float(cx):g}, 235.1: ") for note in notes) == warned
 
 
 def test_topic_dumps_of_ros_1_and_ros_2_are_read(tmp_path: Path) -> None:

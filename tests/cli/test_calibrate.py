@@ -117,7 +117,7 @@ def test_json_output_is_session_json_and_reproducible(command: Command, calibrat
     assert ran.err.splitlines() == [
         "dvrk-cmaes: gathering evidence: 5 frames",
         "dvrk-cmaes: round 1 of 1: 5 frames",
-        "dvrk-cmaes: checking camera and offsets: 5 frames",
+        "dvrk-cmaes: checking the camera: 5 frames",
         "dvrk-cmaes: leaving one out: 5 frames",
         "dvrk-cmaes: drawing: 5 frames",
     ]
@@ -275,10 +275,16 @@ def test_refined_camera_is_written_and_stated(command: Command, bundled_body: Bo
     assert written.fx == pytest.approx(SMALL.fx, rel=0.03)
 
 
+def test_folder_without_candidates_is_refused(command: Command, tmp_path: Path) -> None:
+    folder = ("session", "--results", "results", "--out", "few", "--instrument-candidates", tmp_path)
+    ran = command("calibrate", *folder, *QUICKLY)
+    assert ran.refusal == (f"--instrument-candidates: expected a folder with URDFs of instruments, got {tmp_path}")
+
+
 def test_camera_is_not_refined_from_few_frames(command: Command) -> None:
     ran = command("calibrate", "session", "--results", "results", "--out", "few", "--refine-camera", *QUICKLY)
     assert ran.code == 2
-    assert ran.refusal.endswith("--refine-camera: camera: 5 frames; at least 10 are needed to test its focal length")
+    assert ran.refusal.endswith("--refine-camera: camera: 5 frames; at least 10 are needed to tell its focal length")
 
 
 def test_both_eyes_are_calibrated_and_drawn_beside_each_other(

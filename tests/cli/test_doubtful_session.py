@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,25 +11,18 @@ from helpers.commands import run_command
 from helpers.damage import frame
 from helpers.page_calibrations import calibration, solved
 
+from dvrk_cmaes.calibration.session_doubts import doubts_of
+
 FRAMES = ("0000", "0001", "0002")
 BADLY = {"0000": (0.62, 9.0), "0001": (0.66, 8.0)}
-WELL = {"0000": (0.90, 1.0), "0001": (0.92, 1.0)}
 
 
 @pytest.fixture
 def doubtful(tmp_path: Path) -> Path:
     path = tmp_path / "session.json"
-    path.write_text(json.dumps(calibration(solved(FRAMES), iou=0.95, leave_one_out=BADLY).to_dict()))
+    found = calibration(solved(FRAMES), iou=0.95, leave_one_out=BADLY)
+    path.write_text(json.dumps(replace(found, doubts=doubts_of(found)).to_dict()))
     return path
-
-
-def test_calibration_is_doubtful_by_its_predictions_alone() -> None:
-    bad = calibration(solved(FRAMES), iou=0.95, leave_one_out=BADLY, warnings=())
-    assert bad.doubt.startswith("this calibration predicts frames badly that it has not seen: IoU 0.64 by the other ")
-    assert bad.status == "doubtful"
-    for leave_one_out in (WELL, {}):
-        good = calibration(solved(FRAMES), iou=0.95, leave_one_out=leave_one_out, warnings=())
-        assert (good.doubt, good.status) == ("", "ok")
 
 
 def test_doubtful_calibration_is_refused(capsys: pytest.CaptureFixture[str], doubtful: Path) -> None:
@@ -43,3 +37,12 @@ def test_doubtful_calibration_is_used_with_a_warning_where_told(
     ran = run_command(capsys, *frame(), "--session", doubtful, "--doubtful-session")
     assert ran.code in (0, 3)
     assert f"warning: {doubtful}: this calibration predicts frames badly" in ran.err
+
+
+def test_result_with_a_doubtful_calibration_is_doubtful_for_its_reason(
+    capsys: pytest.CaptureFixture[str], doubtful: Path
+) -> None:
+    ran = run_command(capsys, *frame(), "--session", doubtful, "--doubtful-session", "--json")
+    result = json.loads(ran.out)
+    assert (ran.code, result["status"]) == (3, "doubtful")
+    assert result["reasons"][0].startswith("session: this calibration predicts frames badly")

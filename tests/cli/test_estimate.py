@@ -40,7 +40,19 @@ RESULT_FIELDS = [
         "joints",
         "readings",
     ),
-    *("tips", "tips_px", "warnings", "unused", "camera_from_base", "source", "change", "quality", "std", "covariance"),
+    *(
+        "tips",
+        "tips_px",
+        "warnings",
+        "remarks",
+        "unused",
+        "camera_from_base",
+        "source",
+        "change",
+        "quality",
+        "std",
+        "covariance",
+    ),
     *("mode_probability", "alternatives"),
     *("seconds", "evaluations", "rays", "seed", "version", "config"),
 ]
@@ -142,6 +154,7 @@ def test_half_size_mask_rescales_camera_with_warning(run: Run, quick: Path, tmp_
     note = "the mask is 320 x 240, the calibration 640 x 480: intrinsics rescaled by 0.5"
     assert done.err == f"dvrk-cmaes: warning: {note}\n"
     assert note in done.result["warnings"]
+    assert done.result["remarks"] == [note]
     assert done.result["quality"]["iou"] > 0.9
 
 

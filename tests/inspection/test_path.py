@@ -79,7 +79,7 @@ def test_principal_point_off_the_middle_is_named(tmp_path: Path) -> None:
     assert not any("of the middle" in line for line in inspect_path(DEMO / "camera.yaml").lines)
     found = inspect_path(written(tmp_path, "camera.yaml", text.replace("326.3", "445.0")))
     assert found.lines[-1] == (
-        "principal point 445, 235.1: 20 % of the width right and 1 % of the height above of the middle of "
+        "camera file: principal point 445, 235.1: 20 % of the width right and 1 % of the height above of the middle of "
         "640 x 480 px; usual for cropped or rectified images, otherwise check the camera file's size, cx and cy"
     )
     assert not any("of the middle" in note for note in found.notes)

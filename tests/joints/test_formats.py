@@ -276,3 +276,11 @@ def test_image_times_are_read_by_frame(tmp_path: Path) -> None:
         with pytest.raises(InputError) as caught:
             read_image_times(written(tmp_path, text))
         assert str(caught.value) == f"{path}: {expected}"
+
+
+def test_readings_at_any_rate_are_interpolated_but_not_over_gaps(tmp_path: Path) -> None:
+    rows = "".join(f"{10 + 0.2 * k:.1f},{0.1 * k:.1f}\n" for k in range(6))
+    file = read_joint_file(written(tmp_path, f"time,jaw\n{rows}12.0,2.0\n"))
+    assert frame_readings([file], "a", time=parse_time("", "10.25")).readings["jaw"] == pytest.approx(0.125)
+    with pytest.raises(InputError, match=r"image's time 11.500 s, within 0.3 s, got the nearest 0.500 s away"):
+        frame_readings([file], "a", time=parse_time("", "11.5"))

@@ -44,6 +44,7 @@ class Step:
     joints: dict[str, float]
     status: str = "ok"
     reasons: Sequence[str] = ()
+    remarks: tuple[str, ...] = ()
     tips: np.ndarray | None = None
 
 

@@ -67,6 +67,7 @@ class Found:
     joints: dict[str, float] = field(default_factory=dict)
     status: str = "ok"
     reasons: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     tips: np.ndarray | None = None
 
 

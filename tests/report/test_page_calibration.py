@@ -80,7 +80,7 @@ def test_what_needs_action_comes_first_then_the_calibration_then_what_it_cannot_
     frames = solved(NAMES)
     words = {
         "untold": ("offset of <b>roll</b>: standard deviation 10.9 deg",),
-        "warnings": ("the arm's base or the camera moved between frames b and c",),
+        "doubts": ("the arm's base or the camera moved between frames b and c",),
         "lag": Lag(2.0, 0.1, 0.08, 0.004),
     }
     page = page_of(write_calibrated(tmp_path, frames, calibration(frames, **words)))

@@ -18,6 +18,7 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.output import output, write_bytes
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
@@ -144,13 +145,12 @@ def test_images_count_more_than_masks_that_keyframes_predict_worse(
 ) -> None:
     masks, both = tmp_path / "masks", tmp_path / "both"
     follow(made[0], masks, replace(SETTINGS, evidence="masks"))
-    both.mkdir()
-    for kept in (masks / "keyframes.json", tracks / "keyframes_images.json"):
-        shutil.copy(kept, both)
-    shutil.copy(masks / "run.json", both)
-    document = read_json_object(both / "run.json", expected="a run")
+    document = read_json_object(masks / "run.json", expected="a run")
     document["track"]["evidence"] = "both"
-    write_json(both / "run.json", document)
+    with output(both, "track"):
+        for kept in (masks / "keyframes.json", tracks / "keyframes_images.json"):
+            write_bytes(both / kept.name, kept.read_bytes())
+        write_json(both / "run.json", document)
     said = follow(made[0], both, replace(SETTINGS, evidence="both"))
     weight = next(text for text in said if "weight of masks beside them" in text)
     assert weight.startswith("images predict keyframes better")

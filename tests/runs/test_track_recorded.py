@@ -143,13 +143,18 @@ def test_damaged_solution_of_keyframes_is_named(
 def test_given_calibration_is_used_instead_of_keyframes(
     made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
 ) -> None:
-    given = replace(SETTINGS, calibration=read_calibration(tracks / "session.json"))
+    doubtful = replace(read_calibration(tracks / "session.json"), doubts=("the camera file is contradicted",))
+    given = replace(SETTINGS, calibration=doubtful)
     said: list[str] = []
     track_folder(read_session(made[0]), tmp_path, prepare("lnd"), given, video=False, page=False, notice=said.append)
     assert said == [f"fitting {FRAMES} frames"]
     assert not (tmp_path / "keyframes.json").exists()
     pairs = zip(read_tracks(tmp_path / "tracks.jsonl"), read_tracks(tracks / "tracks.jsonl"), strict=True)
     assert all(np.allclose(own["tips"], other["tips"], atol=2e-4) for own, other in pairs)
+    rows = read_tracks(tmp_path / "tracks.jsonl")
+    assert {row["status"] for row in rows} == {"doubtful", "lost"}
+    assert {row["reasons"][0] for row in rows} == {"session: the camera file is contradicted"}
+    assert read_calibration(tmp_path / "session.json").status == "doubtful"
 
 
 @pytest.mark.parametrize("evidence", ["masks", "images", "both", None])

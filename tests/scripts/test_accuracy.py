@@ -154,6 +154,46 @@ def test_false_inputs_change_stated_part_only(cases: list[Case]) -> None:
             assert (lie.mask | truth.mask == lie.mask).all()
 
 
+def test_mistakes_change_every_frame_alike_and_camera_files_are_read_critically(
+    bundled_body: Body, cases: list[Case]
+) -> None:
+    from measure.accuracy.mistakes import MISTAKES, OTHER_MESHES, mistaken_cases
+
+    made = mistaken_cases(cases[:2], bundled_body)
+    assert [case.kind for case in made] == [kind for kind in (*MISTAKES, OTHER_MESHES) for _ in range(2)]
+    of_kind = {case.kind: case for case in made}
+    honest = cases[1]
+    remarked = {kind for kind, case in of_kind.items() if case.camera.remarks}
+    assert remarked == {"cx and cy exchanged", "camera file of half the size", "fx and fy 15 % apart"}
+    masks = {kind for kind, case in of_kind.items() if not np.array_equal(case.mask, honest.mask)}
+    assert masks == {"corner cropped, resized back", "mask 3 px wide", OTHER_MESHES}
+    turned = of_kind["both wrist signs wrong"].readings
+    assert turned["wrist_yaw"] == -honest.readings["wrist_yaw"]
+    swapped = of_kind["wrist columns exchanged"].readings
+    assert (swapped["wrist_pitch"], swapped["jaw"]) == (honest.readings["wrist_yaw"], honest.readings["jaw"])
+
+
+def test_mistakes_are_counted_where_an_ok_frame_is_far_off(bundled_body: Body, cases: list[Case]) -> None:
+    from measure.accuracy.mistakes import mistake_row
+
+    case, instrument = cases[0], bundled_body.instrument
+    assert case.truth is not None
+    right = result_of(case, case.truth.camera_from_root)
+    moved = case.truth.camera_from_root.copy()
+    moved[2, 3] += 0.005
+    far = result_of(case, moved)
+    said = replace(far, status="doubtful", reasons=("session: the camera file is contradicted",))
+    row = mistake_row(instrument, "kind", [(right, case), (far, case), (said, case)])
+    assert (row["frames"], row["ok"], row["ok_beyond_3_mm"], row["remarked"]) == (3, 2, 1, 1)
+    assert row["tip_mm"] == pytest.approx(5.0, abs=0.01)
+
+
+def result_of(case: Case, pose: np.ndarray) -> Result:
+    """Give an ok result of a case with the true joints."""
+    assert case.truth is not None
+    return Result(case.frame, "ok", (), "lnd", "roll_link", pose, dict(case.truth.joints), {})
+
+
 def test_quick_run_reports_json_and_reuses_results(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
     options = ["errors", "--quick", "--json", "--workers", "1", "--keep", str(tmp_path), str(ROOT / "data" / "demo")]
     done = subprocess.run(

@@ -113,13 +113,13 @@ def test_false_input_counts_as_named_by_its_own_message_only(cases: list[Case]) 
     right = [
         outcome(cases, still, FOREIGN_MASKS, left_out={"0001": "", "0005": "", "0008": ""}),
         outcome(cases, still, LATE, lag=Lag(-2.1, 0.1)),
-        outcome(cases, still, MOVED, warnings=(said,)),
+        outcome(cases, still, MOVED, remarks=(said,)),
         replace(outcome(cases, still, WRONG_ARM), solved=None, refusal="session: the readings fit an arm 51 mm longer"),
     ]
     wrong = [
         outcome(cases, still, FOREIGN_MASKS, left_out={"0001": "", "0005": ""}),
         outcome(cases, still, LATE, lag=Lag(-1.0, 0.1)),
-        outcome(cases, still, MOVED, warnings=(said.replace("0004", "0003"),)),
+        outcome(cases, still, MOVED, remarks=(said.replace("0004", "0003"),)),
         outcome(cases, still, WRONG_ARM),
     ]
     assert [named(one) for one in right] == [True] * 4

@@ -91,7 +91,7 @@ def test_arms_are_read_with_their_own_readings_and_truth(world: MovingWorld, tmp
     assert [one.name for one in recordings] == ["session PSM1", "session PSM2"]
     assert [one.golden.name for one in recordings] == ["golden_PSM1.json", "golden_PSM2.json"]
     first, second = (one.session.frames[0] for one in recordings)
-    assert (first.label, second.label) == (1, 2)
+    assert (first.label, second.label) == ((1,), (2,))
     assert first.readings != second.readings
 
 

@@ -243,6 +243,16 @@ def test_images_that_show_little_of_the_instrument_do_not_tell_against_a_calibra
     assert {result.status for result in again} == {"ok"}
 
 
+def test_poses_by_a_doubtful_calibration_are_doubtful_for_its_reason(
+    world: MovingWorld, calibration: SessionCalibration
+) -> None:
+    doubtful = replace(calibration, doubts=("the camera file is contradicted",), remarks=("lag: taken out",))
+    results = world.follow(Tracker(world.camera, world.body, doubtful, CONFIG, keyframes=True), frames=range(4))
+    assert {result.status for result in results} == {"doubtful"}
+    assert {result.reasons for result in results} == {("session: the camera file is contradicted",)}
+    assert {result.remarks for result in results} == {("lag: taken out",)}
+
+
 def test_solution_of_a_base_that_was_given_up_is_not_used(before: tuple[Tracker, list[TrackResult]]) -> None:
     tracker, _ = before
     other = replace(tracker.problem(), base=7)

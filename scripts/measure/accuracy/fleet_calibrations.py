@@ -72,7 +72,7 @@ def calibrated(
     row["base / std"] = float(np.abs(off / np.sqrt(np.diag(covariance))).max())
     if found.lag is not None:
         row["lag"], row["std"] = found.lag.frames, found.lag.std_frames
-    row["doubt"] = "yes" if found.doubt else "no"
+    row["doubt"] = "yes" if found.doubts else "no"
     return CalibratedRecording(row, errors)
 
 

@@ -143,6 +143,9 @@ def cropped(case: Case, sources: Sources, rng: Random) -> Case | None:
     return case.with_mask(cv2.resize(part, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5)
 
 
+OTHER_MAKE: Final = "instrument_400006.urdf"
+"""Another make of the needle driver."""
+
 OTHER_INSTRUMENTS: Final = {"hook": "instrument_400183.urdf", "Maryland": "instrument_400172.urdf"}
 FALSIFICATIONS: Final[Mapping[str, Falsification]] = {
     **{f"{name} for needle driver": other_instrument(name) for name in OTHER_INSTRUMENTS},
@@ -161,6 +164,11 @@ def load_others(folder: Path) -> dict[str, Body]:
     if not folder.is_dir():
         return {}
     return {name: Body.prepare(load_instrument(folder / file)) for name, file in OTHER_INSTRUMENTS.items()}
+
+
+def load_other_make(folder: Path) -> Body | None:
+    """Prepare another make of the needle driver, whose URDF is in a folder; None if the folder does not exist."""
+    return Body.prepare(load_instrument(folder / OTHER_MAKE)) if folder.is_dir() else None
 
 
 def falsified_cases(cases: Sequence[Case], others: Mapping[str, Body], count: int, seed: int) -> list[Case]:

@@ -11,6 +11,8 @@ from dataclasses import replace
 from typing import Any, Final
 
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.silhouette import Body
+from measure.accuracy.mistakes import mistake_row, mistaken_cases
 from measure.accuracy.sessions import Outcome, Trial, base_error, original_trials, solve
 from measure.cases import Case, Measurement, Run, grouped
 
@@ -23,13 +25,33 @@ _LATE_BY: Final = 2
 _FOREIGN_SHARES: Final = (0.1, 0.5, 0.8)  # positions of the foreign masks, as shares of the number of frames
 
 
-def measure_session_lies(given: Measurement) -> dict[str, list[dict[str, Any]]]:
-    """Report the share of falsified sessions that are reported as such."""
+def measure_session_lies(given: Measurement, other: Body | None = None) -> dict[str, list[dict[str, Any]]]:
+    """Report the share of falsified sessions that are reported as such, and what happens with users' mistakes."""
     cases = given.cases(base=True)
     falsified = falsified_session_cases(grouped(cases, lambda case: case.session))
-    runs = given.runs([*cases, *falsified], "frames and lies")
+    mistaken = mistaken_cases(cases, other)
+    runs = given.runs([*cases, *falsified, *mistaken], "frames and lies")
     originals = original_trials(runs[: len(cases)])
-    return falsified_report(solve(given, falsified_trials(originals, runs[len(cases) :])))
+    until = len(cases) + len(falsified)
+    report = falsified_report(solve(given, falsified_trials(originals, runs[len(cases) : until])))
+    return {**report, "mistakes": _with_mistakes(given, runs[until:])}
+
+
+def _with_mistakes(given: Measurement, runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Calibrate each session with each mistake, and report by kind what happens to its frames."""
+    rows, kinds = [], grouped(runs, lambda run: run.case.kind)
+    trials = [trial for own in kinds.values() for trial in original_trials(own)]
+    for kind, outcomes in grouped(solve(given, trials), lambda outcome: outcome.trial.kind).items():
+        solved = [(one.trial, one.solved) for one in outcomes if one.solved is not None]
+        pairs = [
+            (result, run.case)
+            for trial, session in solved
+            for result, run in zip(session.results.values(), trial.runs, strict=True)
+        ]
+        row = mistake_row(given.body.instrument, kind, pairs)
+        doubts = dict.fromkeys(text.split(":")[0] for _, session in solved for text in session.calibration.doubts)
+        rows.append({**row, "refused": len(outcomes) - len(solved), "doubts": "; ".join(doubts) or "-"})
+    return rows
 
 
 def falsified_session_cases(sessions: Mapping[str, Sequence[Case]]) -> list[Case]:
@@ -93,7 +115,7 @@ def named(outcome: Outcome) -> bool:
     said = {
         FOREIGN_MASKS: list(found.left_out) == [f"{k:04d}" for k in _foreign_frames(count)],
         LATE: found.lag is not None and abs(found.lag.in_unit("frames") + _LATE_BY) < 0.5,
-        MOVED: any(moved in text for text in found.warnings),
+        MOVED: any(moved in text for text in found.remarks),
     }
     return said.get(outcome.trial.kind, False)
 

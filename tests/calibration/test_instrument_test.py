@@ -1,0 +1,53 @@
+"""Whether frames fit another instrument better than the one that a session was solved with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from helpers.page_calibrations import calibration, solved
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.instrument_test import CandidateFit, better_instrument, untold_instrument
+from dvrk_cmaes.calibration.session_doubts import doubts_of
+
+NAMES = ("0000", "0001", "0002", "0003")
+OWN = {name: (0.76 + 0.01 * k, 2.0) for k, name in enumerate(NAMES)}
+
+
+def by_other(better: float, scatter: float = 0.01) -> dict[str, tuple[float, float]]:
+    return {name: (OWN[name][0] + better + scatter * (-1) ** k, 2.0) for k, name in enumerate(NAMES)}
+
+
+def test_instrument_that_predicts_left_out_frames_better_is_a_doubt() -> None:
+    fit = CandidateFit.of("400093", by_other(0.15), OWN)
+    assert (fit.frames, fit.is_better, fit.is_worse) == (4, True, False)
+    assert (fit.difference, fit.std_difference) == (pytest.approx(0.15), pytest.approx(0.01 / 3**0.5))
+    one = replace(calibration(solved(NAMES), iou=0.9, leave_one_out=OWN), instruments=(fit,))
+    (text,) = doubts_of(one)
+    assert text == "these frames fit 400093 better (leave-one-out 0.93 against 0.78)"
+    assert untold_instrument([fit], "lnd") == ""
+
+
+def test_worse_or_refused_instrument_is_told() -> None:
+    worse = CandidateFit.of("400172", by_other(-0.1), OWN)
+    refused = CandidateFit.of("400194", "expected at least 3 frames that agree", OWN)
+    assert worse.is_worse
+    assert refused.is_worse
+    assert better_instrument([worse, refused], 0.775) == untold_instrument([worse, refused], "400093") == ""
+
+
+@pytest.mark.parametrize(("better", "scatter"), [(0.02, 0.001), (0.05, 0.1), (-0.05, 0.1)])
+def test_instruments_that_predict_alike_are_not_told(better: float, scatter: float) -> None:
+    alike = CandidateFit.of("400194", by_other(better, scatter), OWN)
+    assert better_instrument([alike], 0.775) == ""
+    assert untold_instrument([alike], "400093") == "instrument: not told: 400093 or 400194"
+
+
+def test_tried_instruments_are_read_back() -> None:
+    tried = (CandidateFit.of("400093", by_other(0.15), OWN), CandidateFit.of("400194", "refused", OWN))
+    before = replace(calibration(solved(NAMES), leave_one_out=OWN), instruments=tried)
+    after = SessionCalibration.from_dict(before.to_dict())
+    assert [one.instrument for one in after.instruments] == ["400093", "400194"]
+    assert after.instruments[0].difference == pytest.approx(0.15)
+    assert after.instruments[1].refused == "refused"

@@ -1,0 +1,133 @@
+"""Doubts about a session as a whole, and results that rest on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.page_calibrations import calibration, solved
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_doubts import DISAGREES, bad_predictions, doubts_of, resting_on, unusual_insertion
+from dvrk_cmaes.calibration.session_masks import SessionMasks
+from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.results.tracked import TrackResult
+
+FRAMES = ("0000", "0001", "0002")
+BADLY = {"0000": (0.62, 9.0), "0001": (0.66, 8.0)}
+LONGER = SessionCamera(1.2, 0.02, (0.0, 0.0), (6.0, 7.0), contradicts=True, applied=False, width=640)
+PREDICTS = "this calibration predicts frames badly that it has not seen: IoU 0.64 by the other frames, 0.95 by their "
+
+
+def session(**fields: Any) -> SessionCalibration:
+    return replace(calibration(solved(FRAMES), iou=0.95, leave_one_out={}), **fields)
+
+
+def with_offset(name: str, value: float, std: float) -> SessionCalibration:
+    one = session()
+    place = 6 + list(one.offsets).index(name)
+    covariance = one.covariance.copy()
+    covariance[place, place] = std**2
+    return replace(one, offsets={**one.offsets, name: value}, covariance=covariance)
+
+
+def test_good_session_has_no_doubts() -> None:
+    assert doubts_of(session()) == ()
+    assert doubts_of(session(leave_one_out={"0000": (0.9, 1.0), "0001": (0.92, 1.0)})) == ()
+
+
+def test_frame_without_readings_is_no_doubt_about_the_session() -> None:
+    assert doubts_of(session(left_out={"0003": "no readings of all outer joints (yaw, pitch, insertion, roll)"})) == ()
+
+
+def test_bad_predictions_are_a_doubt() -> None:
+    bad = session(leave_one_out=BADLY)
+    (text,) = doubts_of(bad)
+    assert text == bad_predictions(bad)
+    assert text.startswith(PREDICTS)
+
+
+def test_few_frames_that_agree_are_a_doubt() -> None:
+    left_out = {f"01{k:02d}": f"{DISAGREES}: 5.0 times the expected error" for k in range(4)}
+    (text,) = doubts_of(session(left_out=left_out))
+    assert text.startswith("only 3 of 7 frames agree on where the arm's base is")
+
+
+def test_contradicted_camera_is_a_doubt_unless_it_is_put_right() -> None:
+    (text,) = doubts_of(session(camera=LONGER))
+    assert text.startswith("the camera file is contradicted: these frames fit a focal length 20.0 % (std 2.0) longer")
+    assert doubts_of(session(camera=replace(LONGER, applied=True))) == ()
+    assert doubts_of(session(camera=replace(LONGER, contradicts=False))) == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "std", "expected"),
+    [
+        (
+            "insertion",
+            16.8e-3,
+            0.1e-3,
+            "offset of insertion: +16.8 mm (std 0.1), where 0.5 mm are usual; likely",
+        ),
+        ("roll", np.deg2rad(-28), np.deg2rad(1), "offset of roll: -28.0 deg (std 1.0), where 15.0 deg are the most"),
+        ("wrist_yaw", np.deg2rad(24), np.deg2rad(1), "offset of wrist_yaw: +24.0 deg (std 1.0), where 20.0 deg are"),
+    ],
+)
+def test_offset_beyond_what_cables_do_is_a_doubt(name: str, value: float, std: float, expected: str) -> None:
+    (text,) = doubts_of(with_offset(name, value, std))
+    assert text.startswith(expected)
+    assert "another instrument" in text or "an instrument with another shaft" in text
+
+
+def test_uncertain_or_commanded_offset_is_no_doubt() -> None:
+    assert doubts_of(with_offset("insertion", 16.8e-3, 8e-3)) == ()
+    assert doubts_of(with_offset("roll", np.deg2rad(20), np.deg2rad(8))) == ()
+    commanded = replace(with_offset("wrist_yaw", np.deg2rad(60), 0.01), commanded={"wrist_yaw": 0.0})
+    assert doubts_of(commanded) == ()
+
+
+def test_insertion_of_another_tool_of_the_kind_is_only_remarked() -> None:
+    other = with_offset("insertion", 6.8e-3, 0.1e-3)
+    text = unusual_insertion(other, SessionConfig())
+    assert text.startswith("offset of insertion: +6.8 mm (std 0.1), where 0.5 mm are usual; likely causes")
+    assert doubts_of(other) == ()
+    assert unusual_insertion(session(), SessionConfig()) == ""
+
+
+def test_masks_that_are_far_too_wide_are_a_doubt() -> None:
+    (text,) = doubts_of(session(masks=SessionMasks(2.74, 0.1, applied=True)))
+    assert text.startswith("masks are 2.7 px (std 0.1) too wide all round: more than segmenters err")
+    assert doubts_of(session(masks=SessionMasks(1.2, 0.1, applied=True))) == ()
+
+
+def test_results_that_rest_on_a_doubtful_session_are_doubtful_for_its_reasons() -> None:
+    (good,) = solved(("0000",))
+    good = replace(good, status="ok", reasons=(), remarks=("camera file: unusual",))
+    followed = TrackResult(0.0, "ok", (), np.eye(4), {}, None, None, None)
+    lost = replace(followed, status="lost", reasons=("lost: the mask is empty",))
+    doubtful = session(doubts=("the camera file is contradicted",), remarks=("lag: taken out",))
+    of_frame, of_image, of_lost = (resting_on(one, doubtful) for one in (good, followed, lost))
+    assert (of_frame.status, of_frame.reasons) == ("doubtful", ("session: the camera file is contradicted",))
+    assert of_frame.remarks == ("camera file: unusual", "lag: taken out")
+    assert (of_image.status, of_image.reasons) == ("doubtful", of_frame.reasons)
+    assert (of_lost.status, of_lost.reasons) == ("lost", (*of_frame.reasons, *lost.reasons))
+
+
+def test_remarks_of_a_session_make_nothing_doubtful() -> None:
+    followed = TrackResult(0.0, "ok", (), np.eye(4), {}, None, None, None)
+    found = resting_on(followed, session(remarks=("lag: taken out",)))
+    assert (found.status, found.reasons, found.remarks) == ("ok", (), ("lag: taken out",))
+    assert found.to_dict("0000")["remarks"] == ["lag: taken out"]
+    assert resting_on(followed, None) is followed
+
+
+def test_older_document_is_judged_by_what_it_states() -> None:
+    document = session(camera=LONGER, remarks=("lag: taken out",)).to_dict()
+    del document["doubts"], document["remarks"]
+    document["warnings"] = ["lag: taken out"]
+    found = SessionCalibration.from_dict(document)
+    assert (found.remarks, found.status) == (("lag: taken out",), "doubtful")
+    assert found.doubts == doubts_of(session(camera=LONGER))
