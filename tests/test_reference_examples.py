@@ -41,7 +41,7 @@ NOT_HERE = {
     ),
 }
 """Words of commands that cannot run here, and what they need; their options are checked."""
-OTHER_PROGRAMS = ("pip install ", "ros2 ", "rerun ", "hf download ")
+OTHER_PROGRAMS = ("pip install ", "ros2 ", "rerun ", "hf download ", "make demo ", "python scripts/run_benchmark.py ")
 
 
 class Example(NamedTuple):

@@ -117,5 +117,4 @@ def _instrument(document: dict[str, Any], arrays: Any) -> Instrument:
         chain=Chain(joints),
         link_joints=tuple(document["link_joints"]),
         has_twin=document["has_twin"],
-        kept=True,
     )

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -110,8 +110,6 @@ class Instrument:
         DH parameter d of the tool's roll joint, m (see `dvrk_cmaes.instrument.arm`).
     roll_limits
         Lower and upper limit of the roll joint, rad; None if not known.
-    kept
-        Whether what is prepared of the meshes may be kept in the cache on disk, as for one that was loaded with it.
     """
 
     name: str
@@ -127,7 +125,6 @@ class Instrument:
     limits_from: str = "URDF"
     roll_offset: float = ROLL_OFFSET
     roll_limits: tuple[float, float] | None = None
-    kept: bool = field(default=False, metadata={"content": False})
 
     def __repr__(self) -> str:
         """Show name, links and joints."""

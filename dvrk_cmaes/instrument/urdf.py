@@ -123,7 +123,6 @@ def load_instrument(
             jaw_tips=(),
             chain=chain,
             link_joints=tuple(parent_joint[link.name] for link in links),
-            kept=cached is not None,
         ),
         radius=shaft_radius,
         axis=axis,
