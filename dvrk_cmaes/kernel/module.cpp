@@ -10,7 +10,6 @@
 #include <cmath>
 #include <exception>
 #include <initializer_list>
-#include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -240,10 +239,9 @@ struct Drawing {
     }
   }
 
-  // Call `use(workspace, pose)` with the outline and the rows of each pose, without the interpreter's lock.
+  // Call `use(workspace, pose)` with the outline and the rows of each pose, without the interpreter's lock; after `check`.
   template <class Use>
   void each(const Use& use) const {
-    check();
     const double straight = camera.is_pinhole() ? 0.0 : camera.straight_length(bend);
     const auto draw = [&](Workspace& at, std::size_t pose) {
       at.outline.find(mesh, camera, links.data() + 16 * mesh.link_count() * pose, straight);

@@ -5,15 +5,11 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <functional>
 #include <vector>
 
 #include "lines.hpp"
 
 namespace kernel {
-
-// Decides what is covered from each crossing to the next in the place of the layer count.
-using Decide = std::function<void(Lines&)>;
 
 // Add the sums of K images over the covered spans. `table` (H, W + 1, K) holds the sums from the left border to the left
 // side of each pixel. With `to_pixel`, sums are over the pixels whose centres are covered, otherwise integrals.
