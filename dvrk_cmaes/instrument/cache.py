@@ -1,6 +1,6 @@
 """Disk cache of loaded instruments; reading and measuring their meshes takes longer than estimating a pose.
 
-Each instrument is one file of arrays and JSON values (`io.mapped_arrays`) in the folder of `io.cache_folder`. A cached
+Each instrument is one file of arrays and JSON values (`io.array_file`) in the folder of `io.cache_folder`. A cached
 file is used only if the same version of the package wrote it and the URDF and mesh files still have the digests
 recorded in it, and would be found where they were.
 """
@@ -15,16 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument.kinematics import Chain, Joint
 from dvrk_cmaes.instrument.locate import find_mesh
 from dvrk_cmaes.instrument.model import Instrument, JawTip, Link, Shaft
+from dvrk_cmaes.io.array_file import UNUSABLE, read_arrays, write_arrays
 from dvrk_cmaes.io.cache_folder import cache_folder
 from dvrk_cmaes.io.files import file_digest
-from dvrk_cmaes.io.mapped_arrays import UNUSABLE, map_arrays, write_arrays
 
 _FORMAT = 4
 
@@ -41,7 +40,7 @@ def cache_file(*arguments: object) -> Path | None:
 def read_cached(path: Path, urdf: Path, packages: Mapping[str, Path]) -> Instrument | None:
     """Read a cached instrument; None if the file is missing or damaged, or a search finds other source files now."""
     try:
-        document, arrays = map_arrays(path)
+        document, arrays = read_arrays(path)
         if any(file_digest(Path(name)) != digest for name, digest in document["files"].items()):
             return None
         if any(
@@ -81,11 +80,6 @@ def write_cached(path: Path, instrument: Instrument, urdf: Path, meshes: Mapping
     if shaft is not None:
         arrays |= {"shaft_point": shaft.point, "shaft_direction": shaft.direction}
         document["shaft"] = [shaft.radius, shaft.distal_end, shaft.proximal_end]
-    write_kept(path, document, arrays)
-
-
-def write_kept(path: Path, document: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write values and arrays to a file of the cache; failure to write is ignored."""
     with contextlib.suppress(DvrkCmaesError, OSError):
         write_arrays(path, document, arrays)
 

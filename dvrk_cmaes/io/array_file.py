@@ -44,7 +44,7 @@ def write_arrays(path: Path, document: Mapping[str, Any], arrays: Mapping[str, N
     write_bytes(path, _START.pack(_MARK, len(following), zlib.crc32(following), len(header)) + following)
 
 
-def map_arrays(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def read_arrays(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read a file that `write_arrays` wrote; returns its document and its arrays, which cannot be written to.
 
     The arrays lie in one block of memory. A mapping of the file would end the process where the file is cut later.

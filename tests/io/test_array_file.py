@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dvrk_cmaes.io.mapped_arrays import UNUSABLE, map_arrays, write_arrays
+from dvrk_cmaes.io.array_file import UNUSABLE, read_arrays, write_arrays
 
 ARRAYS = {
     "points": np.arange(12, dtype=np.float64).reshape(4, 3),
@@ -27,7 +27,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_arrays_and_values_are_read_back(path: Path) -> None:
-    document, arrays = map_arrays(path)
+    document, arrays = read_arrays(path)
     assert document == {"error": 0.25, "names": ["a", "b"]}
     assert list(arrays) == list(ARRAYS)
     for name, array in ARRAYS.items():
@@ -36,7 +36,7 @@ def test_arrays_and_values_are_read_back(path: Path) -> None:
 
 
 def test_arrays_are_aligned_and_cannot_be_written_to(path: Path) -> None:
-    _, arrays = map_arrays(path)
+    _, arrays = read_arrays(path)
     assert not arrays["points"].flags.owndata
     assert arrays["points"].ctypes.data % 64 == 0
     with pytest.raises(ValueError, match="read-only"):
@@ -49,7 +49,7 @@ def test_arrays_are_aligned_and_cannot_be_written_to(path: Path) -> None:
     ids=["replaced", "cut in place"],
 )
 def test_file_that_changes_does_not_change_what_was_read(path: Path, change: Callable[[Path], object]) -> None:
-    _, arrays = map_arrays(path)
+    _, arrays = read_arrays(path)
     change(path)
     np.testing.assert_array_equal(arrays["points"], ARRAYS["points"])
 
@@ -58,7 +58,7 @@ def test_file_that_changes_does_not_change_what_was_read(path: Path, change: Cal
 def test_cut_off_file_is_refused(path: Path, length: int) -> None:
     path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(UNUSABLE):
-        map_arrays(path)
+        read_arrays(path)
 
 
 @pytest.mark.parametrize("at", [0, 9, 20, 30, 60, -70])
@@ -67,9 +67,9 @@ def test_changed_byte_is_found(path: Path, at: int) -> None:
     data[at] ^= 0x10
     path.write_bytes(data)
     with pytest.raises(UNUSABLE):
-        map_arrays(path)
+        read_arrays(path)
 
 
 def test_missing_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
-        map_arrays(tmp_path / "none.arrays")
+        read_arrays(tmp_path / "none.arrays")
