@@ -15,25 +15,11 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
+from measure.fuzz.families import QUICK
+
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.io.bundled import bundled_path
 
-QUICK: Final = """seed = 1
-[search]
-samples = 64
-starts = 1
-evaluations = 20
-spares = 2
-unread_spares = 1
-free_share = 0.15
-width_px = 80
-[refine]
-first_steps = 1
-small_modes = 2
-small_steps = 20
-half_size_modes = 1
-modes = 1
-"""
 _CAMERA: Final = "--camera session/camera.yaml"
 _CONFIG: Final = "--config quick.toml"
 COMMANDS: Final = (
