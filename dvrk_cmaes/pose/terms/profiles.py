@@ -86,7 +86,9 @@ class Profiles(Approximation):
 
     @classmethod
     def joined(cls, groups: Sequence[Self]) -> Self:
-        """Return the profiles of several groups of outlines together."""
+        """Return the profiles of several groups of outlines together; those of a single group are not copied."""
+        if len(groups) == 1:
+            return groups[0]
         lengths = np.concatenate([np.diff(group.begin) for group in groups])
         return replace(
             groups[0],
