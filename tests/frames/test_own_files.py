@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -30,12 +29,12 @@ COMMANDS = {
 
 
 @pytest.fixture(autouse=True)
-def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The bundled session, in the working folder, beside a folder with the same files."""
     monkeypatch.chdir(tmp_path)
     shutil.copytree(DEMO, "session")
     shutil.copytree(DEMO, "elsewhere")
-    yield Path("session")
+    return Path("session")
 
 
 def linked(place: str, target: str | None = None) -> Path:
@@ -50,7 +49,7 @@ def linked(place: str, target: str | None = None) -> Path:
 @pytest.mark.parametrize("place", PLACES)
 def test_link_that_leaves_the_session_is_refused_by_name(place: str) -> None:
     path = linked(place)
-    with pytest.raises(InputError, match="a link that leaves it, to .*elsewhere.*--follow-links") as refused:
+    with pytest.raises(InputError, match=r"a link that leaves it, to .*elsewhere.*--follow-links") as refused:
         read_session("session")
     assert str(refused.value).startswith(f"{Path.cwd() / path}: ")
 
