@@ -102,6 +102,9 @@ class Bus:
             def create_publisher(self, kind: type, topic: str, depth: int) -> Publisher:
                 return Publisher(kind, topic)
 
+            def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
+                return [("/left/image", ["sensor_msgs/msg/Image"]), ("/tf", ["tf2_msgs/msg/TFMessage"])]
+
             def destroy_node(self) -> None:
                 assert not bus.open
 
