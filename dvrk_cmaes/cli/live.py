@@ -235,9 +235,10 @@ def live(
         def given(arm: str, body: Body) -> SessionCalibration | None:
             return read_calibration_of(calibration, body, instrument.arm, arm, doubtful=doubtful_session)
 
-        with TemporaryDirectory() as scratch:
+        with TemporaryDirectory() as scratch, _shown() as shown:
             recorded = Rehearsed.read(rehearse, psm[0], instrument, cameras, Path(scratch))
-            lines, ok = play(recorded, camera_frame, method.resolve(), lag=lag, calibration=given, overlay=overlay)
+            options: dict[str, Any] = {"lag": lag, "calibration": given, "overlay": overlay, "show": shown}
+            lines, ok = play(recorded, camera_frame, method.resolve(), **options)
         show(lines)
         return 0 if ok else _DOUBTFUL
     if len(set(psm)) < len(psm):

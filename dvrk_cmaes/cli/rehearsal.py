@@ -174,7 +174,7 @@ class Stage:
     ``poses`` (4, 4) and ``statuses`` are by arm and time, ns.
     """
 
-    stamp: int = 0
+    stamp: int
     name: str = "rehearsal"
     receivers: dict[str, Receive] = field(default_factory=dict)
     published: Counter[str] = field(default_factory=Counter)
@@ -236,6 +236,7 @@ def play(
     lag: float | None = None,
     calibration: CalibrationOf = lambda arm, body: None,
     overlay: bool = False,
+    show: Callable[[Callable[[], str]], None] = lambda text: None,
 ) -> tuple[list[Line], bool]:
     """Play a recording through the loop, and follow it as ``track --causal``; returns lines, and whether all are ok.
 
@@ -244,7 +245,7 @@ def play(
     InputError
         A file of a frame is wrong.
     """
-    stage, lines = Stage(), list[Line]()
+    stage, lines = Stage(recorded.stamps[0]), list[Line]()
     with ExitStack() as stack:
 
         def solver(arm: str) -> SolverProcess | None:
@@ -264,20 +265,19 @@ def play(
         rig = next(iter(recorded.arms.values())).session.rig
         setup = LiveSetup(recorded.topics, tuple(arms), config, lag, rig, overlay=overlay, waits=True)
         say = RepeatedLines(note)
-        loop = setup.loop(Inputs(setup.topics, say, now=lambda: stage.now), stage, say)
+        loop = setup.loop(Inputs(setup.topics, say, now=lambda: stage.now), stage, say, show)
         for stamp, messages in recorded.messages():
             stage.send(stamp, messages)
             loop.turn()
         counts = loop.counts
-    lines.append(
-        Line(
-            f"{counts.followed} images followed, {counts.published} results published, {counts.refused} refused", "bold"
-        )
-    )
+    done = f"{counts.followed} images followed, {counts.published} results published, {counts.refused} refused"
+    lines.append(Line(done, "bold"))
+    note("following the recording as track --causal")
     lines += [Line(f"{topic}: {count}") for topic, count in sorted(stage.published.items()) if count]
     for arm in recorded.arms:
         lines += _compared(recorded, arm, stage, config, lag, calibration)
-    return lines, all(status == "ok" for of_arm in stage.statuses.values() for status in of_arm.values())
+    ok = all(stage.statuses[arm].get(stamp) == "ok" for arm in recorded.arms for stamp in recorded.stamps)
+    return lines, ok
 
 
 def _compared(
@@ -310,11 +310,7 @@ def _compared(
         return [Line(f"{arm}: no poses")]
     median, largest = np.median(apart), np.max(apart)
     return [
-        Line(
-            f"{arm}: {len(apart)} poses, {ok} ok, {tracker.base_state}"
-            if solver
-            else f"{arm}: {len(apart)} poses, {ok} ok"
-        ),
+        Line(f"{arm}: " + ", ".join(filter(None, (f"{len(apart)} poses", f"{ok} ok", tracker.base_state)))),
         Line(f"{arm}: track --causal has the same status in {same} of {tracked} images"),
         Line(f"{arm}: its poses differ by {median:.2g} standard deviations (median), {largest:.2g} at most"),
     ]

@@ -26,9 +26,9 @@ def get_message(kind: str) -> type:
         kinds["level"] = "octet"  # rosbags has uint8
 
     class Message:
-        def __init__(self) -> None:
+        def __init__(self, **fields: Any) -> None:
             for name, one in kinds.items():
-                setattr(self, name, _default(one))
+                setattr(self, name, fields.get(name, _default(one)))
 
         def __setattr__(self, name: str, value: Any) -> None:
             assert name in kinds, name
@@ -119,9 +119,18 @@ class Bus:
                 time.sleep(0.01)
 
         contents: dict[str, dict[str, Any]] = {
-            "rclpy": {"Context": Context, "create_node": lambda name, context: Node()},
+            "rclpy": {
+                "Context": Context,
+                "create_node": lambda name, context=None: Node(),
+                "init": lambda: None,
+                "spin": lambda node: None,
+            },
             "rclpy.executors": {"SingleThreadedExecutor": Executor},
-            "rclpy.qos": {"QoSProfile": dict, "ReliabilityPolicy": type("Policy", (), {"BEST_EFFORT": 2})},
+            "rclpy.qos": {
+                "QoSProfile": dict,
+                "ReliabilityPolicy": type("Policy", (), {"BEST_EFFORT": 2}),
+                "qos_profile_sensor_data": {},
+            },
             "rosidl_runtime_py": {},
             "rosidl_runtime_py.utilities": {"get_message": get_message},
         }
