@@ -274,7 +274,8 @@ def live(
             )
             if folder is not None:
                 stack.enter_context(output(folder, "live", owns=False)).refuse((SESSION,))
-        setup = LiveSetup(inputs, tuple(arms), method.resolve(), lag, rig, rectified, overlay)
+        origin = time.time_ns()
+        setup = LiveSetup(inputs, tuple(arms), method.resolve(), lag, rig, rectified, overlay, origin=origin)
         connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
         prepare_long_run()
         stop = stack.enter_context(_stopped(seconds))

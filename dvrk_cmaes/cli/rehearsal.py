@@ -153,10 +153,15 @@ class Rehearsed:
         """The times of the frames as they are sent, ns."""
         return [self._stamp(time) for time in self._times]
 
-    def _stamp(self, time: float) -> int:
-        """Return a time, s, as it is sent, ns: a second later, since a time of 0 is none, and later if it is before."""
+    @cached_property
+    def origin(self) -> int:
+        """The time, ns, by which what is sent is later: a second, since a time of 0 is none, or more, before that."""
         first = min(0.0, *self._times[:1], *(row[0] for row in self._rows[:1]))
-        return round(time * NANOSECONDS) + (1 - math.floor(first)) * NANOSECONDS
+        return (1 - math.floor(first)) * NANOSECONDS
+
+    def _stamp(self, time: float) -> int:
+        """Return a time, s, as it is sent, ns."""
+        return round(time * NANOSECONDS) + self.origin
 
 
 def _image(stamp: int, array: NDArray[np.uint8]) -> dict[str, Any]:
@@ -263,7 +268,9 @@ def play(
             for arm, own in recorded.arms.items()
         ]
         rig = next(iter(recorded.arms.values())).session.rig
-        setup = LiveSetup(recorded.topics, tuple(arms), config, lag, rig, overlay=overlay, waits=True)
+        setup = LiveSetup(
+            recorded.topics, tuple(arms), config, lag, rig, overlay=overlay, waits=True, origin=recorded.origin
+        )
         say = RepeatedLines(note)
         loop = setup.loop(Inputs(setup.topics, say, now=lambda: stage.now), stage, say, show)
         for stamp, messages in recorded.messages():

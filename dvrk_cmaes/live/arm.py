@@ -83,6 +83,8 @@ class LiveArm:
         Makes, for cameras, a function that draws a result over the image of the first eye; None to publish no overlay.
     beside
         Is called before and after each step; its state is published.
+    origin
+        The time, ns, from which those of the tracker are counted: seconds since 1970 have few digits left.
     """
 
     def __init__(
@@ -95,6 +97,7 @@ class LiveArm:
         *,
         draw: Callable[[Rig], DrawOverlay] | None = None,
         beside: Beside | None = None,
+        origin: int = 0,
     ) -> None:
         self.name, self.state = name, "waiting for the camera"
         self.poses = self.ok = self.published = 0
@@ -103,7 +106,7 @@ class LiveArm:
         self._make_tracker, self._make_drawing = make_tracker, draw
         self._outputs, self._report, self._now, self._beside = outputs, report, now, beside
         self._reason, self._ros1, self._told = "", False, now()
-        self._failures = 0
+        self._failures, self._origin = 0, origin
 
     def begin(self, rig: Rig) -> None:
         """Follow anew, by these cameras."""
@@ -123,7 +126,7 @@ class LiveArm:
             try:
                 if abs(ahead) > LONGEST_GAP:
                     raise InputError(f"{one.topic}: readings {ahead:+.1f} s from the images are left out")
-                self._tracker.add_readings(one.time / NANOSECONDS, one.joints)
+                self._tracker.add_readings((one.time - self._origin) / NANOSECONDS, one.joints)
             except InputError as error:
                 left_out += 1
                 self._report(str(error))
@@ -151,7 +154,7 @@ class LiveArm:
         return True, False
 
     def _follow(self, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]) -> None:
-        seconds = frame.time / NANOSECONDS
+        seconds = (frame.time - self._origin) / NANOSECONDS
         if self._beside is not None:
             self._beside.before_step(seconds)
         masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)

@@ -55,7 +55,7 @@ class LiveSetup:
 
     ``rig`` is used instead of the topics' cameras if given; ``rectified`` says which of the topics' matrices is used.
     ``overlay`` publishes an overlay of each image. ``waits`` uses each solution a fixed time of images after its
-    keyframes, for which steps wait, instead of as soon as it is there.
+    keyframes, for which steps wait, instead of as soon as it is there. Trackers count time from ``origin``, ns.
     """
 
     topics: InputTopics
@@ -66,6 +66,7 @@ class LiveSetup:
     rectified: bool = False
     overlay: bool = False
     waits: bool = False
+    origin: int = 0
 
     def arm(self, own: ArmSetup, inputs: Inputs, connection: Connection, report: Report) -> LiveArm:
         """Return an arm that publishes on a connection."""
@@ -98,6 +99,7 @@ class LiveSetup:
             inputs.now,
             draw=partial(_drawing, own.body, solutions) if self.overlay else None,
             beside=solutions,
+            origin=self.origin,
         )
 
     def loop(

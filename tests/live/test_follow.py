@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+import sys
 import threading
 from collections.abc import Iterator
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes import prepare
 from dvrk_cmaes.cli import live as cli_live
+from dvrk_cmaes.cli.terminal import note
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.bundled import bundled_path
@@ -151,6 +154,26 @@ def test_command_without_a_server_says_so(
     )
     assert waited.code == 1
     assert waited.err.count("dvrk-cmaes: 0 images; waiting for the camera\n") > 2
+
+
+def test_state_is_renewed_in_one_line_of_a_terminal_below_other_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(cli_live, "_RENEWED", 0.0)
+    monkeypatch.setenv("TERM", "xterm")
+    with cli_live._shown() as shown:
+        shown(lambda: "1 image")
+        shown(lambda: "2 images")
+        note("a line")
+        shown(lambda: "3 images")
+    written = terminal.getvalue()
+    assert written.index("2 images") < written.index("dvrk-cmaes: a line\n") < written.index("3 images")
+    assert "\n" not in written[: written.index("dvrk-cmaes: a line")]
+    assert "\x1b[2K" in written
 
 
 def test_node_of_ros_2_is_used_on_request(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
