@@ -35,7 +35,7 @@ DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", ".github/SECURITY.md")),
     *(PAGES / f"{name}.md" for name in REFERENCE),
 ]
-MOST_LINES = 250
+MOST_LINES = 200
 
 
 def section(text: str, title: str) -> str:
@@ -66,7 +66,8 @@ def test_readme_is_short() -> None:
 
 
 def test_reference_pages_are_linked_and_help_topics() -> None:
-    linked = re.findall(r"^\| \[(\w+)\]\(data/reference/(\w+)\.md\) \|", README, flags=re.MULTILINE)
+    rows = re.findall(r"^\| (\[\w+\]\(data/reference/.*?\)) \|", README, flags=re.MULTILINE)
+    linked = [pair for row in rows for pair in re.findall(r"\[(\w+)\]\(data/reference/(\w+)\.md\)", row)]
     assert all(text == page for text, page in linked)
     assert {page for _, page in linked} == set(REFERENCE) == set(topic_pages())
 
