@@ -137,8 +137,10 @@ def test_commands_run_as_printed(example: Example, request: pytest.FixtureReques
 
 
 def make_way(command: str) -> None:
-    """Remove the session that an earlier line of the block, or the page, made under the same name."""
+    """Remove what the command makes: a session of an earlier line of the block or page, or the truth of a made one."""
     tokens = shlex.split(command)
+    if "record" in tokens:
+        Path("session/golden.json").unlink()
     if "import" in tokens:
         shutil.rmtree(tokens[tokens.index("--out") + 1], ignore_errors=True)
 
