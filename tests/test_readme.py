@@ -74,8 +74,12 @@ def test_reference_pages_are_linked_and_help_topics() -> None:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_links_to_files_are_valid(document: Path) -> None:
-    links = re.findall(r"\]\(([^)#][^)]*)\)", document.read_text(encoding="utf-8"))
-    assert not [link for link in links if "://" not in link and not (document.parent / link).is_file()]
+    links = [link for link in re.findall(r"\]\(([^)]+)\)", document.read_text(encoding="utf-8")) if "://" not in link]
+    for path, _, anchor in (link.partition("#") for link in links):
+        target = document.parent / path if path else document
+        assert target.is_file(), path
+        headings = re.findall(r"^#+ (.+)$", target.read_text(encoding="utf-8"), re.MULTILINE) if anchor else []
+        assert anchor in ["", *(re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in headings)], anchor
 
 
 def test_picture_is_linked() -> None:
