@@ -95,8 +95,9 @@ def test_shown_commands_exist() -> None:
 def test_named_options_exist() -> None:
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9_-]*", MANUAL))
     of_others = {"--local-dir", "--multimask_output", "--once"}  # of the makers of SAM 2 exports, and of ros2 topic
-    of_script = set(re.findall(r'"(--[a-z-]+)"', (ROOT / "scripts" / "run_benchmark.py").read_text(encoding="utf-8")))
-    assert named - of_others <= {*options(app), *of_script, "--help"}
+    scripts = [ROOT / "scripts" / f"{name}.py" for name in ("run_benchmark", "accuracy", "bench")]
+    of_scripts = {name for path in scripts for name in re.findall(r'"(--[a-z-]+)"', path.read_text(encoding="utf-8"))}
+    assert named - of_others <= {*options(app), *of_scripts, "--help"}
 
 
 def test_named_scripts_exist() -> None:
