@@ -31,8 +31,7 @@ NAMED: Final = {
         pose/refine/gauss_newton.py:refine              pose/refine/direct.py:_coordinate_descent
         calibration/solve.py:solve                      calibration/solve.py:solve_with_modes
         calibration/variances.py:solve_with_variances   calibration/alternation.py:Alternation.iterate
-        calibration/mask_margin.py:_linearised          calibration/camera_change.py:estimate_camera
-        calibration/rig_estimate.py:_estimated          calibration/lag.py:LagRefiner.refine_value
+        calibration/constants.py:linearise              calibration/lag.py:LagRefiner.refine_value
         track/update.py:OutlineUpdate.__call__""",
     "drivers of a fit": """
         calibration/frame_fit.py:fit_frame              calibration/frame_fit.py:fit_predicted

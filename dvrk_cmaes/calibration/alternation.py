@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.cable_estimate import CableEstimate
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, choose_modes, find_consensus
+from dvrk_cmaes.calibration.constants import few_of
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
-from dvrk_cmaes.calibration.few_frames import few_of
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_reports import (
     check_agreement,

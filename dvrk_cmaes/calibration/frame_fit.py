@@ -13,18 +13,17 @@ from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
-from dvrk_cmaes.geometry import Posed, adjoint, inverse
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.selection import Selection
-from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera, of_margin
+from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.shared_errors import side_deviation
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView, overlap
-from dvrk_cmaes.silhouette import OutlinePoints
 
 Float64 = NDArray[np.float64]
 
@@ -33,26 +32,6 @@ _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
 _FREE_STEPS = Steps(12, inner=3, tested="none", largest=4.0)  # of a fit from a pose that is nearly right
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
-
-
-PER_VIEW = 6
-"""Unknowns of a further view in `terms_of_rig`: rotation, baseline, focal length and margin."""
-
-
-@dataclass(frozen=True, eq=False)
-class SeenBy:
-    """How a view of a frame is taken to see it: ``camera``, ``place`` (4, 4), m, and ``margin`` of its mask, px.
-
-    ``number`` is that of the view among the ``further`` ones of the rig, None of the first one; ``size`` is the width
-    of its images in that of the first one's.
-    """
-
-    camera: Camera
-    place: Float64
-    margin: float
-    number: int | None
-    further: int
-    size: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,76 +287,6 @@ def _coverage(
 def _noise(coverage: Coverage, own_estimate: OwnEstimate, cameras: Sequence[Camera] | None) -> float:
     """Measure the noise at the own estimate, whose cameras may be other ones, as in `fit_frame`."""
     return (coverage if cameras is None else coverage.with_cameras(cameras)).noise_at(own_estimate.at)
-
-
-def terms_of_constants(
-    view: FrameView,
-    config: EstimateConfig,
-    fitted: Posed,
-    own_estimate: OwnEstimate,
-    camera: Camera,
-    margin: float,
-) -> Quadratic:
-    """Compute the outline's terms about a pose and about what all frames share: the camera and the masks' margin.
-
-    ``fitted`` is the pose with the camera ``camera``, whose image has the evidence's size, and the mask less ``margin``
-    px; the view has the evidence's own camera. ``own_estimate`` is that of this view alone. Four further unknowns are
-    those of `of_camera` and the margin, px; the last ones are the errors that last, as in `FrameFit`. Other errors that
-    parts of one mask share are eliminated.
-    """
-    noise = own_estimate.residual
-    noise = _noise(_coverage([view], config, own_estimate), own_estimate, None) if noise is None else noise
-    coverage = _coverage([view], config, own_estimate, margins=[margin]).with_cameras([camera]).with_noise(noise)
-
-    def constants(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
-        return np.column_stack([of_camera(coverage.views[number], outline), of_margin(outline)])
-
-    return coverage.near_with_lasting(fitted, own_estimate.noises, constants, as_seen=config.session.shadows)
-
-
-def terms_of_rig(
-    views: Sequence[FrameView],
-    config: EstimateConfig,
-    fitted: Posed,
-    own_estimate: OwnEstimate,
-    seen: Sequence[SeenBy],
-) -> Quadratic:
-    """Compute the outlines' terms about a pose, and about what all frames share of their views.
-
-    ``fitted`` is the pose in the rig of the views, which ``seen`` describes. The noise is measured there, or at the own
-    estimate where it is less: in a wrong rig, no pose fits all views. The unknowns beside the pose are those of the
-    camera and of the margin, as in `terms_of_constants`, and for each of the rig's further views its rotation about the
-    first camera's axes, rad, the logarithms of its baseline and its focal length, and by how much its margin, px, is
-    larger.
-    """
-    outline = replace(config.refine.outline, cauchy=config.session.cauchy)
-    sized = [SizedView(view, blur=outline.blur, margin=by.margin) for view, by in zip(views, seen, strict=True)]
-    here = OwnEstimate.of(views, fitted)
-    noises = [min(pair, key=lambda noise: noise.sigma) for pair in zip(own_estimate.noises, here.noises, strict=True)]
-    coverage = Coverage(sized, outline, correlations=[noise.length for noise in noises])
-    (drawn,) = coverage.draw(Posed.stacked([fitted]))
-    noise = sum(coverage.final_losses(drawn))
-    coverage = coverage.with_noise(noise if own_estimate.residual is None else min(noise, own_estimate.residual))
-
-    def constants(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
-        view, by = coverage.views[number], seen[number]
-        of_lens, of_mask = of_camera(view, points), of_margin(points)
-        columns = np.zeros((len(of_mask), 4 + PER_VIEW * by.further))
-        columns[:, :4] = np.column_stack([of_lens * [1.0, by.size, by.size], of_mask])
-        if by.number is not None:
-            first = 4 + PER_VIEW * by.number
-            moving = np.column_stack([adjoint(inverse(fitted.pose))[:, 3:], _by_baseline(fitted, by.place)])
-            columns[:, first : first + 4] = by_pose[:, :6] @ moving
-            columns[:, first + 4] = of_lens[:, 0]
-            columns[:, first + 5] = of_mask
-        return columns
-
-    return coverage.near_without_shared(fitted, noises, constants, drawn)
-
-
-def _by_baseline(at: Posed, place: Float64) -> Float64:
-    """Return the small changes (6,) of a pose that move it in a view as the logarithm of the view's baseline does."""
-    return np.concatenate([(place[:3, :3] @ at.pose[:3, :3]).T @ place[:3, 3], np.zeros(3)])
 
 
 def _limits(readings: Readings) -> Readings:

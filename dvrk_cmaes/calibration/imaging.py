@@ -13,17 +13,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.camera_change import SessionOutlines, estimate_camera
+from dvrk_cmaes.calibration.constants import Constant, SessionOutlines
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors, LastingSize
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
-from dvrk_cmaes.calibration.mask_margin import estimate_margin
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.rig_estimate import RigOutlines, estimate_rig
-from dvrk_cmaes.calibration.session_camera import CameraCheck, check_camera
-from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks, margins_of
-from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
+from dvrk_cmaes.calibration.rig_estimate import ViewDifference, estimate_rig
+from dvrk_cmaes.calibration.session_camera import (
+    CameraChange,
+    CameraCheck,
+    check_camera,
+    estimate_camera,
+    file_deviations,
+)
+from dvrk_cmaes.calibration.session_masks import Margin, MaskMargin, SessionMasks, estimate_margin, margins_of
+from dvrk_cmaes.calibration.session_rig import FEWEST, ViewRotation, changes_of
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera.rig import ViewChange
 from dvrk_cmaes.config import SessionConfig
@@ -115,29 +120,32 @@ class FittedSession:
         calibration, at
             The calibration and the frames' poses with the present change.
         """
-        estimate = estimate_camera(
-            self.model,
-            calibration,
-            self.prior,
-            self.config,
-            at,
-            self.outlines(),
-            start=self.imaging.change,
-            passes=_CAMERA_PASSES,
-        )
+        of_all = self.model, calibration, self.prior, self.config, at
+        estimate = estimate_camera(*of_all, self.outlines(), passes=_CAMERA_PASSES)
         return Estimated(replace(self.imaging, change=estimate.change), estimate.calibration, estimate.at)
 
     @property
-    def rig_outlines(self) -> RigOutlines | None:
+    def rig_outlines(self) -> SessionOutlines | None:
         """Outlines that tell what the further views differ in from the file; None without enough of them."""
         if not self.imaging.rig:
             return None
-        used = np.array([fit.explains_mask and stored.in_reference for fit, stored in self._fitted()])
+        used = [fit.explains_mask and stored.in_reference for fit, stored in self._fitted()]
+        counts: dict[str, int] = {}
+        for stored, counted in zip(self.stored, used, strict=True):
+            for view in stored.views[1:] if counted else ():
+                counts[view.name] = counts.get(view.name, 0) + 1
         turned = {name: change.rotation for name, change in changes_of(self.imaging.rig).items()}
-        outlines = RigOutlines(self.stored, used, self.run, turned)
-        return outlines if outlines.names else None
+        of_views = [
+            ViewDifference(name, turned.get(name, np.zeros(3))) for name, count in counts.items() if count >= FEWEST
+        ]
+        views = [tuple(range(len(one.views))) if own else () for one, own in zip(self.stored, used, strict=True)]
+        # each frame is taken to err by itself: what they share is the reason for the factor on standard deviations
+        common = CommonErrors.none(len(self.stored), len(self.fits[0].slope))
+        margin = MaskMargin(self.imaging.taken_off)
+        constants = (self._camera(file_tells=self.imaging.change is None), margin, *of_views)
+        return SessionOutlines(self.stored, views, self.run, common, constants) if of_views else None
 
-    def with_rig(self, calibration: Calibration, at: Posed, outlines: RigOutlines) -> Estimated:
+    def with_rig(self, calibration: Calibration, at: Posed, outlines: SessionOutlines) -> Estimated:
         """Estimate what the further views differ in from the file beside rotations, and use what is clear.
 
         Parameters
@@ -152,22 +160,11 @@ class FittedSession:
         InputError
             The lens distortion with the estimated focal length is not one-to-one over the image.
         """
-        estimate = estimate_rig(
-            self.model,
-            calibration,
-            self.prior,
-            self.config,
-            at,
-            outlines,
-            self.imaging.rig,
-            self.imaging.change,
-            self.imaging.taken_off,
-        )
+        estimate = estimate_rig(self.model, calibration, self.prior, at, outlines, self.imaging.rig)
         imaging = replace(self.imaging, rig=estimate.views)
         if not estimate.moved:
             return Estimated(imaging, calibration, None, undetermined=estimate.untold)
-        changes = outlines.further(estimate.changes)
-        return Estimated(imaging, estimate.calibration, estimate.at, changes, estimate.untold)
+        return Estimated(imaging, estimate.calibration, estimate.at, dict(estimate.changes), estimate.untold)
 
     def with_margins(self, calibration: Calibration, at: Posed) -> Estimated:
         """Estimate the margin of each view's masks, and take it off if it is clear.
@@ -178,14 +175,13 @@ class FittedSession:
             The calibration and the frames' poses with whole masks.
         """
         names = list(dict.fromkeys(view.name for stored in self.stored for view in stored.views))
-        found = [
-            estimate_margin(self.model, calibration, self.prior, self.config, at, self.outlines(name)) for name in names
-        ]
-        margins = tuple((name, estimate.margin) for name, estimate in zip(names, found, strict=True))
+        of_all = self.model, calibration, self.prior, at
+        found = [estimate_margin(*of_all, self.outlines(name, file_tells=True)) for name in names]
+        margins = tuple((name, margin) for name, (margin, _, _) in zip(names, found, strict=True))
         imaging = replace(self.imaging, margins=margins)
-        for estimate in found:
-            if estimate.margin.applied:
-                return Estimated(imaging, estimate.calibration, estimate.at)
+        for margin, with_margin, moved in found:
+            if margin.applied:
+                return Estimated(imaging, with_margin, moved)
         return Estimated(imaging, calibration, None)
 
     def check_camera(self, calibration: Calibration) -> CameraCheck:
@@ -201,19 +197,27 @@ class FittedSession:
             self.model, calibration, self.prior, self.config, at, self.outlines(), applied=self.imaging.change
         )
 
-    def outlines(self, view: str | None = None) -> SessionOutlines:
-        """Return the outlines of all frames in a view.
+    def outlines(self, view: str | None = None, *, file_tells: bool = False) -> SessionOutlines:
+        """Return the outlines of all frames in a view, as functions of the camera and the margin.
 
         Parameters
         ----------
         view
             Name of the view; by default that of the reference camera.
+        file_tells
+            Whether the camera's file counts as a measurement.
         """
         name = self._reference if view is None else view
-        views = [stored.number_of(name) if fit.explains_mask else None for fit, stored in self._fitted()]
+        numbers = [stored.number_of(name) if fit.explains_mask else None for fit, stored in self._fitted()]
+        views = [() if number is None else (number,) for number in numbers]
         masks = self.imaging.masks
-        margin = 0.0 if masks is None else masks.taken_off_in(name)
-        return SessionOutlines(self.stored, views, self.run, self.common, margin)
+        margin = MaskMargin(0.0 if masks is None else masks.taken_off_in(name))
+        constants = self._camera(file_tells=file_tells), margin
+        return SessionOutlines(self.stored, views, self.run, self.common, constants)
+
+    def _camera(self, *, file_tells: bool) -> Constant:
+        """Return the change of the camera as a constant that starts where it is."""
+        return CameraChange(file_deviations(self.config) if file_tells else None, self.imaging.change)
 
     @property
     def _reference(self) -> str:
