@@ -34,7 +34,7 @@ NAMED: Final = {
         calibration/constants.py:linearise              calibration/lag.py:LagRefiner.refine_value
         track/update.py:OutlineUpdate.__call__""",
     "drivers of a fit": """
-        calibration/frame_fit.py:fit_frame              calibration/frame_fit.py:fit_predicted
+        calibration/frame_fit.py:fit_frame
         track/recorded_frames.py:fit_followed           track/quick_fit.py:quick_fit""",
     "predictions from readings": """
         calibration/prediction.py:fit_session_pose      track/predicted_image.py:PredictedImage

@@ -12,7 +12,6 @@ from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, USUAL_SIZE, Lasti
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
@@ -30,7 +29,6 @@ Float64 = NDArray[np.float64]
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
-_FREE_STEPS = Steps(12, inner=3, tested="none", largest=4.0)  # of a fit from a pose that is nearly right
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
 
@@ -106,6 +104,31 @@ class FrameFit:
         )
 
 
+@dataclass(frozen=True)
+class FitPreset:
+    """How a frame is fitted.
+
+    ``steps`` are those from the better start, after which the noise of the outlines is measured; None to fit from all
+    starts and from coarse to fine, with the noise at the frame's own estimate. ``confirmed`` tells then whether the
+    last step, shorter than the tolerance, is drawn and undone if it raises the loss. ``size`` is that of the errors
+    that last from frame to frame.
+    """
+
+    steps: Steps | None = None
+    confirmed: bool = False
+    size: LastingSize = USUAL_SIZE
+
+
+IN_SESSION = FitPreset()
+"""Fit of a frame of a session that is solved, which is fitted again in the next round."""
+
+OF_NEW_FRAME = FitPreset(confirmed=True)
+"""Fit of a single frame of a calibrated session."""
+
+FOLLOWED = FitPreset(Steps(12, inner=3, tested="none", largest=4.0), size=SINGLE_SIZE)
+"""Fit of an image that follows others, near the prediction: two or three steps are enough there, more are far off."""
+
+
 def fit_frame(
     views: Sequence[FrameView],
     readings: Readings,
@@ -116,9 +139,9 @@ def fit_frame(
     own_cameras: Sequence[Camera] | None = None,
     *,
     margins: Sequence[float] = (),
-    confirm: bool = True,
-) -> FrameFit:
-    """Fit a frame from several starts, and return the fit with the best score.
+    preset: FitPreset = IN_SESSION,
+) -> tuple[FrameFit, OwnEstimate]:
+    """Fit a frame from several starts; returns the fit with the best score, and what its outlines are measured by.
 
     Parameters
     ----------
@@ -134,64 +157,39 @@ def fit_frame(
         Starting poses, at least one.
     own_estimate
         The frame's estimate without the session. The noise of the outlines is measured from its residuals, to which
-        the session's prior has not contributed. If None, the noise is estimated during the fit.
+        the session's prior has not contributed. If None, the noise is estimated during the fit, and measured at its
+        end.
     own_cameras
         The views' cameras of ``own_estimate``, for images of the same size, where they are not those of the views.
     margins
         Margin of each view's mask, px, that is taken off it all round; none by default.
-    confirm
-        Whether the last step, shorter than the tolerance, is drawn and undone if it raises the loss.
+    preset
+        How the fit is found.
     """
-    shrinks = (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,)
+    terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
     at, count = Posed.stacked(starts), 0
+    if preset.steps is not None:
+        coverage = _coverage(views, config, None, 1, margins)
+        steps = replace(preset.steps, tolerance=config.refine.outline.tolerance)
+        (fit,) = refine(coverage, terms, Posed.stacked([_better_start(coverage, terms, starts)]), steps)
+        own = OwnEstimate.of(views, fit.at)
+        coverage = coverage.with_lengths(own.lengths)
+        coverage = coverage.with_noise(coverage.noise_at(own.at))
+        fit = replace(fit, drawn=coverage.draw(Posed.stacked([fit.at]))[0], drawn_at=fit.at)
+        count = coverage.silhouettes + len(views)
+        return _without_shared(fit, coverage, terms, own, own.iou, count, preset, config), own
     selection = Selection(config.refine.small_share, config.refine.small_gap, least=_KEPT)
-    for shrink in shrinks:
-        terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
+    for shrink in (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,):
         coverage = _coverage(views, config, own_estimate, shrink, margins)
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
-        steps = replace(Steps.of(config.refine.outline, shrink), tested="all" if confirm else "long")
+        steps = replace(Steps.of(config.refine.outline, shrink), tested="all" if preset.confirmed else "long")
         fits = sorted(refine(coverage, terms, at, steps, selection), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
     drawn = [view.silhouette(fits[0].at) for view in views]
-    if own_estimate is None:
-        pairs = zip(views, drawn, strict=True)
-        noises = tuple(measure_noise(view.evidence.contour, silhouette) for view, silhouette in pairs)
-    else:
-        noises = own_estimate.noises
-    own_iou = 0.0 if own_estimate is None else own_estimate.iou
-    iou, as_seen = overlap(views, drawn), config.session.shadows
-    return _without_shared(fits[0], coverage, terms, noises, iou, own_iou, count, as_seen=as_seen)
-
-
-def fit_predicted(
-    views: Sequence[FrameView],
-    readings: Readings,
-    config: EstimateConfig,
-    expected: Expected,
-    starts: Sequence[Posed],
-    *,
-    margins: Sequence[float] = (),
-) -> tuple[FrameFit, OwnEstimate]:
-    """Fit a frame that has no estimate of its own, but starts near the answer; arguments as of `fit_frame`.
-
-    Steps are taken from the better start, and not tested: where the prediction is near, two or three are enough, where
-    it is some millimetres off, more. The noise of the outlines is measured where they end, and the errors that masks
-    share are eliminated there. Also returns what was measured.
-    """
-    terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
-    coverage = _coverage(views, config, None, 1, margins)
-    at = Posed.stacked([_better_start(coverage, terms, starts)])
-    (fit,) = refine(coverage, terms, at, replace(_FREE_STEPS, tolerance=config.refine.outline.tolerance))
-    own = OwnEstimate.of(views, fit.at)
-    coverage = coverage.with_lengths(own.lengths)
-    coverage = coverage.with_noise(coverage.noise_at(own.at))
-    count = coverage.silhouettes + len(views)
-    as_seen = config.session.shadows
-    fit = replace(fit, drawn=coverage.draw(Posed.stacked([fit.at]))[0], drawn_at=fit.at)
-    fitted = _without_shared(fit, coverage, terms, own.noises, own.iou, own.iou, count, SINGLE_SIZE, as_seen=as_seen)
-    return fitted, own
+    own = own_estimate or OwnEstimate.drawn_as(views, fits[0].at, drawn)
+    return _without_shared(fits[0], coverage, terms, own, overlap(views, drawn), count, preset, config), own
 
 
 def _better_start(coverage: Coverage, terms: Sequence[Term], starts: Sequence[Posed]) -> Posed:
@@ -208,37 +206,33 @@ def _without_shared(
     fit: Fit,
     coverage: Coverage,
     terms: Sequence[Term],
-    noises: Sequence[OutlineNoise],
+    own: OwnEstimate,
     iou: float,
-    own_iou: float,
     evaluations: int,
-    size: LastingSize = USUAL_SIZE,
-    *,
-    as_seen: bool = False,
+    preset: FitPreset,
+    config: EstimateConfig,
 ) -> FrameFit:
     """Return a fit after one step by which the errors that the masks share are eliminated.
 
-    ``terms`` are those beside the ``coverage``, ``noises`` those of the views' contours, and ``size`` is that of the
-    errors that last from frame to frame; ``as_seen`` is as in `Coverage.near_with_lasting`, the others are as in
-    `FrameFit`. The step is taken from where the fit was drawn last, which is at most a small step away, if its outline
+    ``terms`` are those beside the ``coverage``; ``own`` is what the outlines are measured by, ``iou`` the overlap of
+    the fit. The step is taken from where the fit was drawn last, which is at most a small step away, if its outline
     was found there.
     """
     has_outlines = all(outline is not None for outline in fit.drawn.outlines)
     start, drawn = (fit.drawn_at, fit.drawn) if has_outlines else (fit.at, None)
-    lasting = coverage.near_with_lasting(start, noises, drawn=drawn, as_seen=as_seen)
-    own = 6 + len(start.joints)
-    outline = without_lasting(lasting, lasting.dimension - own, size)
+    lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, as_seen=config.session.shadows)
+    outline = without_lasting(lasting, lasting.dimension - (6 + len(start.joints)), preset.size)
     at, slope = stepped(start, outline, terms)
     return FrameFit(
         at,
         information=outline.information[0],
         slope=slope,
         lasting=_after(lasting, at.minus(start)),
-        side_px=side_deviation(noises[0]),
+        side_px=side_deviation(own.noises[0]),
         score=fit.score,
         evaluations=evaluations,
         iou=iou,
-        own_iou=own_iou,
+        own_iou=own.iou,
     )
 
 

@@ -184,7 +184,7 @@ def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, fl
 
 def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior."""
-    return fit_frame(
+    fit, _ = fit_frame(
         restored_views(body, task.stored, task.change),
         _of_instrument(body, config, {}),
         config,
@@ -193,8 +193,8 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
         task.stored.own,
         own_cameras=None if task.change is None else [view.stored.evidence.camera for view in task.stored.views],
         margins=task.margins,
-        confirm=False,
     )
+    return fit
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:
