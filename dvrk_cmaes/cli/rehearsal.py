@@ -69,7 +69,7 @@ class Rehearsed:
         source = Source.of(path, None, scratch, camera=camera.camera, joints=None, follow_links=False)
         arms, used = {}, None
         for name, tool in session_tools(source.folder, instrument).items():
-            own = source.read(tool, camera, DEFAULT_VIDEO, joints=(), reading=DEFAULT_READING)
+            own = source.read(tool, camera, DEFAULT_VIDEO, joints=(), reading=DEFAULT_READING, ahead=False)
             session, used = used_session(with_increasing_times(own.session)[0], None)
             arms[name or arm] = ArmInSession(session, own.body, own.kinematics)
         return Rehearsed(arms, used)
