@@ -62,11 +62,13 @@ class SessionTool:
         reading: ReadingOptions = DEFAULT_READING,
         video: SessionVideo | None = None,
         labelled: bool = False,
+        ahead: bool = True,
     ) -> ArmInSession:
         """Load the instrument, and read the session with the masks and readings of the tool.
 
-        Arguments as in `CameraOptions.read_session`.
+        Arguments as in `CameraOptions.read_session`. With ``ahead``, all images tell what lies over them.
         """
+        from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
         from dvrk_cmaes.frames.own_files import FOLLOWED
         from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER
         from dvrk_cmaes.runs.exchanged_tools import ArmInSession
@@ -84,8 +86,9 @@ class SessionTool:
             labelled=labelled,
             follow_links=self.follow_links,
         )
+        session = with_overlaid(session) if ahead else session
         for note in session.notes:
-            if note.startswith((COUNTS_DIFFER, FOLLOWED)):
+            if note.startswith((COUNTS_DIFFER, FOLLOWED, OVERLAID)):
                 warn(f"{folder}: {note}")
         return ArmInSession(session, body, self.options.kinematics)
 

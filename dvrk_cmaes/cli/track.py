@@ -205,7 +205,8 @@ def track(
         arms: dict[str, ArmInSession] = {}
         settings: dict[str, TrackSettings] = {}
         for name, tool in tools.items():
-            arm = source.read(tool, camera, recording, joints=None if joints == "none" else files, reading=reading)
+            own = None if joints == "none" else files
+            arm = source.read(tool, camera, recording, joints=own, reading=reading, ahead=not causal)
             timed, doubled = with_increasing_times(arm.session)
             if doubled:
                 warn(f"left out, for they have the time of the frame before: {listed(doubled)}")

@@ -101,14 +101,15 @@ class Source:
         *,
         joints: Sequence[Path] | None,
         reading: ReadingOptions,
+        ahead: bool,
     ) -> ArmInSession:
         """Read the session of a tool."""
         if self.video is None:
             if video != DEFAULT_VIDEO:
                 raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
-            return tool.read(self.folder, camera, joints=joints, reading=reading)
+            return tool.read(self.folder, camera, joints=joints, reading=reading, ahead=ahead)
         opened = video.open(self.video, camera.side)
-        return tool.read(self.folder, camera, joints=joints, reading=reading, video=opened)
+        return tool.read(self.folder, camera, joints=joints, reading=reading, video=opened, ahead=ahead)
 
 
 def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:

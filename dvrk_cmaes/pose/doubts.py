@@ -147,8 +147,8 @@ def doubts_of_tips(expected: ExpectedError, trust: TrustConfig) -> list[str]:
     if probability >= trust.least_probability:
         return []
     return [
-        f"tips not accurate: their expected error is {error:.1f} mm, so they are within {limit:g} mm with a probability "
-        f"of {probability:.2f}"
+        f"tips not accurate: their expected error is {error:.1f} mm, the probability that they are within {limit:g} mm "
+        f"{probability:.2f}"
     ]
 
 

@@ -48,6 +48,11 @@ class ReadingAt:
         """Whether all outer joints have a reading."""
         return not np.isnan(self.outer).any()
 
+    @property
+    def rates(self) -> Float64:
+        """Rates of the outer and the instrument's joints (4 + J,), per s; 0 where unknown."""
+        return np.asarray(np.nan_to_num(np.concatenate([self.outer_rate, self.joint_rate])))
+
 
 class ReadingRows:
     """Readings of joints in the order of their times, in arrays that grow as needed.
