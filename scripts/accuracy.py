@@ -66,7 +66,7 @@ from measure.accuracy.trust import trust_report
 from measure.accuracy.worlds import KINDS, worlds_report
 from measure.cases import Measurement, Run
 from measure.places import SHARED
-from measure.tables import Report, print_report, write_csv
+from measure.tables import Report, add_output_options, print_report, write_csv
 from worlds.table import worlds
 
 from dvrk_cmaes.calibration.document import read_calibration
@@ -85,7 +85,7 @@ def main() -> int:
     if options.quick:
         options.frames, options.cases = QUICK_FRAMES, QUICK_FRAMES // 2
         options.sessions = options.sessions[:1]
-    return print_report("accuracy.py", lambda: _report(options), as_json=options.json)
+    return print_report("accuracy.py", lambda: _report(options), as_json=options.json, kept=options.record)
 
 
 def _report(options: argparse.Namespace) -> Report:
@@ -119,7 +119,7 @@ def _parser() -> argparse.ArgumentParser:
         help="number of processes, with one thread each (default: %(default)s)",
     )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_output_options(parser)
     parser.add_argument(
         "--csv", type=Path, metavar="FILE", help="for errors and lies: file for the features of all estimates"
     )
