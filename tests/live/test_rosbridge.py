@@ -20,6 +20,8 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.live import arm as live_arm
+from dvrk_cmaes.live import loop as live_loop
 from dvrk_cmaes.live.arm import LiveArm
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveLoop
@@ -87,8 +89,10 @@ class Live:
 
 
 @pytest.fixture
-def live() -> Iterator[Live]:
+def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     """Connect a loop to a server and run it."""
+    for module in (live_arm, live_loop):
+        monkeypatch.setattr(module, "OLD", np.inf)  # the images' clock does not go with that of the computer
     server = RosbridgeServer()
     server.start()
     lines: list[str] = []

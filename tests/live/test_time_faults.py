@@ -76,6 +76,8 @@ class Live:
 @pytest.fixture
 def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     monkeypatch.setattr(live_arm, "_STATE_EVERY", 0.1)
+    for module in (live_arm, live_loop):
+        monkeypatch.setattr(module, "OLD", np.inf)  # the images' clock does not go with that of the computer
     monkeypatch.setattr(live_loop, "_WAIT", 0.02)
     wire, lines, trackers, errors = Wire(), list[str](), list[Follower](), list[Exception]()
 

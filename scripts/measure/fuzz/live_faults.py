@@ -164,7 +164,7 @@ class _Feed:
         self._world, self._report = world, report
         self._wire, self._lines, self._stop = _Wire(), _Lines(), threading.Event()
         self._frame, self._ahead = 0, 0.0  # s, by which the clocks of the messages were set
-        inputs = Inputs(TOPICS, self._lines, longest_silence=1e6)
+        inputs = Inputs(TOPICS, self._lines, longest_silence=1e6, now=lambda: self._frame / FRAMES_A_SECOND)
         inputs.subscribe(self._wire)
         outputs = Outputs(self._wire, FrameNames())
         arm = LiveArm("PSM1", lambda rig: _Follower(world, self), outputs, self._lines, inputs.now)
