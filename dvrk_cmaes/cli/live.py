@@ -235,7 +235,7 @@ def live(
         def given(arm: str, body: Body) -> SessionCalibration | None:
             return read_calibration_of(calibration, body, instrument.arm, arm, doubtful=doubtful_session)
 
-        with TemporaryDirectory() as scratch, _shown() as shown:
+        with TemporaryDirectory() as scratch, shown_state() as shown:
             recorded = Rehearsed.read(rehearse, psm[0], instrument, cameras, Path(scratch))
             options: dict[str, Any] = {"lag": lag, "calibration": given, "overlay": overlay, "show": shown}
             lines, ok = play(recorded, camera_frame, method.resolve(), **options)
@@ -243,6 +243,8 @@ def live(
         return 0 if ok else _DOUBTFUL
     if len(set(psm)) < len(psm):
         raise InputError(f"--psm: expected different arms, got {', '.join(psm)}")
+    if len(psm) > 1 and calibration is not None and not all((calibration / arm).is_dir() for arm in psm):
+        raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
     inputs = topics.of_arms(psm)
     names = {arm: FrameNames(arm, camera_frame, f"{arm}_base") for arm in psm}
     for of_arm in names.values():
@@ -279,7 +281,7 @@ def live(
         connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
         prepare_long_run()
         stop = stack.enter_context(_stopped(seconds))
-        shown = stack.enter_context(_shown())
+        shown = stack.enter_context(shown_state())
         connection.open(timeout=2.0)
         try:
             counts = follow(setup, connection, note, stop, show=shown, begin_within=math.inf if wait else _FIRST_IMAGE)
@@ -311,7 +313,7 @@ def _rig_of_files(camera: Path | None, right: Path | None, topics: InputTopics, 
 
 
 @contextmanager
-def _shown() -> Iterator[Callable[[Callable[[], str]], None]]:
+def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
     """Yield a function that shows the state: on a terminal in one line that is renewed, elsewhere in new lines."""
     last = time.monotonic()
 

@@ -310,6 +310,8 @@ class Inputs:
             }
             if needed:
                 whole[name] = [time for time, parts in self._parts[name].items() if needed <= parts.fields.keys()]
+        if not whole:
+            return None
         reference, *others = whole
         for time in sorted(whole[reference], reverse=True):
             near = {eye: min(whole[eye], key=lambda other: abs(other - time), default=0) for eye in others}

@@ -87,7 +87,9 @@ class RclpyConnection:
         return {topic: kinds[0] for topic, kinds in self._node.get_topic_names_and_types()}
 
     def advertise(self, topic: str, kind: str) -> None:
-        """Create a publisher."""
+        """Create a publisher, unless there is one."""
+        if topic in self._publishers:
+            return
         of_kind = self._type_of(_full(kind))
         self._publishers[topic] = self._node.create_publisher(of_kind, topic, 1), of_kind
 

@@ -164,6 +164,17 @@ def test_eye_that_is_silent_is_not_waited_for() -> None:
     assert list(again.masks["PSM1"]) == ["left", "right"]
 
 
+def test_images_without_the_masks_that_are_awaited_are_no_frames_and_no_error() -> None:
+    robot = Robot(MASKED, pair())
+    for k in range(40):
+        robot.clock.now = 100.0 + k / 10
+        robot.send("/left/image", image(k / 10, np.zeros((48, 64), np.uint8)))
+        robot.loop.turn()
+    assert robot.loop.counts.followed == robot.loop.counts.refused == 0
+    assert not any("cannot be read" in line for line in robot.lines)
+    assert any(line.startswith("/left/PSM1/mask: no message for") for line in robot.lines)
+
+
 def test_arms_take_turns_and_say_so_where_the_time_is_short() -> None:
     robot = Robot(MASKED, pair(), seconds=0.07)
     for k in range(40):

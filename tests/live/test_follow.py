@@ -165,7 +165,7 @@ def test_state_is_renewed_in_one_line_of_a_terminal_below_other_lines(monkeypatc
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setattr(cli_live, "_RENEWED", 0.0)
     monkeypatch.setenv("TERM", "xterm")
-    with cli_live._shown() as shown:
+    with cli_live.shown_state() as shown:
         shown(lambda: "1 image")
         shown(lambda: "2 images")
         note("a line")
@@ -192,12 +192,14 @@ def test_node_of_ros_2_is_used_on_request(capsys: pytest.CaptureFixture[str], mo
 
 
 def test_both_arms_and_eyes_are_subscribed_with_their_own_topics(
-    server: RosbridgeServer, capsys: pytest.CaptureFixture[str]
+    server: RosbridgeServer, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    arms = ("--psm", "PSM1", "PSM2", "--joints-topic", "/a/js", "/b/js", "--seconds", 1)
+    arms = ("--psm", "PSM1", "PSM2", "--joints-topic", "/a/js", "/b/js", "--seconds", 1, "--out", tmp_path / "out")
     eyes = ("--image-topic", "/l/image_raw/compressed", "--right-image-topic", "/r/image_raw/compressed")
-    masks = ("--mask-topic", "/l/a", "/l/b", "--right-mask-topic", "/r/a", "/r/b", "--lag", 0)
-    run_command(capsys, "live", *arms, *eyes, *masks, "--port", server.port)
+    masks = ("--mask-topic", "/l/a", "/l/b", "--right-mask-topic", "/r/a", "/r/b")
+    ran = run_command(capsys, "live", *arms, *eyes, *masks, "--port", server.port)
+    assert ran.code == 1
+    assert not (tmp_path / "out").exists()  # since nothing was found
     images = {f"/{eye}/image_raw/compressed" for eye in "lr"} | {f"/{eye}/{arm}" for eye in "lr" for arm in "ab"}
     readings = {"/a/js", "/b/js", "/PSM1/jaw/measured_js", "/PSM2/jaw/measured_js", "/ECM/measured_js"}
     assert set(server.subscribed) == images | readings | {"/l/camera_info", "/r/camera_info"}
@@ -229,6 +231,10 @@ def test_both_arms_and_eyes_are_subscribed_with_their_own_topics(
         (
             ("--image-topic", "/i", "--camera-right", "c.yaml"),
             "--camera-right: expected --camera and --right-image-topic with it",
+        ),
+        (
+            ("--image-topic", "/i", "--psm", "A", "B", "--mask-topic", "/m", "/n", "--session", "session.json"),
+            "--session: expected a folder with a session.json for each arm, got session.json",
         ),
         (
             ("--image-topic", "/i", "--rehearse", "s"),

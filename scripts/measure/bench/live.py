@@ -42,6 +42,7 @@ import psutil
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes.cli.live import shown_state
 from dvrk_cmaes.cli.options import DEFAULT_CAMERA, InstrumentOptions
 from dvrk_cmaes.cli.rehearsal import Rehearsed
 from dvrk_cmaes.config import EstimateConfig
@@ -141,7 +142,7 @@ def live_report(options: argparse.Namespace) -> Report:
         rig = next(iter(recorded.arms.values())).session.rig
         topics = compressed_topics(recorded)
         setup = LiveSetup(topics, tuple(arms), EstimateConfig(), options.lag, rig, overlay=options.overlay)
-        counts = follow(setup, connection, say, stop)
+        counts = follow(setup, connection, say, stop, show=stack.enter_context(shown_state()))
         used = time.process_time() - started
         figures = ours.recv()
         connection.close()
