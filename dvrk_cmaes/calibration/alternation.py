@@ -63,6 +63,8 @@ def initialised(state: SessionState) -> SessionState:
     """
     check_motion(state.model)
     if state.imaging.change is not None and (reason := untold(state.model)):
+        if state.problem.guessed_camera:
+            raise InputError(f"--camera: expected a camera file, which these frames do not replace: {reason}")
         raise InputError(f"--refine-camera: {reason}")
     state, consensus = _on_one_base(_less_lag(state))
     solution, _ = solve_with_modes(state.model, state.modes, consensus.calibration, state.problem.prior)

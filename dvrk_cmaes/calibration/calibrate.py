@@ -127,12 +127,13 @@ def calibrate_with_evidence(
     run: Run[Any, Any] | None,
     progress: Callable[[str, int], None],
     others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
+    guessed_camera: bool = False,
 ) -> tuple[SolvedSession, dict[str, Evidence]]:
     """Do what `calibrate_session` does, and also return what was found in the masks, for drawings.
 
     That is of the first view of each frame that was fitted, by name, without its image. ``others`` are the
     leave-one-out predictions of calibrations of the same frames with other instruments, by name of the instrument, or
-    why they were refused.
+    why they were refused. ``guessed_camera`` tells that the frames' camera is a guess, of which there is no file.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
@@ -150,7 +151,7 @@ def calibrate_with_evidence(
     rotations = rotations_of_session(frame.result for frame in usable)
     if turned := changes_of(rotations):
         usable = [with_changed_views(frame, turned, {}) for frame in usable]
-    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera)
+    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera, guessed_camera)
     state = solve_session(SessionState.of(problem, usable, rotations))
     if settings.session.masks_again:
         state = with_masks_again(state)

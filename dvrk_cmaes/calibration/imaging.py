@@ -92,6 +92,8 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     check = check_camera(*of_all, _outlines(state), applied=change)
     if check.camera is None:
         state = state.noted(undetermined=[check.undetermined])
+    elif problem.guessed_camera:
+        state = state.noted(remarks=[check.camera.describe_found(state.stored[0].camera)])
     elif check.camera.applied:
         state = state.noted(remarks=check.camera.contradictions(config))
     if change is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CAMERA,
+    DEFAULT_GUESSED_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_READING,
@@ -20,8 +20,8 @@ from dvrk_cmaes.cli.options import (
     MOST_WORKERS,
     OUTPUT,
     WORKERS,
-    CameraOptions,
     Flag,
+    GuessedCameraOptions,
     InstrumentOptions,
     MethodOptions,
     ReadingOptions,
@@ -58,7 +58,7 @@ def calibrate(
     instrument_candidates: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     reading: ReadingOptions = DEFAULT_READING,
-    camera: CameraOptions = DEFAULT_CAMERA,
+    camera: GuessedCameraOptions = DEFAULT_GUESSED_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -111,7 +111,7 @@ def calibrate(
     reading
         How files of readings are read.
     camera
-        Camera to use instead of the session's own.
+        Camera to use instead of the session's own. Without any, it is found as by --refine-camera.
     instrument
         The instrument, and the arm that carries it.
     method
@@ -286,7 +286,7 @@ def _calibrate_arm(
             target,
             alone=results,
             arm=arm.kinematics,
-            refine_camera=refine_camera,
+            refine_camera=refine_camera or session.guessed,
             config=settings,
             segment=segment,
             workers=count,
