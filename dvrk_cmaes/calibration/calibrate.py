@@ -18,7 +18,7 @@ from dvrk_cmaes.calibration.alternation import reported, with_lag_of_modes
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
 from dvrk_cmaes.calibration.imaging import checked_camera
-from dvrk_cmaes.calibration.instrument_test import CandidateFit, untold_instrument
+from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
@@ -210,7 +210,7 @@ def calibrate_with_evidence(
     )
     without_lag = lag.undetermined if lag.nowhere else ""
     tried = tuple(CandidateFit.of(*one, calibration.leave_one_out) for one in (others or {}).items())
-    if text := untold_instrument(tried, calibration.instrument):
+    if text := undetermined_instrument(tried, calibration.instrument):
         calibration = replace(calibration, untold=(*calibration.untold, text))
     unusual = unusual_insertion(calibration, settings.session)
     remarks = (*calibration.remarks, *([unusual] if unusual else []))

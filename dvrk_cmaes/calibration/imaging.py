@@ -57,7 +57,7 @@ def with_rig(state: SessionState, calibration: Calibration, at: Posed) -> Change
         estimate = estimate_rig(state.model, calibration, problem.prior, at, outlines, state.imaging.rig)
     except InputError as error:
         return state.noted(undetermined=[f"rig: {error}"]), calibration, None
-    state = replace(state, imaging=replace(state.imaging, rig=estimate.views)).noted(undetermined=estimate.untold)
+    state = replace(state, imaging=replace(state.imaging, rig=estimate.views)).noted(undetermined=estimate.undetermined)
     if not estimate.moved:
         return state, calibration, None
     frames = [

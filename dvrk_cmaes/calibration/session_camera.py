@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import (
     Constant,
-    DrawnOutline,
-    Seen,
+    OutlineOfView,
     SessionOutlines,
+    ViewAsSeen,
     inverse_information,
     linearise,
 )
@@ -74,11 +74,11 @@ class CameraChange(Constant):
         """Whether the outlines are not likely to have left the image."""
         return bool((np.abs(values) < _PLAUSIBLE * _WEAK_STD).all())
 
-    def seen(self, name: str, by: Seen, values: Float64) -> Seen:
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view with the changed camera."""
         return replace(by, camera=changed(by.camera, values * [1.0, by.size, by.size]))
 
-    def effect(self, outline: DrawnOutline) -> Float64:
+    def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of an outline's points by the change."""
         return of_camera(outline.view, outline.points) * [1.0, outline.size, outline.size]
 
@@ -249,7 +249,7 @@ def covariance_of_camera(change: SessionCamera | None, at: Posed, camera: Camera
     return covariance
 
 
-def untold(model: SessionModel) -> str | None:
+def camera_undetermined(model: SessionModel) -> str | None:
     """Say why a session cannot tell its camera; None if it can."""
     return _lacking(model, _MANY_FRAMES, "tell")
 
