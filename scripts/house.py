@@ -37,11 +37,10 @@ NAMED: Final = {
         calibration/frame_fit.py:fit_frame
         track/recorded_frames.py:fit_followed           track/quick_fit.py:quick_fit""",
     "predictions from readings": """
-        calibration/prediction.py:fit_session_pose      track/predicted_image.py:PredictedImage
-        track/calibrated_following.py:CalibratedFollowing runs/recorded_results.py:smooth_frames""",
+        calibration/prediction.py:fit_session_pose      track/prediction.py:Prediction""",
     "followers": """
         track/following.py:Following                    track/calibrated_following.py:CalibratedFollowing
-        runs/recorded_results.py:smooth_frames""",
+        runs/recorded.py:follow_window""",
 }
 """What there is of each kind, as FILE:NAME in dvrk_cmaes."""
 POSES: Final = re.compile(r"(camera|view|rig|base)_from_\w+|\w*_from_(root|base)|poses?|Posed")

@@ -33,6 +33,7 @@ from dvrk_cmaes.silhouette import Body, Renderer
 Float64 = NDArray[np.float64]
 
 EMPTY = "lost: the {source} shows nothing of the instrument"
+NO_READINGS = "no readings: none of the outer joints at the time of the image less the lag"
 _LEAST_SHOWN = 40  # px of mask, from which on a frame is fitted
 _ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
 
