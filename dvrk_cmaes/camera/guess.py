@@ -10,8 +10,8 @@ from dvrk_cmaes.camera.files import CameraFile
 from dvrk_cmaes.camera.model import Camera
 from dvrk_cmaes.errors import InputError
 
-USUAL: Final = 1.3
-"""Focal length in image widths: endoscopes of da Vinci systems have 0.8 to 1.8."""
+USUAL: Final = 1.5
+"""Focal length in image widths: endoscopes of da Vinci systems have 1.4 to 1.6, see the page `uncalibrated`."""
 
 _LEAST, _LARGEST = 0.3, 6.0  # image widths
 

@@ -276,7 +276,7 @@ def test_refined_camera_is_written_and_stated(command: Command, bundled_body: Bo
 
 
 def test_camera_without_a_file_is_found(command: Command, bundled_body: Body, tmp_path: Path) -> None:
-    """The guess has a focal length 19 % too short; frames are estimated again with what the first solution tells."""
+    """The guess has a focal length 6 % too short; frames are estimated again with what the first solution tells."""
     write_folder(tmp_path / "session", make_frames_in_memory(bundled_body, 10, level="clean")[2])
     (tmp_path / "session" / "camera.yaml").unlink()
     ran = command("calibrate", tmp_path / "session", "--out", tmp_path / "out", *QUICKLY)
