@@ -68,13 +68,15 @@ def _of_plotjuggler(name: str) -> str | None:
 
 
 def _one_time(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
-    """Join a column of seconds and one of nanoseconds."""
+    """Join a column of seconds and one of nanoseconds, where there is no column of times."""
+    if any(name.lower() in _TIMES for name in header):
+        return list(header), rows
     for name in header:
         match = _SECONDS.fullmatch(name)
         rest = None if match is None else next((match[1] + end for end in _REST if match[1] + end in header), None)
         if rest is None:
             continue
-        others = [other for other in header if other not in (name, rest, "time")]
+        others = [other for other in header if other not in (name, rest)]
         whole = [cells[name].isdecimal() and cells[rest].isdecimal() and len(cells[rest]) <= 9 for _, cells in rows]
         if all(whole):
             joined = (f"{cells[name]}.{cells[rest]:0>9}" for _, cells in rows)
