@@ -40,7 +40,14 @@ from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, ReadAs, frame_readings, read_joint_file
+from dvrk_cmaes.joints.reading import (
+    TIME_TOLERANCE,
+    JointFile,
+    NoneNearError,
+    ReadAs,
+    frame_readings,
+    read_joint_file,
+)
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
@@ -371,7 +378,7 @@ def _session_frames(
         try:
             found = frame_readings(files, name, time=time, tolerance=tolerance)
         except InputError as error:
-            frames.append(replace(frame, problem=str(error)))
+            frames.append(replace(frame, problem=str(error), unread=isinstance(error, NoneNearError)))
             continue
         frames.append(replace(frame, readings=found.readings, notes=found.notes))
         farthest = max((d for d in (farthest, found.farthest) if d is not None), default=None)

@@ -162,6 +162,13 @@ def _tracked(frames: Sequence[str], joints: str) -> Callable[[Path], Sequence[st
     return write
 
 
+def _recorded_before(folder: Path) -> Sequence[str]:
+    """Write a session whose first image is of a time before the readings, which is to be followed."""
+    session = _session(folder, ["0", "1", "2"], _rows([f"{10 + 0.02 * k:.2f}" for k in range(9)], "time"))
+    (session / "images.csv").write_text("frame,time\n0,9.0\n1,10.05\n2,10.1\n")
+    return ["track", "session", "--out", "tracks", "--no-video", "--no-page"]
+
+
 def _masked(pixels: Callable[[Image], Image | str | bytes], name: str, *more: str) -> Callable[[Path], Sequence[str]]:
     """Return a function that writes a mask made of the demo's, of which the pose is estimated."""
 
@@ -569,6 +576,7 @@ CASES: Final = (
         "--fps",
         (REFUSED,),
     ),
+    LabCase("images from before the readings", _recorded_before, "3 frames: "),
     # cameras
     LabCase("%YAML 1.0", _text("c.yaml", "%YAML 1.0\n---\n" + yaml.safe_dump(CAMERA)), "64 x 48 px"),
     LabCase("EndoVis", _text("c.txt", _ENDOVIS), r"EndoVis.*focal lengths 70\.500 and 70\.400"),
