@@ -244,7 +244,7 @@ def _without_shared(
     `FrameFit`. The step is taken from where the fit was drawn last, which is at most a small step away, if its outline
     was found there.
     """
-    has_outlines = all(outline is not None for outline in fit.drawn.outlines)
+    has_outlines = all(one.outlined for one in fit.drawn)
     start, drawn = (fit.drawn_at, fit.drawn) if has_outlines else (fit.at, None)
     lasting = coverage.near_with_lasting(start, noises, drawn=drawn, as_seen=as_seen)
     own = 6 + len(start.joints)

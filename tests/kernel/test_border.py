@@ -36,15 +36,33 @@ def points(**changed: Any) -> Any:
     return _kernel.move_points(CAMERA, **(given | changed))
 
 
-def profiles(**changed: Any) -> Any:
-    given = {"begin": BEGIN, "pixels": PIXELS, "normals": PIXELS, "reach": 4, "images": [IMAGE], "target": IMAGE}
-    return _kernel.sample_profiles(**(given | {"weight": IMAGE} | changed))
+def target(**changed: Any) -> _kernel.Target:
+    given = {"mask": IMAGE, "weight": IMAGE + 1, "taps": [0.5, 0.25], "reach": 4}
+    return _kernel.Target(**(given | changed))
+
+
+def comparison(**changed: Any) -> _kernel.Comparison:
+    given = {
+        "target": target(),
+        "camera_from_root": LINKS[:, 0],
+        "root_from_link": np.eye(4)[None, None],
+        "by_joint": np.zeros((1, 3, 1, 4, 4)),
+        "camera_from_link": LINKS,
+        "lines_per_pixel": 2,
+        "cauchy": [1.0],
+        "threads": 1,
+        "decide": None,
+    }
+    return plate().compare(CAMERA, **(given | changed))[0]
+
+
+def plate() -> _kernel.Mesh:
+    return _kernel.Mesh([(VERTICES - [0, 0, 0.05], FACES)])
 
 
 def equations(**changed: Any) -> Any:
-    samples = np.zeros((2, 9), dtype=np.float32)
-    given = {"residual": samples, "weight": samples, "jacobian": np.zeros((2, 9)), "density": np.ones(9)}
-    return _kernel.normal_equations(**(given | {"begin": BEGIN, "cauchy": 1.0, "change": np.zeros((1, 9))} | changed))
+    given = {"compared": [comparison()], "factors": [1.0], "density": [1.0] * 9, "cauchy": 1.0}
+    return _kernel.normal_equations(**(given | {"change": np.zeros((1, 9))} | changed))
 
 
 def chain(**changed: Any) -> _kernel.Chain:
@@ -110,20 +128,52 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "offsets that fall": (lambda: points(begin=np.array([0, 3, 2])), "begin: expected ascending offsets"),
     "no offsets": (lambda: points(begin=BEGIN[:0]), "begin: expected ascending offsets"),
     "directions of other points": (lambda: points(directions=PIXELS[:1]), r"directions: expected an array \(2, 2\)"),
-    "an image too few": (lambda: profiles(images=[]), "images: expected one of each pose"),
-    "an image of another size": (lambda: profiles(images=[IMAGE.T.copy()]), r"images: expected an array \(6, 8\)"),
-    "a weight of another size": (lambda: profiles(weight=IMAGE[1:]), r"weight: expected an array \(6, 8\)"),
-    "a target without pixels": (
-        lambda: profiles(images=[IMAGE[:0]], target=IMAGE[:0], weight=IMAGE[:0]),
-        "target: expected at least one pixel",
+    "a mask without pixels": (lambda: target(mask=IMAGE[:0], weight=IMAGE[:0]), "mask: expected at least one pixel"),
+    "a weight of another size": (lambda: target(weight=IMAGE[1:]), r"weight: expected an array \(6, 8\)"),
+    "a mask that is not finite": (lambda: target(mask=IMAGE * np.nan), "mask: expected finite numbers"),
+    "no taps": (lambda: target(taps=[]), "taps: expected 1 to 1000 of them"),
+    "no reach": (lambda: target(reach=0), "reach: expected 1 to 1000 px"),
+    "a target of another size": (
+        lambda: comparison(target=target(mask=IMAGE.T.copy(), weight=IMAGE.T.copy())),
+        "target: expected the size of the camera's images",
     ),
-    "no reach": (lambda: profiles(reach=0), "reach: expected a positive number"),
-    "a change of other unknowns": (lambda: equations(change=np.zeros((1, 8))), r"change: expected an array \(1, 9\)"),
-    "a density of other samples": (lambda: equations(density=np.ones(8)), r"density: expected an array \(9\)"),
-    "losses of another size": (
-        lambda: _kernel.cauchy_losses([IMAGE[1:]], IMAGE, IMAGE, 1.0),
-        r"images: expected an array \(6, 8\)",
+    "roots of other poses": (
+        lambda: comparison(camera_from_root=LINKS[:0, 0]),
+        r"camera_from_root: expected an array \(1, 4, 4\)",
     ),
+    "links of other poses": (
+        lambda: comparison(root_from_link=np.zeros((1, 2, 4, 4))),
+        r"root_from_link: expected an array \(1, 1, 4, 4\)",
+    ),
+    "derivatives of other links": (
+        lambda: comparison(by_joint=np.zeros((1, 3, 2, 4, 4))),
+        r"by_joint: expected an array \(1, N, 1, 4, 4\)",
+    ),
+    "a loss without width": (lambda: comparison(cauchy=[0.0]), "cauchy: expected positive numbers"),
+    "no comparison": (lambda: equations(compared=[None]), "compared: expected comparisons with derivatives"),
+    "a comparison without outline": (
+        lambda: equations(compared=[comparison(by_joint=None)]),
+        "compared: expected comparisons with derivatives",
+    ),
+    "views without factors": (lambda: equations(factors=[]), "compared: expected as many of each pose as factors"),
+    "a view too few": (lambda: equations(factors=[1.0, 1.0]), "compared: expected as many of each pose as factors"),
+    "a change of other unknowns": (
+        lambda: equations(change=np.zeros((1, 8))),
+        "compared: expected comparisons with derivatives by as many unknowns as changes",
+    ),
+    "a change too few": (lambda: equations(change=np.zeros((0, 9))), r"change: expected an array \(1, N\)"),
+    "a density of other samples": (lambda: equations(density=[1.0] * 8), "density: expected one of each sample"),
+    "displacements of no view": (
+        lambda: _kernel.displacements([comparison()], 0, np.zeros((1, 9))),
+        "compared: expected as many of each pose as factors",
+    ),
+    "a Jacobian of other points": (
+        lambda: comparison().with_jacobian(1, np.zeros((1, 9))),
+        "jacobian: expected an array",
+    ),
+    "no stride": (lambda: comparison().with_jacobian(0, np.zeros((1, 9))), "stride: expected a positive number"),
+    "coverage of no width": (lambda: comparison().coverage(0), "width: expected that of the images"),
+    "coverage of another width": (lambda: comparison().coverage(3), "width: expected that of the images"),
 }
 
 
@@ -143,15 +193,6 @@ def test_what_is_no_array_of_numbers_is_refused(array: Any) -> None:
 @pytest.mark.parametrize("array", [LINKS.astype(np.float32), np.asfortranarray(LINKS), LINKS[..., ::-1][..., ::-1]])
 def test_arrays_of_other_numbers_or_layouts_are_copied(array: np.ndarray) -> None:
     np.testing.assert_array_equal(mesh().masks(CAMERA, array, 1, None), mesh().masks(CAMERA, LINKS, 1, None))
-
-
-def test_samples_beyond_the_image_are_those_of_its_border() -> None:
-    image = np.arange(48, dtype=np.float32).reshape(6, 8)
-    far = np.array([[-50.0, -50.0], [50.0, 50.0], [np.nan, 0.0], [1e300, -1e300]])
-    residual, _ = profiles(
-        images=[image], begin=np.array([0, 4]), pixels=far, normals=np.tile([1.0, 0.0], (4, 1)), weight=IMAGE
-    )
-    np.testing.assert_array_equal(residual[:2], np.repeat([[0.0], [47.0]], 9, axis=1))
 
 
 def test_the_decision_between_crossings_is_taken() -> None:

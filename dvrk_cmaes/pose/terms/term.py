@@ -20,22 +20,8 @@ class Approximation(ABC):
 
     @property
     @abstractmethod
-    def count(self) -> int:
-        """Number C of poses."""
-
-    @property
-    @abstractmethod
     def dimension(self) -> int:
         """Number D of small changes."""
-
-    @abstractmethod
-    def select(self, index: Sequence[int]) -> Self:
-        """Return that near some of the poses."""
-
-    @classmethod
-    @abstractmethod
-    def joined(cls, groups: Sequence[Self]) -> Self:
-        """Return those near several groups of poses together."""
 
     @abstractmethod
     def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
@@ -72,9 +58,9 @@ class Quadratic(Approximation):
         """Number D of small changes."""
         return int(self.slope.shape[-1])
 
-    def select(self, index: Sequence[int]) -> Self:
+    def select(self, index: Sequence[int] | NDArray[np.integer]) -> Self:
         """Return that near some of the poses."""
-        chosen = list(index)
+        chosen = np.asarray(index)
         return replace(self, information=self.information[chosen], slope=self.slope[chosen])
 
     @classmethod
