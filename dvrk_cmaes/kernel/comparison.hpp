@@ -172,4 +172,69 @@ inline double largest_displacement(const Comparison& at, const double* change) {
   return largest;
 }
 
+// Solve A x = b for a matrix (D, D), which is overwritten, by elimination with pivots; x replaces b.
+inline void solve(std::vector<double>& a, std::vector<double>& b) {
+  const std::size_t D = b.size();
+  for (std::size_t k = 0; k < D; ++k) {
+    std::size_t pivot = k;
+    for (std::size_t i = k + 1; i < D; ++i) pivot = std::abs(a[D * i + k]) > std::abs(a[D * pivot + k]) ? i : pivot;
+    std::swap_ranges(a.begin() + D * k, a.begin() + D * (k + 1), a.begin() + D * pivot);
+    std::swap(b[k], b[pivot]);
+    for (std::size_t i = k + 1; i < D; ++i) {
+      const double factor = a[D * i + k] / a[D * k + k];
+      for (std::size_t j = k; j < D; ++j) a[D * i + j] -= factor * a[D * k + j];
+      b[i] -= factor * b[k];
+    }
+  }
+  for (std::size_t k = D; k-- > 0;) {
+    for (std::size_t j = k + 1; j < D; ++j) b[k] -= a[D * k + j] * b[j];
+    b[k] /= a[D * k + k];
+  }
+}
+
+// How a sum of terms is made small: at most so many steps, up to one whose squared length in standard deviations is below
+// `solved`. Without damping, `least` of each diagonal element and of the largest one is added, so that the information is
+// invertible. A change moves no point of an outline by more than `farthest` px.
+struct Minimisation {
+  int iterations;
+  double solved, least_of_each, least_of_largest, farthest;
+};
+
+// Find the small change (D,) that minimises a quadratic term plus those of several outlines, each times its factor.
+// `damping` times the diagonal of the information at no change, if it is not negative, keeps the change small.
+template <class AddOutlines>
+void minimise(const Minimisation& how, const double* information, const double* slope, double damping,
+              const AddOutlines& add_outlines, std::vector<double>& change) {
+  const std::size_t D = change.size();
+  std::vector<double> full(D * D), step(D), held(D);
+  for (int iteration = 0; iteration < how.iterations; ++iteration) {
+    std::fill(full.begin(), full.end(), 0.0), std::fill(step.begin(), step.end(), 0.0);
+    add_outlines(change.data(), full.data(), step.data());
+    double largest = 1.0;
+    for (std::size_t a = 0; a < D; ++a) {
+      for (std::size_t b = 0; b < a; ++b) full[D * b + a] = full[D * a + b];
+    }
+    for (std::size_t a = 0; a < D; ++a) {
+      step[a] += slope[a];
+      for (std::size_t b = 0; b < D; ++b) {
+        full[D * a + b] += information[D * a + b];
+        step[a] += information[D * a + b] * change[b];
+      }
+      largest = std::max(largest, full[D * a + a]);
+    }
+    for (std::size_t a = 0; a < D; ++a) {
+      double& diagonal = full[D * a + a];
+      const double least = how.least_of_each * diagonal + how.least_of_largest * largest;
+      if (iteration == 0) held[a] = damping >= 0.0 ? damping * (diagonal + 1e-9) : least;
+      diagonal += held[a];
+      step[a] = -step[a] - held[a] * change[a];
+    }
+    const std::vector<double> right = step;  // the square of the step is its product with this
+    solve(full, step);
+    double square = 0.0;
+    for (std::size_t a = 0; a < D; ++a) change[a] += step[a], square += step[a] * right[a];
+    if (square < how.solved) break;
+  }
+}
+
 }  // namespace kernel

@@ -1,6 +1,7 @@
 // The Python module dvrk_cmaes._kernel. Shapes and indices are checked here, once; the headers rely on them.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
@@ -8,6 +9,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <exception>
 #include <initializer_list>
@@ -514,38 +516,29 @@ std::shared_ptr<Comparison> with_jacobian(const Comparison& at, int stride, cons
   return other;
 }
 
-// The comparisons of C poses in V views, (C, V) in one list, and a factor of each view.
-struct Poses {
-  const Compared& compared;
-  const std::vector<double>& factors;
-  std::size_t count, unknowns;
-
-  Poses(const Compared& compared, const std::vector<double>& factors, const Given<double>& change)
-      : compared(compared), factors(factors), count(factors.empty() ? 0 : compared.size() / factors.size()) {
-    if (factors.empty() || compared.size() % factors.size()) {
-      throw std::invalid_argument("compared: expected as many of each pose as factors");
-    }
-    check_shape("change", change, {static_cast<long>(count), kAny});
-    unknowns = change.shape(1);
-    for (const auto& one : compared) {
-      if (!one || !one->outlined || one->unknowns != int(unknowns)) {
-        throw std::invalid_argument("compared: expected comparisons with derivatives by as many unknowns as changes");
-      }
-    }
+// Refuse what are not comparisons, with outlines, of `count` poses in as many views as there are factors.
+void check_compared(const Compared& compared, const std::vector<double>& factors, const std::vector<double>& density,
+                    std::size_t count, std::size_t unknowns) {
+  if (factors.empty() || compared.size() != factors.size() * count) {
+    throw std::invalid_argument("compared: expected as many of each pose as factors");
   }
-};
+  for (const auto& one : compared) {
+    if (!one || !one->outlined || one->unknowns != int(unknowns)) {
+      throw std::invalid_argument("compared: expected comparisons with derivatives by as many unknowns as changes");
+    }
+    if (one->samples != int(density.size())) throw std::invalid_argument("density: expected one of each sample");
+  }
+}
 
 std::tuple<Made<double>, Made<double>> normal_equations(const Compared& compared, const std::vector<double>& factors,
                                                         const std::vector<double>& density, double cauchy,
                                                         const Given<double>& change) {
-  const Poses poses(compared, factors, change);
-  for (const auto& one : compared) {
-    if (one->samples != int(density.size())) throw std::invalid_argument("density: expected one of each sample");
-  }
-  const std::size_t D = poses.unknowns, views = factors.size();
-  Made<double> information = zeros<double>({poses.count, D, D}), slope = zeros<double>({poses.count, D});
+  check_shape("change", change, {kAny, kAny});
+  const std::size_t count = change.shape(0), D = change.shape(1), views = factors.size();
+  check_compared(compared, factors, density, count, D);
+  Made<double> information = zeros<double>({count, D, D}), slope = zeros<double>({count, D});
   const nb::gil_scoped_release released;
-  for (std::size_t pose = 0; pose < poses.count; ++pose) {
+  for (std::size_t pose = 0; pose < count; ++pose) {
     double* const square = information.data() + D * D * pose;
     for (std::size_t view = 0; view < views; ++view) {
       add_normal_equations(*compared[views * pose + view], density, cauchy, factors[view], change.data() + D * pose, square,
@@ -558,13 +551,39 @@ std::tuple<Made<double>, Made<double>> normal_equations(const Compared& compared
   return {information, slope};
 }
 
-Made<double> displacements(const Compared& compared, std::size_t views, const Given<double>& change) {
-  const std::vector<double> factors(views, 1.0);
-  const Poses poses(compared, factors, change);
-  Made<double> out = zeros<double>({poses.count});
-  for (std::size_t i = 0; i < compared.size(); ++i) {
-    double& largest = out.data()[i / views];
-    largest = std::max(largest, largest_displacement(*compared[i], change.data() + poses.unknowns * (i / views)));
+Made<double> minimise_all(const Compared& compared, const std::vector<double>& factors,
+                          const std::vector<double>& density, double cauchy, const Given<double>& weight,
+                          const Given<double>& information, const Given<double>& slope,
+                          const std::optional<Given<double>>& damping, int iterations, double solved,
+                          const std::array<double, 2>& least, double farthest) {
+  check_shape("slope", slope, {kAny, kAny});
+  const long count = static_cast<long>(slope.shape(0)), unknowns = static_cast<long>(slope.shape(1));
+  check_shape("weight", weight, {count}), check_shape("information", information, {count, unknowns, unknowns});
+  if (damping) check_shape("damping", *damping, {count});
+  if (!compared.empty()) check_compared(compared, factors, density, count, unknowns);
+  const std::size_t D = unknowns, views = compared.empty() ? 0 : factors.size();
+  Made<double> out = zeros<double>({std::size_t(count), D});
+  const nb::gil_scoped_release released;
+  const Minimisation how{iterations, solved, least[0], least[1], farthest};
+  for (long pose = 0; pose < count; ++pose) {
+    const auto each_view = [&](const auto& use) {
+      for (std::size_t view = 0; view < views; ++view) use(*compared[views * pose + view], view);
+    };
+    std::vector<double> change(D, 0.0);
+    minimise(how, information.data() + D * D * pose, slope.data() + D * pose, damping ? damping->data()[pose] : -1.0,
+             [&](const double* at, double* square, double* line) {
+               each_view([&](const Comparison& one, std::size_t view) {
+                 const double factor = weight.data()[pose] * factors[view];
+                 add_normal_equations(one, density, cauchy, factor, at, square, line);
+               });
+             },
+             change);
+    double largest = 0.0;
+    each_view([&](const Comparison& one, std::size_t) {
+      largest = std::max(largest, largest_displacement(one, change.data()));
+    });
+    const double share = std::min(1.0, farthest / std::max(largest, 1e-12));
+    for (std::size_t d = 0; d < D; ++d) out.data()[D * pose + d] = share * change[d];
   }
   return out;
 }
@@ -659,6 +678,8 @@ NB_MODULE(_kernel, module) {
   module.def("normal_equations", &normal_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "change"_a,
              "Compute information (C, D, D) and slope (C, D) of half the robust loss of C poses in V views, each with its "
              "factor, after small changes (C, D).");
-  module.def("displacements", &displacements, "compared"_a, "views"_a, "change"_a,
-             "Compute the largest displacement (C,), px, of the outlines of C poses by small changes (C, D).");
+  module.def("minimise", &minimise_all, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "weight"_a, "information"_a,
+             "slope"_a, "damping"_a.none(), "iterations"_a, "solved"_a, "least"_a, "farthest"_a,
+             "Find the changes (C, D) that minimise weights (C,) times half the robust losses plus quadratic terms, by at "
+             "most so many steps each, up to one whose square is below a number. No point moves farther than so many px.");
 }

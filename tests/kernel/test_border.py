@@ -65,6 +65,12 @@ def equations(**changed: Any) -> Any:
     return _kernel.normal_equations(**(given | {"change": np.zeros((1, 9))} | changed))
 
 
+def minimum(**changed: Any) -> np.ndarray:
+    given = {"compared": [comparison()], "factors": [1.0], "density": [1.0] * 9, "cauchy": 1.0, "weight": np.ones(1)}
+    given |= {"information": np.eye(9)[None], "slope": np.zeros((1, 9)), "damping": None, "iterations": 2}
+    return _kernel.minimise(**(given | {"solved": 0.0, "least": (0.0, 0.0), "farthest": 3.0} | changed))
+
+
 def chain(**changed: Any) -> _kernel.Chain:
     given = {"parents": [-1, 0], "drivers": [0, 1], "sliding": [False, True], "multipliers": [1.0, 1.0]}
     return _kernel.Chain(**(given | {"offsets": [0.0, 0.0], "terms": np.zeros((2, 3, 4, 4))} | changed))
@@ -161,12 +167,21 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: equations(change=np.zeros((1, 8))),
         "compared: expected comparisons with derivatives by as many unknowns as changes",
     ),
-    "a change too few": (lambda: equations(change=np.zeros((0, 9))), r"change: expected an array \(1, N\)"),
-    "a density of other samples": (lambda: equations(density=[1.0] * 8), "density: expected one of each sample"),
-    "displacements of no view": (
-        lambda: _kernel.displacements([comparison()], 0, np.zeros((1, 9))),
+    "a change too few": (
+        lambda: equations(change=np.zeros((0, 9))),
         "compared: expected as many of each pose as factors",
     ),
+    "a density of other samples": (lambda: equations(density=[1.0] * 8), "density: expected one of each sample"),
+    "a minimum with a pose too few": (
+        lambda: minimum(compared=[comparison()] * 2),
+        "compared: expected as many of each pose as factors",
+    ),
+    "a minimum of other information": (
+        lambda: minimum(information=np.zeros((1, 8, 8))),
+        r"information: expected an array \(1, 9, 9\)",
+    ),
+    "a minimum of other weights": (lambda: minimum(weight=np.ones(2)), r"weight: expected an array \(1\)"),
+    "a minimum of other damping": (lambda: minimum(damping=np.ones(2)), r"damping: expected an array \(1\)"),
     "a Jacobian of other points": (
         lambda: comparison().with_jacobian(1, np.zeros((1, 9))),
         "jacobian: expected an array",
@@ -235,3 +250,19 @@ def test_sine_and_cosine_are_exact_to_the_last_digits() -> None:
     assert slopes is not None
     np.testing.assert_allclose(poses[:, 0, 0, :2], np.column_stack([np.sin(angles), np.cos(angles)]), atol=3e-16)
     np.testing.assert_allclose(slopes[:, 0, 0, 0, :2], np.column_stack([np.cos(angles), -np.sin(angles)]), atol=3e-16)
+
+
+def test_a_minimum_is_that_of_linear_equations() -> None:
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((4, 9, 9))
+    information, slope = root @ root.swapaxes(1, 2), rng.standard_normal((4, 9))
+    found = minimum(compared=[], weight=np.ones(4), information=information, slope=slope, iterations=1)
+    np.testing.assert_allclose(found, -np.linalg.solve(information, slope[:, :, None])[:, :, 0], rtol=1e-6)
+
+
+def test_a_minimum_moves_no_point_too_far() -> None:
+    one = comparison()
+    slope = np.full((1, 9), 1e6)
+    free, held = (minimum(slope=slope, farthest=far, iterations=1) for far in (np.inf, 0.5))
+    np.testing.assert_allclose(held / free, np.full((1, 9), (held / free)[0, 0]))
+    assert np.abs(one.jacobian @ held[0]).max() == pytest.approx(0.5)

@@ -14,11 +14,13 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.search.modes import Candidate
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.profiles import Profiles
 from dvrk_cmaes.pose.terms.term import Approximation, Quadratic, Term, sum_of_costs, sum_of_locals
 
 Bool = NDArray[np.bool_]
@@ -29,6 +31,7 @@ _DAMPING = (1e-4, 1e-2, 10.0)  # least, first and largest of the Levenberg-Marqu
 _DAMPING_STEP = 8.0  # factor on the damping by which it grows or falls
 _SMALL_GAIN = 0.1  # of the tolerance
 _AT_HALF_SIZE, _AT_SMALLER_SIZE = 4.0, 10.0  # factors on the tolerance where a refinement at a larger size follows
+_LARGEST_SHIFT = 3.0  # px; beyond it an outline has left the samples of the approximation
 _SOLVED = 0.01  # length of a step, in standard deviations per parameter, below which an approximation's minimum is met
 _LEAST_DAMPING: Final = 1e-9, 1e-12  # of steps that are not damped: of each diagonal element, and of the largest one
 
@@ -246,26 +249,23 @@ def minimise(
     ``damping`` (C,) times the diagonal of the information at no change keeps the changes small (Levenberg-Marquardt).
     Without, only as little is added as makes it invertible: nothing may tell a hidden joint.
     """
-    count, dimension = others.slope.shape
-    change, held = np.zeros((count, dimension)), None
-    for _ in range(iterations):
-        information, slope = near.normal_equations(change)
-        full = weight[:, None, None] * information + others.information
-        if held is None:
-            held = _held_back(np.diagonal(full, axis1=1, axis2=2), damping)
-        full = full + held[:, :, None] * np.eye(dimension)
-        slope = weight[:, None] * slope + others.slope
-        slope = slope + np.einsum("cij,cj->ci", others.information, change) + held * change
-        step = -np.linalg.solve(full, slope[:, :, None])[:, :, 0]
-        change = change + step
-        if (np.einsum("ci,cij,cj->c", step, full, step) < _SOLVED**2 * dimension).all():
-            break
-    return np.asarray(change * near.share_that_holds(change)[:, None])
-
-
-def _held_back(diagonal: Float64, damping: Float64 | None) -> Float64:
-    """Return what is added to the diagonal (C, D) of an information, with or without damping (C,)."""
-    if damping is not None:
-        return damping[:, None] * (diagonal + 1e-9)
-    of_each, of_largest = _LEAST_DAMPING
-    return np.asarray(of_each * diagonal + of_largest * np.maximum(diagonal.max(axis=1, keepdims=True), 1.0))
+    compared, factors, density, cauchy = [], [1.0], [1.0], 1.0
+    if isinstance(near, Profiles):
+        compared, factors, density, cauchy = near.compared, near.factors, near.density, near.cauchy
+    else:
+        assert isinstance(near, Quadratic)
+        others = others + near.times(weight)
+    return _kernel.minimise(
+        compared,
+        factors,
+        density,
+        cauchy,
+        weight,
+        others.information,
+        others.slope,
+        damping,
+        iterations,
+        _SOLVED**2 * others.dimension,
+        _LEAST_DAMPING,
+        _LARGEST_SHIFT,
+    )

@@ -20,8 +20,6 @@ from dvrk_cmaes.pose.terms.term import Approximation
 
 Float64 = NDArray[np.float64]
 
-_LARGEST_SHIFT = 3.0  # px; beyond it an outline has left the samples
-
 
 def density(blur: float) -> list[float]:
     """Return the change of each sample by a displacement of the outline, 1/px, for a blur, px."""
@@ -51,14 +49,9 @@ class Profiles(Approximation):
 
         They are in sums of squares of coverage, with the weights of the Cauchy loss at the changed poses.
         """
-        return _kernel.normal_equations(self._all, self.factors, self.density, self.cauchy, change)
-
-    def share_that_holds(self, change: Float64) -> Float64:
-        """Return the share (C,) of each change (C, D) up to which no outline point leaves the profile's middle."""
-        largest = _kernel.displacements(self._all, len(self.factors), change)
-        return np.minimum(1, _LARGEST_SHIFT / np.maximum(largest, 1e-12))
+        return _kernel.normal_equations(self.compared, self.factors, self.density, self.cauchy, change)
 
     @property
-    def _all(self) -> list[_kernel.Comparison]:
+    def compared(self) -> list[_kernel.Comparison]:
         """All of ``drawn`` in one list."""
         return [one for of_pose in self.drawn for one in of_pose]

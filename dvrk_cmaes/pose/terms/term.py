@@ -27,10 +27,6 @@ class Approximation(ABC):
     def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
         """Return the information (C, D, D) and the slope (C, D) of half the sum of squares after changes (C, D)."""
 
-    def share_that_holds(self, change: Float64) -> Float64:
-        """Return the share (C,) of each change (C, D) up to which the approximation holds; by default all of it."""
-        return np.ones(len(change))
-
 
 @dataclass(frozen=True, eq=False)
 class Quadratic(Approximation):
@@ -48,10 +44,9 @@ class Quadratic(Approximation):
         """Return that of the sum of two terms."""
         return Quadratic(self.information + other.information, self.slope + other.slope)
 
-    @property
-    def count(self) -> int:
-        """Number C of poses."""
-        return len(self.slope)
+    def times(self, factors: Float64) -> Quadratic:
+        """Return that of the term near each pose times a factor, (C,)."""
+        return Quadratic(factors[:, None, None] * self.information, factors[:, None] * self.slope)
 
     @property
     def dimension(self) -> int:
