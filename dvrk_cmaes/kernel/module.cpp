@@ -29,6 +29,7 @@
 #include "moving.hpp"
 #include "outline.hpp"
 #include "silhouette.hpp"
+#include "straight.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -588,6 +589,28 @@ Made<double> minimise_all(const Compared& compared, const std::vector<double>& f
   return out;
 }
 
+std::vector<std::tuple<Made<double>, Made<std::int64_t>, double>> fit_lines(
+    const Given<double>& points, const Given<double>& normals, const Given<double>& lines, double sigma, double near,
+    double facing, double gap, double least_sigma, double reach, double least_reach, double normal_median,
+    int iterations, int least) {
+  check_shape("points", points, {kAny, 2}), check_shape("normals", normals, {static_cast<long>(points.shape(0)), 2});
+  check_shape("lines", lines, {kAny, 3});
+  for (const Given<double>* one : {&points, &normals, &lines}) check_finite("contour and lines", one->data(), one->size());
+  const ContourPoints contour{points.data(), normals.data(), points.shape(0)};
+  const LineFit how{sigma, near, facing, gap, least_sigma, reach, least_reach, normal_median, iterations, least};
+  std::vector<std::tuple<Made<double>, Made<std::int64_t>, double>> found;
+  for (std::size_t i = 0; i < lines.shape(0); ++i) {
+    const double* line = lines.data() + 3 * i;
+    const FittedLine fitted = fit_line(contour, {line[0], line[1], line[2]}, how);
+    Made<double> out = zeros<double>({3});
+    Made<std::int64_t> index = zeros<std::int64_t>({fitted.points.size()});
+    std::copy(fitted.line.begin(), fitted.line.end(), out.data());
+    std::copy(fitted.points.begin(), fitted.points.end(), index.data());
+    found.emplace_back(out, index, fitted.sigma);
+  }
+  return found;
+}
+
 }  // namespace
 }  // namespace kernel
 
@@ -678,6 +701,10 @@ NB_MODULE(_kernel, module) {
   module.def("normal_equations", &normal_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "change"_a,
              "Compute information (C, D, D) and slope (C, D) of half the robust loss of C poses in V views, each with its "
              "factor, after small changes (C, D).");
+  module.def("fit_lines", &fit_lines, "points"_a, "normals"_a, "lines"_a, "sigma"_a, "near"_a, "facing"_a, "gap"_a,
+             "least_sigma"_a, "reach"_a, "least_reach"_a, "normal_median"_a, "iterations"_a, "least"_a,
+             "Fit lines (M, 3) to the contour points (N, 2) near them, robustly: each line (3,), the numbers of its points "
+             "in their order along it, and their standard deviation, px.");
   module.def("minimise", &minimise_all, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "weight"_a, "information"_a,
              "slope"_a, "damping"_a.none(), "iterations"_a, "solved"_a, "least"_a, "farthest"_a,
              "Find the changes (C, D) that minimise weights (C,) times half the robust losses plus quadratic terms, by at "

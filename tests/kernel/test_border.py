@@ -71,6 +71,16 @@ def minimum(**changed: Any) -> np.ndarray:
     return _kernel.minimise(**(given | {"solved": 0.0, "least": (0.0, 0.0), "farthest": 3.0} | changed))
 
 
+def straight(**changed: Any) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """Fit a line to points along v = 3 + u / 10, of which some are outliers."""
+    along = np.arange(40.0)
+    points = np.column_stack([along, 3 + along / 10 + 2.5 * (np.arange(40) % 8 == 0)])
+    normals = np.tile(np.array([-0.1, 1]) / np.hypot(0.1, 1), (40, 1))
+    given = {"points": points, "normals": normals, "lines": np.array([[0.0, 1.0, -5.0]]), "sigma": 1.2, "near": 2.5}
+    given |= {"facing": 0.93, "gap": 40.0, "least_sigma": 0.3, "reach": 3.0, "least_reach": 1.5, "normal_median": 1.48}
+    return _kernel.fit_lines(**(given | {"iterations": 3, "least": 12} | changed))
+
+
 def chain(**changed: Any) -> _kernel.Chain:
     given = {"parents": [-1, 0], "drivers": [0, 1], "sliding": [False, True], "multipliers": [1.0, 1.0]}
     return _kernel.Chain(**(given | {"offsets": [0.0, 0.0], "terms": np.zeros((2, 3, 4, 4))} | changed))
@@ -182,6 +192,15 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "a minimum of other weights": (lambda: minimum(weight=np.ones(2)), r"weight: expected an array \(1\)"),
     "a minimum of other damping": (lambda: minimum(damping=np.ones(2)), r"damping: expected an array \(1\)"),
+    "normals of other points": (
+        lambda: straight(normals=np.zeros((1, 2))),
+        r"normals: expected an array \(40, 2\), got \(1, 2\)",
+    ),
+    "a line of two numbers": (lambda: straight(lines=np.zeros((1, 2))), r"lines: expected an array \(N, 3\)"),
+    "a contour that is not finite": (
+        lambda: straight(points=np.full((40, 2), np.nan)),
+        "contour and lines: expected finite numbers",
+    ),
     "a Jacobian of other points": (
         lambda: comparison().with_jacobian(1, np.zeros((1, 9))),
         "jacobian: expected an array",
@@ -266,3 +285,25 @@ def test_a_minimum_moves_no_point_too_far() -> None:
     free, held = (minimum(slope=slope, farthest=far, iterations=1) for far in (np.inf, 0.5))
     np.testing.assert_allclose(held / free, np.full((1, 9), (held / free)[0, 0]))
     assert np.abs(one.jacobian @ held[0]).max() == pytest.approx(0.5)
+
+
+def test_a_line_is_fitted_to_the_majority_of_the_points_near_it() -> None:
+    ((line, index, sigma),) = straight()
+    np.testing.assert_allclose(line, np.array([-0.1, 1, -3]) / np.hypot(0.1, 1), atol=0.02)
+    assert sigma == pytest.approx(0.3)
+    np.testing.assert_array_equal(np.sort(index), [k for k in range(40) if k % 8])
+
+
+def test_a_line_has_the_longest_stretch_without_a_gap() -> None:
+    ((_, index, _),) = straight(gap=1.5, iterations=0, near=1e3)
+    assert len(index) == 40
+    points = np.column_stack([np.r_[0.0:10.0, 30.0:60.0], np.zeros(40)])
+    ((_, index, _),) = straight(points=points, normals=np.tile([0.0, 1.0], (40, 1)), lines=np.eye(3)[1:2], gap=5.0)
+    np.testing.assert_array_equal(np.sort(index), np.arange(10, 40))
+
+
+def test_too_few_points_leave_a_line_as_it_is() -> None:
+    given = np.array([[0.0, 1.0, -50.0]])
+    ((line, index, _),) = straight(lines=given)
+    np.testing.assert_array_equal(line, given[0])
+    assert len(index) == 0
