@@ -673,7 +673,15 @@ NB_MODULE(_kernel, module) {
            [](Target* self, const Given<float>& mask, const Given<float>& weight, const std::vector<float>& taps,
               int reach) { new (self) Target(make_target(mask, weight, taps, reach)); },
            "mask"_a, "weight"_a, "taps"_a, "reach"_a,
-           "Take mask and weights (H, W), the blur's filter from its middle outwards, and px along normals to sample.");
+           "Take mask and weights (H, W), the blur's filter from its middle outwards, and px along normals to sample.")
+      .def_prop_ro("image", [](const Target& target) {
+        const std::size_t width = target.mask.width(), height = target.mask.height();
+        Made<float> out = zeros<float>({height, width});
+        for (std::size_t row = 0; row < height; ++row) {
+          std::copy_n(target.mask.row(int(row)), width, out.data() + width * row);
+        }
+        return out;
+      }, nb::rv_policy::move, "The blurred mask (H, W).");
 
   nb::class_<Comparison>(module, "Comparison", "A silhouette compared with a mask.")
       .def_ro("losses", &Comparison::losses, "The Cauchy loss of each width that was asked for.")

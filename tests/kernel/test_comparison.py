@@ -48,6 +48,7 @@ def test_losses_are_those_of_blurred_images(bundled_body: Body, shrink: int, lin
     mask, weight = mask_and_weight(drawing, ignored)
     target = _kernel.Target(mask, weight, blur_filter(BLUR), REACH)
     widths = [0.5, 0.03]
+    np.testing.assert_allclose(target.image, blurred(mask), atol=1e-6)
     compared = drawing.compare(AT, target, widths, lines_per_pixel=lines, outlines=False)
     coverage = drawing.coverage(AT.pose, AT.joints, lines_per_pixel=lines)
     for one, image in zip(compared, coverage, strict=True):
