@@ -249,7 +249,9 @@ def minimise(
     ``damping`` (C,) times the diagonal of the information at no change keeps the changes small (Levenberg-Marquardt).
     Without, only as little is added as makes it invertible: nothing may tell a hidden joint.
     """
-    compared, factors, density, cauchy = [], [1.0], [1.0], 1.0
+    compared: Sequence[_kernel.Comparison] = ()
+    factors: Sequence[float] = (1.0,)
+    density, cauchy = factors, 1.0
     if isinstance(near, Profiles):
         compared, factors, density, cauchy = near.compared, near.factors, near.density, near.cauchy
     else:
