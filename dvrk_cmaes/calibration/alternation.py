@@ -28,7 +28,7 @@ from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import PackedMask, with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations
-from dvrk_cmaes.calibration.session_camera import SessionCamera, covariance_of_camera, untold
+from dvrk_cmaes.calibration.session_camera import SessionCamera, camera_undetermined, covariance_of_camera
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionState
 from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_with_modes
@@ -62,7 +62,9 @@ def initialised(state: SessionState) -> SessionState:
         be refined, and the session does not determine it.
     """
     check_motion(state.model)
-    if state.imaging.change is not None and (reason := untold(state.model)):
+    if state.imaging.change is not None and (reason := camera_undetermined(state.model)):
+        if state.problem.guessed_camera:
+            raise InputError(f"--camera: expected a camera file, which these frames do not replace: {reason}")
         raise InputError(f"--refine-camera: {reason}")
     state, consensus = _on_one_base(_less_lag(state))
     solution, _ = solve_with_modes(state.model, state.modes, consensus.calibration, state.problem.prior)

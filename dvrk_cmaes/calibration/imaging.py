@@ -57,7 +57,7 @@ def with_rig(state: SessionState, calibration: Calibration, at: Posed) -> Change
         estimate = estimate_rig(state.model, calibration, problem.prior, at, outlines, state.imaging.rig)
     except InputError as error:
         return state.noted(undetermined=[f"rig: {error}"]), calibration, None
-    state = replace(state, imaging=replace(state.imaging, rig=estimate.views)).noted(undetermined=estimate.untold)
+    state = replace(state, imaging=replace(state.imaging, rig=estimate.views)).noted(undetermined=estimate.undetermined)
     if not estimate.moved:
         return state, calibration, None
     frames = [
@@ -92,6 +92,8 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     check = check_camera(*of_all, _outlines(state), applied=change)
     if check.camera is None:
         state = state.noted(undetermined=[check.undetermined])
+    elif problem.guessed_camera:
+        state = state.noted(remarks=[check.camera.describe_found(state.stored[0].camera)])
     elif check.camera.applied:
         state = state.noted(remarks=check.camera.contradictions(config))
     if change is not None:
