@@ -165,7 +165,7 @@ def _begun_with_few(state: SessionState, scales: Sequence[float]) -> tuple[Sessi
     for iteration in range(rounds):
         few, _ = _round(few, iteration, scales, few.solution.calibration, None)
     lag = state.lag.told_by_few(few.lag)
-    model = lag.corrected(state.model.with_deviations(few.model.deviations))
+    model = lag.corrected(replace(state.model, deviations=few.model.deviations))
     return _with_modes(replace(state, lag=lag, model=model), few.solution.calibration), rounds
 
 
@@ -189,7 +189,7 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
         cables = state.cables.estimated(state.model, fits, state.solution, state.lag)
         state = replace(state, cables=cables, model=cables.corrected(state.model))
         if (initial := cables.deviations(state.model.deviations)) is not None:
-            state = replace(state, model=state.model.with_deviations(initial))
+            state = replace(state, model=replace(state.model, deviations=initial))
             state = _with_calibration(state, fits, state.solution.calibration)
     lag = state.lag.refined(state.model, fits, state.solution.calibration, problem.prior)
     return replace(state, lag=lag, model=lag.corrected(state.model)), fits.at
