@@ -136,11 +136,11 @@ def segment(
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
     check_output_folder(out, "segment", whole=True, replaces=True)
-    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as beside:
+    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores", "others")) as beside:
         outcomes = []
         for frame, path in images.items():
             try:
-                outcomes.append(_segment(frame, path, settings, hints, threads, beside))
+                outcomes.append(_segment(frame, path, settings, hints, threads, beside, instrument))
             except DvrkCmaesError as error:
                 if single:
                     raise
@@ -164,7 +164,9 @@ def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:
     return views
 
 
-def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path) -> ImageOutcome:
+def _segment(
+    frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path, instrument: str
+) -> ImageOutcome:
     """Segment one image and write score, overlay and, as the last file, the mask."""
     from time import perf_counter
 
@@ -181,7 +183,13 @@ def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, th
     prompts: dict[str, Any] = {"box": hints.box, "points": hints.points, "not_points": hints.not_points}
     background = settings.backgrounds.get(frame.rpartition("/")[0])
     found = segment_image(
-        image, model=settings.model, weights=settings.weights, threads=threads, background=background, **prompts
+        image,
+        model=settings.model,
+        weights=settings.weights,
+        threads=threads,
+        background=background,
+        instrument=instrument,
+        **prompts,
     )
     seconds = perf_counter() - started
     if not found.mask.any():
@@ -191,6 +199,9 @@ def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, th
         written["score"] = out / "scores" / f"{frame}.png"
         write_image(written["score"], np.asarray(np.clip(found.score * 255 + 0.5, 0, 255), np.uint8))
     write_image(written["overlay"], draw_segmentation(image, found, frame, **prompts))
+    for number, other in enumerate(found.others, start=2):
+        written[f"mask_{number}"] = out / "others" / f"{frame}-{number}.png"
+        write_image(written[f"mask_{number}"], other.mask)
     write_image(written["mask"], found.mask)
     return ImageOutcome(frame, found, written, seconds)
 
