@@ -343,3 +343,14 @@ def test_invalid_options_are_refused(
     with pytest.raises(DvrkCmaesError) as caught:
         estimate(**{**given, **changes})
     assert str(caught.value).startswith(expected)
+
+
+def test_few_pixels_at_the_border_give_a_result_that_can_be_read_again(shared: Any) -> None:
+    """A mode that would need the instrument to be kilometres away is left out."""
+    mask = np.zeros((480, 640), dtype=np.bool_)
+    mask[229:245, 639] = mask[233:242, 638] = mask[233:238, 637] = True
+    urdf = shared / "instruments" / "lnd_400006" / "lnd_400006.urdf"
+    joints = {"wrist_pitch": -0.808748, "wrist_yaw": 0.14219, "jaw": 0.406995}
+    result = estimate(mask, Camera(640, 480, fx=948.4, fy=944.9, cx=330.0, cy=212.6), joints, urdf)
+    assert result.status == "doubtful"
+    assert Result.from_dict(result.to_dict()).reasons == result.reasons

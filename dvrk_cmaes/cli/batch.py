@@ -27,6 +27,7 @@ from dvrk_cmaes.cli.options import (
     CameraOptions,
     DoubtfulSessionOption,
     Flag,
+    FollowLinksOption,
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
@@ -76,6 +77,7 @@ def batch(
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
     reading: ReadingOptions = DEFAULT_READING,
+    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -158,6 +160,8 @@ def batch(
         Use the session.json of --session even if it predicts frames badly that it has not seen.
     reading
         How files of readings are read.
+    follow_links
+        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -202,7 +206,7 @@ def batch(
     part = None if shard is None else Shard.parse(shard)
     given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
-    tools = session_tools(session, instrument, only)
+    tools = session_tools(session, instrument, only, follow_links=follow_links)
     with output_folder(out, session, "results") as results:
         if len(tools) > 1 and calibration is not None and not calibration.is_dir():
             raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")

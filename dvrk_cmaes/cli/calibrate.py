@@ -22,6 +22,7 @@ from dvrk_cmaes.cli.options import (
     WORKERS,
     CameraOptions,
     Flag,
+    FollowLinksOption,
     InstrumentOptions,
     MethodOptions,
     ReadingOptions,
@@ -58,6 +59,7 @@ def calibrate(
     instrument_candidates: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     reading: ReadingOptions = DEFAULT_READING,
+    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -110,6 +112,8 @@ def calibrate(
         Number of processes that work at a time; by default the number of cores. Few frames are done by one.
     reading
         How files of readings are read.
+    follow_links
+        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -141,7 +145,7 @@ def calibrate(
             settings = solved_with(settings)
         arms: dict[str, ArmInSession] = {}
         solved: dict[str, SolvedSession] = {}
-        for name, tool in session_tools(session, instrument, only).items():
+        for name, tool in session_tools(session, instrument, only, follow_links=follow_links).items():
             arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), every, keyframes)
             if results is not None and (results / name).resolve() == (target / name).resolve():
                 raise InputError(
@@ -152,7 +156,9 @@ def calibrate(
         for name, arm in arms.items():
             others: dict[str, Predictions | str] = {}
             for path in _candidates(instrument_candidates):
-                tool = session_tools(session, replace(instrument, instrument=str(path)), only)[name]
+                tool = session_tools(
+                    session, replace(instrument, instrument=str(path)), only, follow_links=follow_links
+                )[name]
                 other = tool.read(session, camera, joints=joints, reading=reading)
                 if other.body.instrument.name != arm.body.instrument.name:
                     with_other = _share(other, every, keyframes)

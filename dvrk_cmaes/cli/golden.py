@@ -16,6 +16,7 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     CameraOptions,
     Flag,
+    FollowLinksOption,
     InstrumentOptions,
     MethodOptions,
 )
@@ -88,6 +89,7 @@ def record(
     golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     allow_doubtful: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -115,6 +117,8 @@ def record(
         Replace the file if it exists.
     allow_doubtful
         Record the poses of doubtful frames as well.
+    follow_links
+        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         The camera.
     instrument
@@ -135,7 +139,7 @@ def record(
         raise InputError(f"{path}: expected no file yet, got one; --overwrite replaces it")
     check_writable(path.parent)
     config = method.resolve()
-    arm = single_tool(session, instrument).read(session, camera)
+    arm = single_tool(session, instrument, follow_links=follow_links).read(session, camera)
     frames = arm.session.frames
     results = _tracked(estimate_all(frames, arm, config), len(frames))
     recording = recorded(results, arm.body.instrument, allow_doubtful=allow_doubtful)
@@ -160,6 +164,7 @@ def check(
     *,
     golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     tolerance: ToleranceOptions = DEFAULT_TOLERANCE,
+    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -183,6 +188,8 @@ def check(
         File of golden poses; golden.json in the session folder by default.
     tolerance
         Largest differences.
+    follow_links
+        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         The camera.
     instrument
@@ -200,7 +207,7 @@ def check(
     most, config = tolerance.resolve(), method.resolve()
     path = session / "golden.json" if golden is None else golden
     kept = read_golden(path)
-    arm = single_tool(session, instrument).read(session, camera)
+    arm = single_tool(session, instrument, follow_links=follow_links).read(session, camera)
     _check_names(path, kept.frames, arm.session)
     frames = [files for files in arm.session.frames if files.name in kept.frames]
     results = _tracked(estimate_all(frames, arm, config), len(frames))

@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.cli.options import AUTO, LATEST, MOST_SKIPPED, OUTPUT, Flag, LayoutOption, check_range, joint_files
+from dvrk_cmaes.cli.options import (
+    AUTO,
+    LATEST,
+    MOST_SKIPPED,
+    OUTPUT,
+    Flag,
+    FollowLinksOption,
+    LayoutOption,
+    check_range,
+    joint_files,
+)
 from dvrk_cmaes.cli.terminal import Line, show, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
@@ -119,6 +129,7 @@ def import_recording(
     side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None,
     arm: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     episode: Annotated[int, Parameter(group=FOLDER)] = 0,
+    follow_links: FollowLinksOption = False,
     topics: TopicOptions = _DEFAULT_TOPICS,
     poses: PoseOptions = _DEFAULT_POSES,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -190,6 +201,8 @@ def import_recording(
         may be given several times: then session.toml names all of them, each with its own readings.
     episode
         Number of the episode of a LeRobot data set.
+    follow_links
+        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     topics
         The topics.
     poses
@@ -209,10 +222,13 @@ def import_recording(
         raise InputError(f"--video-start: expected a finite number of seconds, got {video_start:g}")
     check_range("--video-start", video_start, -LATEST, LATEST, "seconds")
     check_range("--episode", episode, 0, MOST_EPISODES)
+    from dvrk_cmaes.frames.own_files import OwnFiles
     from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 
+    for text in OwnFiles.check_folder(recording, follow_links):
+        warn(f"{recording}: {text}")
     with _opened(
         recording,
         topics,

@@ -14,6 +14,7 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     CameraOptions,
     Flag,
+    FollowLinksOption,
     ReadingOptions,
     split_packages,
 )
@@ -28,6 +29,7 @@ def inspect(
     files: Annotated[tuple[Path, ...], Parameter(negative=())],
     /,
     *,
+    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     reading: ReadingOptions = DEFAULT_READING,
     package_path: Annotated[tuple[str, ...], Parameter(group=INSTRUMENT, negative=(), show_default=False)] = (),
@@ -51,6 +53,8 @@ def inspect(
     ----------
     files
         Files or folders of any kind.
+    follow_links
+        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         How camera files are read; the camera of a folder of frames in the published layout.
     reading
@@ -63,7 +67,9 @@ def inspect(
     from dvrk_cmaes.inspection import Options, inspect_path
     from dvrk_cmaes.io.atomic import json_text
 
-    options = Options(camera.rectified, camera.side, split_packages(package_path), camera.camera, reading.read_as())
+    packages = split_packages(package_path)
+    read_as = reading.read_as()
+    options = Options(camera.rectified, camera.side, packages, camera.camera, read_as, follow_links)
     code = 0
     documents = []
     for number, file in enumerate(files):

@@ -45,6 +45,7 @@ LATEST = 1e11  # s, of times since any clock's start
 
 LayoutOption = Literal["mono", "side-by-side", "top-bottom", "squeezed-side-by-side", "squeezed-top-bottom"] | None
 Flag = Annotated[bool, Parameter(negative=())]
+FollowLinksOption = Annotated[bool, Parameter(name="--follow-links", negative=(), group=FOLDER)]
 SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)]
 DoubtfulSessionOption = Annotated[bool, Parameter(name="--doubtful-session", negative=(), group=METHOD)]
 
@@ -126,12 +127,13 @@ class CameraOptions:
         tool: ToolEntry,
         video: SessionVideo | None = None,
         labelled: bool = False,
+        follow_links: bool = False,
     ) -> Session:
         """Read a session folder with this camera; ``known``, ``joints`` and ``video`` as in `frames.session_folder`.
 
         ``entries`` are those of its session.toml, which count where the command line says nothing; the frames are those
         of ``tool``. Masks of labels, as those of a session that is ``labelled``, may be in the folder labels.
-        ``reading`` tells how its readings are read.
+        ``reading`` tells how its readings are read, ``follow_links`` whether links may leave the folder.
         """
         from dvrk_cmaes.frames.session_folder import read_session_as
         from dvrk_cmaes.frames.session_toml import CameraEntry
@@ -152,8 +154,11 @@ class CameraOptions:
             fit=self.fit if self.crop or self.stretch else said.fit,
             masks=tool.masks or (labels if labels.is_dir() and not (folder / "masks").exists() else None),
             video=video,
+            follow_links=follow_links,
         )
-        return frames_of_tool(session, entries, tool.arm) if entries is not None and entries.tools else session
+        if entries is None or not entries.tools:
+            return session
+        return frames_of_tool(session, entries, tool.arm, follow_links=follow_links)
 
 
 @Parameter(name="*", group=CAMERA)

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.options import DEFAULT_CAMERA, DEFAULT_INSTRUMENT, FRAME, OUTPUT, CameraOptions, InstrumentOptions
+from dvrk_cmaes.cli.options import (
+    DEFAULT_CAMERA,
+    DEFAULT_INSTRUMENT,
+    FRAME,
+    OUTPUT,
+    CameraOptions,
+    FollowLinksOption,
+    InstrumentOptions,
+)
 from dvrk_cmaes.cli.session_tools import single_tool
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
 from dvrk_cmaes.errors import InputError
@@ -26,6 +34,7 @@ def pnp(
     points: Annotated[Literal["markers", "tips"], Parameter(group=FRAME)] = "markers",
     solver: Annotated[Literal["sqpnp", "ransac"], Parameter(group=FRAME)] = "sqpnp",
     markers: Annotated[Path | None, Parameter(group=FRAME)] = None,
+    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
 ) -> int:
@@ -57,6 +66,8 @@ def pnp(
     markers
         Positions of the markers on the links: JSON of link and position_m (metres) by name of the marker. By default a
         bundled table of the painted markers of the Large Needle Driver.
+    follow_links
+        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         The camera.
     instrument
@@ -66,7 +77,7 @@ def pnp(
     from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.results.paths import check_output, result_path
 
-    arm = single_tool(session, instrument).read(session, camera)
+    arm = single_tool(session, instrument, follow_links=follow_links).read(session, camera)
     for frame in arm.session.frames:
         check_output(out, frame.name)
     check_output_folder(out, "pnp", names=[result_path(Path(), frame.name).as_posix() for frame in arm.session.frames])

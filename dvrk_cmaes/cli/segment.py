@@ -16,6 +16,7 @@ from dvrk_cmaes.cli.options import (
     MOST_THREADS,
     OUTPUT,
     Flag,
+    FollowLinksOption,
     PromptOptions,
     SegmentOptions,
     check_range,
@@ -73,6 +74,7 @@ def segment(
     *,
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
+    follow_links: FollowLinksOption = False,
     threads: Annotated[int, Parameter(group=OUTPUT)] = 2,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -107,6 +109,8 @@ def segment(
         The segmentation model.
     prompts
         Prompts; in a folder, the same for every image.
+    follow_links
+        Read what links in a folder lead to, also outside of it; such links are refused otherwise.
     threads
         Number of threads.
     out
@@ -127,7 +131,7 @@ def segment(
     hints = prompts.resolve()
     cv2.setNumThreads(threads)
     single = not source.is_dir()
-    images = {source.stem: source} if single else find_images(source)
+    images = {source.stem: source} if single else find_images(source, follow_links=follow_links)
     views = {view: [images[frame] for frame in frames] for view, frames in _by_view(images).items()}
     settings = learned_backgrounds(model.resolve(), views)
     for view in settings.backgrounds:

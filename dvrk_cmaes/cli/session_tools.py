@@ -45,12 +45,13 @@ def _same(instrument: str, other: str) -> bool:
 class SessionTool:
     """A tool of a session that a command works on, the options of its instrument, and the entries of session.toml.
 
-    The tool of a session that names none has the arm "".
+    The tool of a session that names none has the arm "". ``follow_links`` tells whether links may leave the session.
     """
 
     tool: ToolEntry
     options: InstrumentOptions
     entries: SessionEntries | None
+    follow_links: bool = False
 
     def read(
         self,
@@ -61,11 +62,14 @@ class SessionTool:
         reading: ReadingOptions = DEFAULT_READING,
         video: SessionVideo | None = None,
         labelled: bool = False,
+        ahead: bool = True,
     ) -> ArmInSession:
         """Load the instrument, and read the session with the masks and readings of the tool.
 
-        Arguments as in `CameraOptions.read_session`.
+        Arguments as in `CameraOptions.read_session`. With ``ahead``, all images tell what lies over them.
         """
+        from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
+        from dvrk_cmaes.frames.own_files import FOLLOWED
         from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER
         from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
@@ -80,9 +84,11 @@ class SessionTool:
             tool=self.tool,
             video=video,
             labelled=labelled,
+            follow_links=self.follow_links,
         )
+        session = with_overlaid(session) if ahead else session
         for note in session.notes:
-            if note.startswith(COUNTS_DIFFER):
+            if note.startswith((COUNTS_DIFFER, FOLLOWED, OVERLAID)):
                 warn(f"{folder}: {note}")
         return ArmInSession(session, body, self.options.kinematics)
 
@@ -99,7 +105,9 @@ def output_folder(out: Path | None, inside: Path, name: str) -> Iterator[Path]:
         yield inside / name if out is None else out
 
 
-def session_tools(folder: Path, options: InstrumentOptions, only: Sequence[str] = ()) -> dict[str, SessionTool]:
+def session_tools(
+    folder: Path, options: InstrumentOptions, only: Sequence[str] = (), *, follow_links: bool = False
+) -> dict[str, SessionTool]:
     """Return the tools of a session, or those of the arms ``only``, by the subfolder that their results have.
 
     That is the arm's name, or "" if the session has one tool: its results are in the folder itself.
@@ -111,7 +119,7 @@ def session_tools(folder: Path, options: InstrumentOptions, only: Sequence[str] 
     """
     from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 
-    entries = read_session_toml(folder)
+    entries = read_session_toml(folder, follow_links=follow_links)
     named = () if entries is None else entries.tools
     if entries is None or not named:
         if only:
@@ -120,11 +128,12 @@ def session_tools(folder: Path, options: InstrumentOptions, only: Sequence[str] 
     else:
         chosen = [entries.tool(arm) for arm in only] if only else named
     return {
-        tool.arm if len(named) > 1 else "": SessionTool(tool, _options_of(options, tool), entries) for tool in chosen
+        tool.arm if len(named) > 1 else "": SessionTool(tool, _options_of(options, tool), entries, follow_links)
+        for tool in chosen
     }
 
 
-def single_tool(folder: Path, options: InstrumentOptions) -> SessionTool:
+def single_tool(folder: Path, options: InstrumentOptions, *, follow_links: bool = False) -> SessionTool:
     """Return the tool of a session for a command that works on one.
 
     Raises
@@ -132,7 +141,7 @@ def single_tool(folder: Path, options: InstrumentOptions) -> SessionTool:
     InputError
         The session names several arms.
     """
-    first, *others = session_tools(folder, options).values()
+    first, *others = session_tools(folder, options, follow_links=follow_links).values()
     if others and first.entries is not None:
         named = ", ".join(tool.arm for tool in first.entries.tools)
         raise InputError(f"{first.entries.path}: tool: expected one, got {named}")

@@ -64,7 +64,9 @@ class Source:
     video: Path | None = None
 
     @staticmethod
-    def of(path: Path, evidence: str | None, out: Path, *, camera: Path | None, joints: Path | None) -> Source:
+    def of(
+        path: Path, evidence: str | None, out: Path, *, camera: Path | None, joints: Path | None, follow_links: bool
+    ) -> Source:
         """Find the session of a path; that of a ROS recording is written to a folder in ``out``.
 
         The video of a session counts where it has no images, and its masks are not all that is asked for.
@@ -72,8 +74,9 @@ class Source:
         Raises
         ------
         InputError
-            There is nothing at the path, or it is neither.
+            There is nothing at the path, or it is neither; it holds links that leave it.
         """
+        from dvrk_cmaes.frames.own_files import OwnFiles
         from dvrk_cmaes.frames.session_video import own_video
         from dvrk_cmaes.frames.video_frames import SUFFIXES
         from dvrk_cmaes.recording.bag import is_bag
@@ -81,11 +84,14 @@ class Source:
         if path.suffix.lower() in SUFFIXES and not path.is_dir():
             return Source(path.parent, path)
         if is_bag(path):
+            OwnFiles.check_folder(path, follow_links)
             return Source(_imported(path, out / _IMPORTED, camera, joints))
         if not path.is_dir():
             raise InputError(f"{path}: expected a session folder, a video or a ROS recording, got neither")
         needed = evidence in ("images", "both") or not (path / "masks").is_dir()
-        return Source(path, own_video(path) if needed else None)
+        video = own_video(path) if needed else None
+        OwnFiles(path, follow_links).check_all([video])
+        return Source(path, video)
 
     def read(
         self,
@@ -95,14 +101,15 @@ class Source:
         *,
         joints: Sequence[Path] | None,
         reading: ReadingOptions,
+        ahead: bool,
     ) -> ArmInSession:
         """Read the session of a tool."""
         if self.video is None:
             if video != DEFAULT_VIDEO:
                 raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
-            return tool.read(self.folder, camera, joints=joints, reading=reading)
+            return tool.read(self.folder, camera, joints=joints, reading=reading, ahead=ahead)
         opened = video.open(self.video, camera.side)
-        return tool.read(self.folder, camera, joints=joints, reading=reading, video=opened)
+        return tool.read(self.folder, camera, joints=joints, reading=reading, video=opened, ahead=ahead)
 
 
 def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:

@@ -61,7 +61,8 @@ class FrameFiles:
     name; ``other_tools`` are other tools in the frame. ``video`` is the frame's image where that is in a video, and
     there is no ``image``. ``start`` is an earlier result of the frame, which is refined instead of a search. ``crop``
     is the part of the pictures that is used, left, top, width and height, px; ``pick``, ``keypoints`` and ``prompts``
-    are in pixels of the whole pictures.
+    are in pixels of the whole pictures. ``overlaid`` is a PNG of pixels of the whole pictures that are over all images
+    of the session, as a robot's messages, and do not count.
     """
 
     name: str
@@ -81,6 +82,7 @@ class FrameFiles:
     video: VideoFrame | None = None
     start: Result | None = None
     crop: Window | None = None
+    overlaid: bytes | None = None
 
     @property
     def has_mask(self) -> bool:
@@ -297,6 +299,16 @@ def _cropped(files: FrameFiles, pixels: NDArray[Any], path: Path) -> NDArray[Any
     return np.ascontiguousarray(pixels[top : top + height, left : left + width])
 
 
+def _cropped_like(files: FrameFiles, pixels: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return pixels of the whole images for a mask or an image of some shape, of the part that is used."""
+    if files.crop is not None:
+        left, top, width, height = files.crop
+        pixels = pixels[top : top + height, left : left + width]
+    if pixels.shape == shape[:2]:
+        return pixels
+    return np.asarray(cv2.resize(pixels.astype(np.uint8), shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0)
+
+
 def _moved(files: FrameFiles) -> NDArray[np.float64] | None:
     """Return the jaw tips (2, 2) in pixels of the part of the picture that is used."""
     return files.keypoints if files.keypoints is None or files.crop is None else files.keypoints - files.crop[:2]
@@ -318,6 +330,9 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> NDArray[np
         raise InputError(
             f"{files.ignore}: expected the {what}'s size {_size(shape)}, got {_size(ignore.shape)} (width x height)"
         )
+    if files.overlaid is not None:
+        over = _cropped_like(files, np.asarray(cv2.imdecode(np.frombuffer(files.overlaid, np.uint8), 0)) > 0, shape)
+        ignore = over if ignore is None else ignore | over
     for tool in files.other_tools:
         if tool.behind:
             continue

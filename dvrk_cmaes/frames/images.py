@@ -120,7 +120,7 @@ def read_image(path: str | Path, *, halved: bool = False) -> NDArray[np.uint8]:
     """
     data, _ = _read_file(path, "an image")
     colour = cv2.IMREAD_REDUCED_COLOR_2 if halved else cv2.IMREAD_COLOR
-    return _decode(path, data, "an image", colour | cv2.IMREAD_IGNORE_ORIENTATION)
+    return decode_image(path, data, "an image", colour | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
 def match_size(camera: Camera, shape: tuple[int, int], what: str = "mask") -> tuple[Camera, str | None]:
@@ -179,7 +179,7 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
     return data, header
 
 
-def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[Any]:
+def decode_image(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[Any]:
     """Decode an image with OpenCV's flags; InputError if it cannot be decoded, or not without a loss.
 
     The decoders print nothing: OpenCV's own JPEG decoder would print what it had to make up, and only gets those in the
@@ -200,7 +200,8 @@ def _decode(path: str | Path, data: bytes, what: str, flags: int) -> NDArray[Any
 def _decode_jpeg(data: bytes, flags: int) -> Any:
     """Decode a JPEG as OpenCV does, to the last bit; None for one in colours of print, ValueError if it is damaged."""
     height, width, colours, _ = simplejpeg.decode_jpeg_header(data)
-    wanted = "GRAY" if flags == cv2.IMREAD_UNCHANGED and colours == "Gray" else "BGR"
+    grey = flags == cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    wanted = "GRAY" if grey or (flags == cv2.IMREAD_UNCHANGED and colours == "Gray") else "BGR"
     if colours not in ("Gray", "YCbCr", "RGB"):
         simplejpeg.decode_jpeg(data, "CMYK", strict=True)
         return None
@@ -237,8 +238,8 @@ def _read_labels(path: str | Path, label: Label) -> NDArray[np.integer]:
     if is_of_colours(label):
         if len(label) > 1 and not all(isinstance(part, str) for part in label):
             raise InputError(f"{path}: label: expected either colours or values, got {', '.join(map(str, label))}")
-        return _decode(path, data, what, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    pixels = _decode(path, palette_as_grey(data) if header.palette else data, what, cv2.IMREAD_UNCHANGED)
+        return decode_image(path, data, what, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    pixels = decode_image(path, palette_as_grey(data) if header.palette else data, what, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 2:
         return pixels // (255 // (2**header.bits - 1)) if header.bits < 8 else pixels  # decoded to the range of 8 bits
     colours = pixels[:, :, : min(pixels.shape[2], 3)]
@@ -257,7 +258,7 @@ def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
     data, header = _read_file(path, what)
     if header.bits not in (1, 8):  # of one bit, OpenCV makes 0 and 255
         raise InputError(f"{path}: not 8-bit: expected {what} of 8 bits a pixel, got {header.bits} bits")
-    pixels = _decode(path, data, what, cv2.IMREAD_UNCHANGED)
+    pixels = decode_image(path, data, what, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 2:
         return pixels
     grey = pixels[:, :, 0]

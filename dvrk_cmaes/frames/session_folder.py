@@ -30,6 +30,7 @@ from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import read_keypoints
+from dvrk_cmaes.frames.own_files import OwnFiles
 from dvrk_cmaes.frames.picture_fit import WHOLE, PictureFit
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_video import SessionVideo
@@ -154,6 +155,7 @@ def read_session(
     masks: Path | None = None,
     video: SessionVideo | None = None,
     tolerance: int = TIME_TOLERANCE,
+    follow_links: bool = False,
 ) -> Session:
     """Find the frames of a session folder and read its files, except masks and images.
 
@@ -183,12 +185,14 @@ def read_session(
         A video that has the images of all frames, of the session layout and one view.
     tolerance
         Largest distance in time between an image and the readings before and after it, ns.
+    follow_links
+        Whether links in the folder that lead out of it are followed; a note tells which.
 
     Raises
     ------
     InputError
         A file is missing or not valid (the message names it), there are no frames, two files have one frame's name, or
-        no frame can be used.
+        no frame can be used. A link leads out of the folder.
     """
     return read_session_as(
         folder,
@@ -201,6 +205,7 @@ def read_session(
         masks=masks,
         video=video,
         tolerance=tolerance,
+        follow_links=follow_links,
     )
 
 
@@ -218,6 +223,7 @@ def read_session_as(
     masks: Path | None = None,
     video: SessionVideo | None = None,
     tolerance: int = TIME_TOLERANCE,
+    follow_links: bool = False,
 ) -> Session:
     """Read a session as `read_session`, of files that do not tell all of it.
 
@@ -228,14 +234,14 @@ def read_session_as(
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
-    mask_folder = root / "masks" if masks is None else masks
+    mask_folder, own = root / "masks" if masks is None else masks, OwnFiles(root, follow_links)
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
         frames, readings, times, notes = _session_frames(
-            root, mask_folder, tuple(known), joints, read_as, video, tolerance
+            own, root, mask_folder, tuple(known), joints, read_as, video, tolerance
         )
         notes = ("a session folder", *notes)
     else:
-        frames, readings, times = find_published_frames(root), (), {}
+        frames, readings, times = find_published_frames(root, own), (), {}
         notes = ("frames in the published layout, a folder each",)
     if fit.crop is not None:
         frames = tuple(frame.changed(crop=fit.crop) for frame in frames)
@@ -248,31 +254,35 @@ def read_session_as(
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
     lens: CameraFile | RigFile
     if stereo:
-        lens = fit.lens(_read_eyes(root, camera, camera_right, rectified, frames[0]), frames[0])
+        lens = fit.lens(_read_eyes(own, root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
     else:
-        path = camera or _camera_file(root)
+        path = own.check(camera or _camera_file(root))
         lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
         frames = frames if video is None else video.fitted(frames, lens.camera)
         lens = fit.lens(lens, frames[0])
-    golden = root / "golden.json"
+    golden = own.check(root / "golden.json")
     return Session(
         folder=root,
         rig=lens.rig,
         frames=tuple(replace(frame, notes=(*lens.notes, *frame.notes)) for frame in frames),
         truth=read_golden(golden) if os.path.lexists(golden) else SessionTruth(),
-        notes=(*notes, f"camera: {lens.kind}", *lens.notes),
+        notes=(*notes, f"camera: {lens.kind}", *lens.notes, *own.notes),
         joint_files=readings,
         image_times=times,
     )
 
 
-def _read_eyes(root: Path, left: Path | None, right: Path | None, rectified: bool, frame: FrameFiles) -> RigFile:
+def _read_eyes(
+    own: OwnFiles, root: Path, left: Path | None, right: Path | None, rectified: bool, frame: FrameFiles
+) -> RigFile:
     """Read the camera files of a folder with two views of each frame."""
     if left is None and right is None and os.path.lexists(root / "left.yaml"):
         left, right = root / "left.yaml", root / "right.yaml"
     first = frame if frame.mask or frame.image else frame.others[_VIEWS[1]]
-    return read_rig(left or _camera_file(root), right, rectified=rectified, size=lambda: frame_size(first))
+    left = left or _camera_file(root)
+    own.check_all((left, right))
+    return read_rig(left, right, rectified=rectified, size=lambda: frame_size(first))
 
 
 def _camera_file(root: Path) -> Path:
@@ -290,14 +300,15 @@ def is_session_layout(root: Path) -> bool:
     return (root / "masks").is_dir() or (root / "images").is_dir()
 
 
-def _masks_as_json(root: Path, folder: Path) -> Mapping[str, Path]:
+def _masks_as_json(own: OwnFiles, root: Path, folder: Path) -> Mapping[str, Path]:
     """Find masks as JSON by frame name: a file for each frame, or one for all."""
     found = {path.stem: path for path in sorted(folder.glob("*.json"), key=lambda path: natural(path.name))}
     whole = next((root / name for name in FILES if (root / name).is_file()), None)
-    return found if found or whole is None else dict.fromkeys(frames_of(whole), whole)
+    return found if found or whole is None else dict.fromkeys(frames_of(own.check(whole)), whole)
 
 
 def _session_frames(
+    own: OwnFiles,
     root: Path,
     mask_folder: Path,
     known: tuple[str, ...],
@@ -312,13 +323,17 @@ def _session_frames(
     of_views = [[image_files(folder / view) for folder in folders] for view in views]
     masks, images, ignore = of_views[0]
     if views == (".",) and not masks:
-        masks = of_views[0][0] = _masks_as_json(root, mask_folder)
+        masks = of_views[0][0] = _masks_as_json(own, root, mask_folder)
+    for kinds in of_views:
+        for of_kind in kinds:
+            own.check_all(of_kind.values())
     if video is None and not any(files for kinds in of_views for files in kinds[:2]):
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got none")
     files = [
-        source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
+        source if isinstance(source, JointFile) else read_joint_file(own.check(source), known=known, read_as=read_as)
         for source in (() if joints is None else joints or _joint_files(root))
     ]
+    own.check_all(root / name for name in ("images.csv", "keypoints.csv", "boxes.csv"))
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
@@ -437,11 +452,11 @@ def _interpolation(farthest: int | None, tolerance: int) -> tuple[str, ...]:
     )
 
 
-def find_images(folder: str | Path) -> dict[str, Path]:
+def find_images(folder: str | Path, *, follow_links: bool = False) -> dict[str, Path]:
     """Find the images of a session of either layout, or all images of another folder, by frame name, sorted.
 
     Those of a stereo session are named by view and frame, such as left/0000. The folder need not have a camera, masks
-    or readings.
+    or readings. Links that lead out of it are refused, unless ``follow_links``.
 
     Raises
     ------
@@ -451,8 +466,9 @@ def find_images(folder: str | Path) -> dict[str, Path]:
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: no such folder; expected images, or a session with images")
+    own = OwnFiles(root, follow_links)
     if not is_session_layout(root) and is_published_layout(root):
-        found = {frame.name: frame.image for frame in find_published_frames(root) if frame.image is not None}
+        found = {frame.name: frame.image for frame in find_published_frames(root, own) if frame.image is not None}
     elif any((root / "images" / view).is_dir() for view in _VIEWS):
         views = {view: image_files(root / "images" / view) for view in _VIEWS}
         found = {f"{view}/{name}": path for view, of_view in views.items() for name, path in of_view.items()}
@@ -460,6 +476,7 @@ def find_images(folder: str | Path) -> dict[str, Path]:
         found = dict(image_files(root / "images" if (root / "images").is_dir() else root))
     if not found:
         raise InputError(f"{folder}: expected images (PNG or JPEG), got none")
+    own.check_all(found.values())
     return found
 
 

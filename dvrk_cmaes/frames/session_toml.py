@@ -32,6 +32,7 @@ from msgspec import Struct
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import Window
 from dvrk_cmaes.frames.label import Label, parse_label
+from dvrk_cmaes.frames.own_files import OwnFiles
 from dvrk_cmaes.frames.picture_fit import PictureFit, parse_crop
 from dvrk_cmaes.io.toml_file import read_toml
 from dvrk_cmaes.io.typed_document import convert_document
@@ -127,20 +128,21 @@ class _Document(Struct, forbid_unknown_fields=True, frozen=True):
     tool: tuple[_Tool, ...] = ()
 
 
-def read_session_toml(folder: str | Path) -> SessionEntries | None:
+def read_session_toml(folder: str | Path, *, follow_links: bool = False) -> SessionEntries | None:
     """Read the session.toml of a folder; None if there is none.
 
     Raises
     ------
     InputError
         The file is no TOML file or too large, a key is unknown or has a value of another type, two tools have one arm
-        or one label, or a tool among several has neither a label nor a folder of masks.
+        or one label, or a tool among several has neither a label nor a folder of masks. The file is a link that leaves
+        the folder, and ``follow_links`` is not set.
     """
     root = Path(folder)
     path = root / SESSION_FILE
     if not os.path.lexists(path):
         return None
-    document = read_toml(path, expected="a session's description (TOML)")
+    document = read_toml(OwnFiles(root, follow_links).check(path), expected="a session's description (TOML)")
     _check_keys(path, document)
     read = convert_document(str(path), document, _Document, _EXPECTED)
     own = read.camera

@@ -9,12 +9,13 @@ from pathlib import Path
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, OtherTool
 from dvrk_cmaes.frames.label import Label
+from dvrk_cmaes.frames.own_files import OwnFiles
 from dvrk_cmaes.frames.session_folder import Session, image_files
 from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
 from dvrk_cmaes.results.result import Result
 
 
-def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Session:
+def frames_of_tool(session: Session, entries: SessionEntries, arm: str, *, follow_links: bool = False) -> Session:
     """Return a session with the masks of one tool only; the other tools' pixels do not count.
 
     ``session`` was read with the tool's own folder of masks, if it has one. As long as it is not known whether another
@@ -24,12 +25,12 @@ def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Sessi
     Raises
     ------
     InputError
-        There is no such arm, or the folder of masks of another tool has none.
+        There is no such arm, the folder of masks of another tool has none, or one is a link that leaves the session.
     """
-    tool = entries.tool(arm)
-    others = [_Masks.of(other, session) for other in entries.tools if other.arm != arm]
+    tool, own = entries.tool(arm), OwnFiles(session.folder, follow_links)
+    others = [_Masks.of(other, session, own) for other in entries.tools if other.arm != arm]
     frames = tuple(_of_tool(files, session.view_names[0], tool, others) for files in session.frames)
-    return replace(session, frames=frames)
+    return replace(session, frames=frames, notes=(*session.notes, *own.notes))
 
 
 @dataclass(frozen=True)
@@ -42,10 +43,12 @@ class _Masks:
     files: Mapping[str, Mapping[str, Path]]
 
     @staticmethod
-    def of(tool: ToolEntry, session: Session) -> _Masks:
+    def of(tool: ToolEntry, session: Session, own: OwnFiles) -> _Masks:
         if tool.masks is None:
             return _Masks(tool.arm, tool.label, tool.pick, {})
         files = {name: image_files(tool.masks / name) for name in session.view_names}
+        for of_view in files.values():
+            own.check_all(of_view.values())
         if not any(files.values()):
             raise InputError(f"{tool.masks}: expected masks (PNG or JPEG) of {tool.arm}, got none")
         return _Masks(tool.arm, None, tool.pick, files)

@@ -46,6 +46,7 @@ class Options:
     package_paths: Mapping[str, Path] = field(default_factory=dict)
     camera: Path | None = None
     read_as: ReadAs = BY_THEMSELVES
+    follow_links: bool = False
 
 
 def counted(number: int, what: str) -> str:

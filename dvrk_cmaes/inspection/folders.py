@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.own_files import OwnFiles
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
 from dvrk_cmaes.frames.session_folder import Session, read_session_as
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, read_session_toml
@@ -33,7 +34,7 @@ def inspect_folder(path: Path, options: Options) -> Finding:
         return inspect_recording(path)
     if is_published_layout(path):
         if options.camera is None and not (path / "camera.yaml").exists():
-            return _without_camera(path)
+            return _without_camera(path, OwnFiles(path, options.follow_links))
         return _session(path, options)
     pictures = [
         file for file in sorted(path.iterdir()) if file.suffix.lower() in PICTURES and not file.name.startswith(".")
@@ -76,7 +77,7 @@ def inspect_recording(path: Path) -> Finding:
 
 def _session(path: Path, options: Options) -> Finding:
     """Describe a session folder; of several arms, what each of them sees and reads."""
-    entries = read_session_toml(path)
+    entries = read_session_toml(path, follow_links=options.follow_links)
     tools = (ToolEntry(""),) if entries is None or not entries.tools else entries.tools
     said = CameraEntry() if entries is None or options.camera is not None else entries.camera
     findings: dict[str, Finding] = {}
@@ -91,10 +92,11 @@ def _session(path: Path, options: Options) -> Finding:
             read_as=replace(options.read_as, arm=tool.arm or None, columns=options.read_as.columns or tool.columns),
             fit=said.fit,
             masks=tool.masks,
+            follow_links=options.follow_links,
         )
         if entries is None or len(tools) < 2:
             return _of_arm(session)
-        findings[tool.arm] = _of_arm(frames_of_tool(session, entries, tool.arm))
+        findings[tool.arm] = _of_arm(frames_of_tool(session, entries, tool.arm, follow_links=options.follow_links))
     lines = tuple(f"{arm}: {line}" for arm, finding in findings.items() for line in finding.lines)
     read = {"arms": {arm: finding.read for arm, finding in findings.items()}}
     notes = dict.fromkeys(note for finding in findings.values() for note in finding.notes)
@@ -133,9 +135,9 @@ def _of_arm(session: Session) -> Finding:
     return Finding("session", tuple(lines), read, ("its layout is found by looking", *rules[1:]))
 
 
-def _without_camera(path: Path) -> Finding:
+def _without_camera(path: Path, own: OwnFiles) -> Finding:
     """Describe frames in the published layout without a camera file."""
-    frames = find_published_frames(path)
+    frames = find_published_frames(path, own)
     lines = (
         f"{counted(len(frames), 'frame')} in the published layout: {listed(frame.name for frame in frames)}",
         "no camera file: --camera is needed",

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import read_camera_info
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.images import decode_image
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.typed_document import Count, Number, Texts, convert_document
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
@@ -104,10 +105,7 @@ def read_pixels(where: str, fields: Mapping[str, Any], *, grey: bool = False) ->
         return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY if grey else cv2.COLOR_GRAY2BGR), np.uint8)
     file = stored_image(convert_document(where, fields, _CompressedImage).data, where)
     colours = cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR
-    decoded = cv2.imdecode(np.frombuffer(file.data, np.uint8), colours | cv2.IMREAD_IGNORE_ORIENTATION)
-    if decoded is None:
-        raise InputError(f"{where}: expected a PNG or JPEG, got one that is damaged")
-    return np.asarray(decoded, np.uint8)
+    return np.asarray(decode_image(where, file.data, "an image", colours | cv2.IMREAD_IGNORE_ORIENTATION), np.uint8)
 
 
 def read_joint_message(where: str, fields: Mapping[str, Any]) -> JointMessage:

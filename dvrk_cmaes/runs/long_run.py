@@ -20,3 +20,9 @@ def prepare_long_run() -> None:
         ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
     gc.collect()
     gc.freeze()
+
+
+def give_back_memory() -> None:
+    """Return the memory that is free to the system, where the C library can, as glibc."""
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)

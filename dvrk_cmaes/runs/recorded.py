@@ -12,21 +12,29 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
-from dvrk_cmaes.calibration.model import Calibration, SessionModel, outer_readings
+from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.joints.sparse import LEAST_ERROR, Sparseness
+from dvrk_cmaes.joints.sparse import Sparseness
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.prediction import Prediction
 from dvrk_cmaes.track.recorded_frames import (
+    NO_READINGS,
     BlockTask,
     FittedFrame,
+    JudgeTask,
     PredictedFrame,
     fit_block,
+    judge_frame,
 )
+from dvrk_cmaes.track.still_readings import describe_frozen
+from dvrk_cmaes.track.window import Told, WindowImage, result_of, solve_window, status_of
 
 Float64 = NDArray[np.float64]
 
@@ -34,30 +42,20 @@ BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
 
 _CONTINUED: Final = 6  # frames beyond the first or last readings, as far as these are taken to go on
-_UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
-    """What the calibration predicts of N frames.
+class Beside:
+    """Fits of N frames by other evidence, and its weight beside the first one, at most 1."""
 
-    ``prior`` (N, D, D) is the covariance of the frames' deviations, ``jacobian`` (N, D, K) the change of the
-    predictions with the calibration, ``readings`` are by frame, less the lag; ``told`` (N,) whether there are those of
-    the outer joints, and ``sparse`` (N,) how far these may be off between readings.
-    """
-
-    model: SessionModel
-    calibration: Calibration
-    at: Posed
-    prior: Float64
-    jacobian: Float64
-    readings: list[dict[str, float]]
-    told: NDArray[np.bool_]
-    sparse: list[Sparseness]
+    fits: Sequence[FittedFrame | None]
+    weight: float
 
 
-def predict(recorded: RecordedFrames, session: SessionCalibration, joint_names: tuple[str, ...]) -> Prediction:
-    """Predict all frames from their readings less the lag.
+def predict(
+    recorded: RecordedFrames, session: SessionCalibration, joint_names: tuple[str, ...]
+) -> tuple[Prediction, list[Sparseness]]:
+    """Predict all frames from their readings less the lag; also returns how far these may be off between others.
 
     A frame without readings is predicted by those nearest in time, with a wide standard deviation; near the beginning
     and the end of the readings, by what they did there.
@@ -69,21 +67,10 @@ def predict(recorded: RecordedFrames, session: SessionCalibration, joint_names: 
     known = np.flatnonzero(told)
     nearest = known[np.abs(np.arange(len(told))[:, None] - known).argmin(axis=1)]
     outer, joints = (_continued(values, recorded.times, told, nearest) for values in (outer, joints))
-    model, calibration = session.model(outer, joints, joint_names)
-    prior = model.covariance(calibration)
-    wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
-    trusted = told & ~recorded.frozen
-    prior[~trusted] += wide
-    at, sparse = model.predict(calibration), _sparseness(recorded, session)
+    sparse = _sparseness(recorded, session)
     errors = np.array([one.error for one in sparse])
-    for joint in np.flatnonzero((errors > LEAST_ERROR).any(axis=0)):
-        moved = outer + errors * np.eye(len(OUTER_JOINTS))[joint]
-        off_model, off_calibration = session.model(moved, joints, joint_names)
-        displaced = off_model.predict(off_calibration)
-        for i in np.flatnonzero(errors[:, joint] > LEAST_ERROR).tolist():
-            off = displaced[i].minus(at[i])
-            prior[i] += np.outer(off, off)
-    return Prediction(model, calibration, at, prior, model.jacobian(calibration), readings, told, sparse)
+    moving = ~recorded.frozen
+    return Prediction.of(session, outer, joints, joint_names, told=told, moving=moving, errors=errors), sparse
 
 
 def _continued(values: Float64, times: Float64, told: NDArray[np.bool_], nearest: NDArray[np.intp]) -> Float64:
@@ -132,7 +119,7 @@ def fit_all(
     run: Run[Any, Any],
 ) -> list[FittedFrame | None]:
     """Fit every frame with the prediction as its prior."""
-    information = np.linalg.inv(spread_of(predicted, session))
+    information = np.linalg.inv(predicted.spread)
     rig = Rig(session.corrected_views(recorded.rig.views))  # a task needs no more of the recording and its calibration
     frames = [
         PredictedFrame(own.name, partial(read_shown, own, rig), Expected(predicted.at[i], information[i]))
@@ -142,9 +129,55 @@ def fit_all(
     return [fitted for block in run(fit_block, tasks) for fitted in block]
 
 
-def spread_of(predicted: Prediction, session: SessionCalibration) -> Float64:
-    """Return the covariances (N, D, D) of the frames about their predictions, with that of the calibration."""
-    jacobian = predicted.jacobian
-    return np.asarray(
-        predicted.prior + jacobian @ session.covariance_given_camera @ np.swapaxes(jacobian, 1, 2), np.float64
-    )
+def follow_window(
+    recorded: RecordedFrames,
+    session: SessionCalibration,
+    predicted: Prediction,
+    sparse: Sequence[Sparseness],
+    fits: Sequence[FittedFrame | None],
+    body: Body,
+    config: EstimateConfig,
+    run: Run[Any, Any],
+    source: str = "mask",
+    beside: Beside | None = None,
+) -> list[TrackResult]:
+    """Solve all frames as one window, judge their poses, and describe them, in order.
+
+    ``sparse`` is as of `predict`; ``source`` is what the evidence is taken from, for reasons. ``beside`` are fits of
+    the same frames by other evidence.
+    """
+    camera, instrument, images = recorded.rig.views[0].camera, body.instrument, []
+    for i, fitted in enumerate(fits):
+        at, spread = predicted.at[i], predicted.spread[i]
+        told = Told.of(fitted, at, spread)
+        if beside is not None:
+            told = told.plus(Told.of(beside.fits[i], at, spread), beside.weight)
+        images.append(WindowImage(float(recorded.times[i]), at, predicted.prior[i], predicted.jacobian[i], told))
+    found = solve_window(images, session, camera, instrument)
+    shown = [(fitted, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
+    judged = iter(run(judge_frame, [JudgeTask(fitted.stored, *own) for fitted, own in shown]))
+    frozen = describe_frozen(recorded.frozen, [own.name for own in recorded.files])
+    results = []
+    for i, (fitted, image) in enumerate(zip(fits, images, strict=True)):
+        quality = None if fitted is None else next(judged)
+        status, reasons = status_of(quality, image.told.misfit, session, config, source)
+        told_by_readings = "" if predicted.told[i] else NO_READINGS
+        doubts = () if fitted is None else fitted.doubts
+        reasons += [text for text in (*doubts, told_by_readings, sparse[i].reason, frozen[i]) if text]
+        results.append(
+            result_of(
+                image.time,
+                status,
+                reasons,
+                found[i],
+                quality,
+                predicted,
+                i,
+                session,
+                instrument,
+                camera,
+                seconds=0.0 if fitted is None else fitted.seconds,
+                remarks=recorded.rig.remarks,
+            )
+        )
+    return results

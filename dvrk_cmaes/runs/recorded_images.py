@@ -29,7 +29,7 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.runs.recorded import BLOCK, Prediction, predict, spread_of
+from dvrk_cmaes.runs.recorded import BLOCK, predict
 from dvrk_cmaes.runs.recorded_keyframes import Keyframe, RecordedFrames, solve_together
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.confidence import GUESS
@@ -50,6 +50,7 @@ from dvrk_cmaes.track.image_frames import (
 )
 from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, MaskShape, choose_keyframes
+from dvrk_cmaes.track.prediction import Prediction
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame
 
 Float64 = NDArray[np.float64]
@@ -240,8 +241,8 @@ def _found_around(
 ) -> dict[int, FoundFrame | None]:
     """Find masks where few keyframes expect the instrument; those of the frames that agree are kept."""
     session = solution.calibration
-    predicted, used = predict(recorded, session, body.instrument.joint_names), set(session.frames)
-    information = np.linalg.inv(spread_of(predicted, session))
+    predicted, used = predict(recorded, session, body.instrument.joint_names)[0], set(session.frames)
+    information = np.linalg.inv(predicted.spread)
     others = [i for i in found if recorded.files[i].name not in used]
     tasks = [
         AroundTask(
@@ -294,7 +295,7 @@ def _predicted_colours(
     recorded: RecordedFrames, given: SessionCalibration, found: Mapping[int, FoundFrame | None], body: Body
 ) -> list[LearnTask]:
     """Return the tasks that learn colours from masks where a calibration predicts the instrument."""
-    predicted, tasks = predict(recorded, given, body.instrument.joint_names), []
+    predicted, tasks = predict(recorded, given, body.instrument.joint_names)[0], []
     for i, one in found.items():
         own = recorded.files[i]
         if one is not None and own.has_image:
@@ -329,7 +330,7 @@ def fit_images(
 ) -> list[FittedFrame | None]:
     """Fit every frame by its images with the prediction as its prior."""
     session = solution.calibration
-    information = np.linalg.inv(spread_of(predicted, session))
+    information = np.linalg.inv(predicted.spread)
     frames = [
         PredictedFrame(
             own.name,

@@ -8,12 +8,14 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from threading import Lock
 from types import TracebackType
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.digests import instrument_digest
+from dvrk_cmaes.runs.long_run import give_back_memory
 from dvrk_cmaes.runs.worker_process import ProcessDiedError, WorkerProcess
 from dvrk_cmaes.silhouette.prepare import body_by
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
@@ -43,7 +45,11 @@ class SolverProcess:
         self._process: WorkerProcess | None = None
         self._futures: deque[Future[Solution]] = deque()
         self._alone: dict[str, Result] = {}
-        self._prepared: set[str] = set()  # names of unsolved keyframes that are or will be in `_alone`
+        self._unsolved: set[str] = set()  # names of the keyframes that no solution has estimated yet
+        self._waiting: dict[str, KeyframeTask] = {}  # of these, those that are to be estimated by themselves
+        self._begun: set[str] = set()  # and those that were
+        self._turns = 0  # for which the driver was asked, each for one of those that wait then
+        self._lock = Lock()
         self._solved_names: set[str] = set()  # of those of the last solution
         self._closed = False
 
@@ -67,10 +73,13 @@ class SolverProcess:
         ``tasks`` are all that no solution has estimated yet. Those before that are not among them any more, as where
         others were kept instead, are not estimated, and forgotten.
         """
-        new = [task for task in tasks if task.keyframe.name not in self._prepared]
-        self._prepared = {task.keyframe.name for task in tasks}
-        for task in new:
-            self._driver.submit(self._estimated, task)
+        with self._lock:
+            self._unsolved = {task.keyframe.name for task in tasks}
+            self._begun &= self._unsolved
+            self._waiting = {task.keyframe.name: task for task in tasks if task.keyframe.name not in self._begun}
+            while self._turns < len(self._waiting):
+                self._turns += 1
+                self._driver.submit(self._estimate_next)
 
     @property
     def ready(self) -> bool:
@@ -117,12 +126,18 @@ class SolverProcess:
             raise
         return self._process
 
-    def _estimated(self, task: KeyframeTask) -> None:
+    def _estimate_next(self) -> None:
         """Estimate a keyframe by itself in the process; what fails here is tried again, and raised, with a problem."""
-        name = task.keyframe.name
-        wanted = self._prepared | self._solved_names
+        with self._lock:
+            self._turns -= 1
+            name = next(iter(self._waiting), None)
+            if name is None:
+                return
+            task = self._waiting.pop(name)
+            self._begun.add(name)
+            wanted = self._unsolved | self._solved_names
         self._alone = {other: result for other, result in self._alone.items() if other in wanted}
-        process = None if name in self._alone or name not in wanted else self._process or self._start()
+        process = None if name in self._alone else self._process or self._start()
         if process is None:
             return
         try:
@@ -147,6 +162,7 @@ class SolverProcess:
                 continue
             with contextlib.suppress(ProcessDiedError):
                 solution = process.call(_solve, self._key, problem, self._threads)
+                give_back_memory()
                 self._alone = dict(solution.alone)
                 self._solved_names = set(solution.alone)
                 return solution
@@ -174,4 +190,6 @@ def _solve(key: str, problem: KeyframeProblem, threads: int) -> Solution:
     """Solve a problem with the instrument whose digest is ``key``."""
     from dvrk_cmaes.runs.worker import prepared_body
 
-    return problem.solve(body_by(prepared_body(key), problem.config.silhouette.method), threads)
+    solution = problem.solve(body_by(prepared_body(key), problem.config.silhouette.method), threads)
+    give_back_memory()
+    return solution

@@ -23,7 +23,7 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.processes import usable_cores
-from dvrk_cmaes.runs.recorded import Prediction, fit_all, predict
+from dvrk_cmaes.runs.recorded import Beside, fit_all, follow_window, predict
 from dvrk_cmaes.runs.recorded_images import ImageSolution, fit_images, solve_images
 from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
@@ -34,12 +34,12 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     solve_keyframes,
     write_keyframes,
 )
-from dvrk_cmaes.runs.recorded_results import Beside, judge_all, results_of, smooth_frames
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.prediction import Prediction
 from dvrk_cmaes.track.recorded_frames import FittedFrame
 
 _GROUP: Final = 24  # tasks after which a run looks whether it is to stop
@@ -118,13 +118,13 @@ def follow_recorded(
                 return solved
             recorded, calibration = solved.recorded, solved.calibration
             notice(f"fitting {len(frames)} frames")
-            predicted = predict(recorded, calibration, body.instrument.joint_names)
+            predicted, sparse = predict(recorded, calibration, body.instrument.joint_names)
             fits, beside = solved.fits(predicted, run)
-            smoothed = smooth_frames(recorded, predicted, fits, calibration, body.instrument, beside)
-            judged = judge_all(smoothed, fits, run)
+            results = follow_window(
+                recorded, calibration, predicted, sparse, fits, body, config, run, solved.source, beside
+            )
         except _StoppedError:
             return None
-    results = results_of(recorded, calibration, predicted, fits, smoothed, judged, body, config, solved.source)
     return RecordedTracks(results, _with_lag(calibration, settings.lag, clock))
 
 

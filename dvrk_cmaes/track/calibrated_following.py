@@ -9,36 +9,27 @@ from __future__ import annotations
 import time as clock
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.seen_view import seen_views
-from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.calibrated_frames import (
-    OVERLAP_LOSS,
-    Told,
-    calibration_covariance,
-    covariance_of_margin,
-    describe,
-    status_of,
-)
 from dvrk_cmaes.track.describe import without_pose
-from dvrk_cmaes.track.offset_smoother import FrameDeviations
-from dvrk_cmaes.track.predicted_image import ROLL, PredictedImage
+from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction
 from dvrk_cmaes.track.quick_fit import QuickFit, judged, quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
+from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, JudgedFrame
 from dvrk_cmaes.track.sight import Seen, Sight
+from dvrk_cmaes.track.window import OVERLAP_LOSS, Told, WindowImage, result_of, solve_window, status_of
 
 Float64 = NDArray[np.float64]
 
@@ -49,17 +40,6 @@ BASE_MOVED: Final = (
 _WINDOW = 15  # images whose deviations are estimated together
 _MOST_ASTRAY = 10  # images in a row that disagree with the calibration, after which it does not hold any more
 _DISAGREES = 4  # images in a row that disagree, from which on the keyframes are solved again
-
-
-@dataclass(frozen=True, eq=False)
-class _Image:
-    """What is known of one image: its prediction, and what its fit tells, as in `FrameDeviations.of`."""
-
-    time: float
-    predicted: Posed
-    prior: Float64
-    jacobian: Float64
-    told: Told
 
 
 class CalibratedFollowing:
@@ -94,7 +74,7 @@ class CalibratedFollowing:
         self._uncertain = uncertain
         self._rig, self._body = rig, body
         self._config = replace(config, threads=1)
-        self._images: deque[_Image] = deque(maxlen=_WINDOW)
+        self._images: deque[WindowImage] = deque(maxlen=_WINDOW)
         self._before: Float64 | None = None
         self._outer: Float64 | None = None
         self._lengths: dict[str, float] = {}  # px, correlation lengths of the contours' errors, by view
@@ -129,8 +109,22 @@ class CalibratedFollowing:
     def start_from(self, at: Posed, reading: ReadingAt) -> None:
         """Let the fit of the next image start from the pose and joints of one before it, with that one's readings."""
         if reading.has_outer:
-            instrument = self._body.instrument
-            self._before = at.minus(PredictedImage.of(self.calibration, reading.outer, reading, 0.0, instrument).at)
+            self._before = at.minus(self._predicted(reading, reading.outer).at[0])
+
+    def _predicted(self, reading: ReadingAt, outer: Float64) -> Prediction:
+        """Predict an image from its readings less the lag, with other readings of the outer joints (4,), rad and m."""
+        predicted = Prediction.of(
+            self.calibration,
+            outer[None],
+            reading.joints[None],
+            self._body.instrument.joint_names,
+            told=np.array([reading.has_outer]),
+            moving=np.array([not reading.still]),
+            errors=None if reading.sparse is None else reading.sparse.error[None],
+            late=self._lag_std * reading.rates[None] if self._lag_std > 0 else None,
+            wrist=WRIST_ERROR,
+        )
+        return predicted.without_calibration() if self._uncertain else predicted
 
     def follow(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight, *, in_view: bool = True) -> TrackResult:
         """Fit the image of a later time, s, whose readings, less the lag, are ``reading``.
@@ -138,23 +132,18 @@ class CalibratedFollowing:
         An image that does not show the instrument well, ``in_view``, does not tell against the calibration.
         """
         started = clock.perf_counter()
-        told = reading.has_outer and not reading.still
         if reading.has_outer:
             self._outer = reading.outer
         if self._outer is None:
             return without_pose(time, "no readings of the outer joints so far")
-        instrument = self._body.instrument
-        predicted = PredictedImage.of(self.calibration, self._outer, reading, self._lag_std, instrument, told=told)
-        at, prior, jacobian = predicted.at, predicted.prior, predicted.jacobian
-        spread = prior + jacobian @ self.calibration.covariance_given_camera @ jacobian.T
-        if self._uncertain:
-            prior = spread = prior + predicted.shared
-            jacobian = np.zeros_like(jacobian)
+        predicted, instrument = self._predicted(reading, self._outer), self._body.instrument
+        at, spread = predicted.at[0], predicted.spread[0]
         fitted = self._fitted(at, spread, seen, sight)
-        told_by_fit = Told.of(fitted, at, spread)
-        self.misfit = told_by_fit.misfit
-        self._images.append(_Image(time, at, prior, jacobian, told_by_fit))
-        followed, covariance = self._filtered()
+        told = Told.of(fitted, at, spread)
+        self.misfit = told.misfit
+        self._images.append(WindowImage(time, at, predicted.prior[0], predicted.jacobian[0], told))
+        camera = self._rig.views[0].camera
+        (found,) = solve_window(list(self._images), self.calibration, camera, instrument, only_last=True)
         quality: JudgedFrame | None = None
         status: TrackStatus
         if fitted is None:
@@ -162,34 +151,32 @@ class CalibratedFollowing:
             status, reasons = ("lost", [EMPTY.format(source="mask")]) if problem is None else ("doubtful", [problem])
             self._before = None
         else:
-            quality = judged(fitted.views, followed, covariance, self._body, self._config)
-            status, reasons = status_of(quality, told_by_fit.misfit, self.calibration, self._config)
+            quality = judged(fitted.views, *found, self._body, self._config)
+            status, reasons = status_of(quality, told.misfit, self.calibration, self._config)
             self._before = fitted.fit.at.minus(at) if fitted.fit.explains_mask else None
-            disagrees = status == "lost" or told_by_fit.misfit > self._config.session.largest_misfit
-            self._astray = self._astray + in_view if disagrees and told else 0
+            disagrees = status == "lost" or told.misfit > self._config.session.largest_misfit
+            told_by_readings = reading.has_outer and not reading.still
+            self._astray = self._astray + in_view if disagrees and told_by_readings else 0
             explained = not disagrees and quality.quality.iou >= self.calibration.iou - OVERLAP_LOSS
             self._unexplained = 0 if explained else self._unexplained + in_view
         if not reading.has_outer:
-            reasons.append("no readings: none of the outer joints at the time of the image less the lag")
+            reasons.append(NO_READINGS)
         elif reading.still and fitted is not None:
             reasons.append("readings stand still: where the instrument is, only the mask tells")
         if self.contradicted:
             reasons.insert(0, BASE_MOVED.format(count=self._astray))
-        if reasons and status == "ok":
-            status = "doubtful"
-        offsets = self._offsets(followed, predicted, reading)
-        return describe(
+        return result_of(
             time,
             status,
-            tuple(reasons),
-            followed,
-            covariance,
-            np.asarray(followed.pose @ inverse(predicted.base_from_root)),
-            offsets,
-            self._body.instrument,
-            self._rig.views[0].camera,
+            reasons,
+            found,
+            quality,
+            predicted,
+            0,
+            self.calibration,
+            instrument,
+            camera,
             seconds=clock.perf_counter() - started,
-            judged=quality,
         )
 
     def checkpoint(self) -> dict[str, Any]:
@@ -197,8 +184,8 @@ class CalibratedFollowing:
         images = [
             [
                 image.time,
-                image.predicted.pose.tolist(),
-                image.predicted.joints.tolist(),
+                image.at.pose.tolist(),
+                image.at.joints.tolist(),
                 image.prior.tolist(),
                 image.jacobian.tolist(),
                 image.told.information.tolist(),
@@ -223,17 +210,13 @@ class CalibratedFollowing:
         for time, *rest in saved["images"]:
             pose, joints, prior, jacobian, information, optimum = (np.array(each, dtype=np.float64) for each in rest)
             self._images.append(
-                _Image(float(time), Posed(pose, joints), prior, jacobian, Told(information, optimum, 0.0))
+                WindowImage(float(time), Posed(pose, joints), prior, jacobian, Told(information, optimum, 0.0))
             )
         self._before = None if saved["before"] is None else np.array(saved["before"], dtype=np.float64)
         self._outer = None if saved["outer"] is None else np.array(saved["outer"], dtype=np.float64)
         self._lengths = {name: float(length) for name, length in saved["lengths"].items()}
         self._astray, self._unexplained = int(saved["astray"]), int(saved["unexplained"])
         self._uncertain = bool(saved["uncertain"])
-
-    @property
-    def _names(self) -> tuple[str, ...]:
-        return self._body.instrument.joint_names
 
     def _fitted(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> QuickFit | None:
         """Fit an image's masks; None if they show nothing, or there is none."""
@@ -249,31 +232,3 @@ class CalibratedFollowing:
         if fitted is not None and fitted.fit.explains_mask:
             self._lengths |= {view.name: length for view, length in zip(fitted.views, fitted.lengths, strict=True)}
         return fitted
-
-    def _filtered(self) -> tuple[Posed, Float64]:
-        """Return the pose and joints of the last image by all images that are kept, and their covariance (D, D)."""
-        images = list(self._images)
-        calibrated = calibration_covariance(self.calibration)
-        deviations = FrameDeviations.of(
-            np.array([image.time for image in images]),
-            np.array([image.prior for image in images]),
-            np.array([image.told.information for image in images]),
-            np.array([image.told.optimum for image in images]),
-            np.array([image.jacobian for image in images]),
-        )
-        deviation, own, response = deviations.last()
-        at = images[-1].predicted.moved(deviation)
-        covariance = own + response @ calibrated @ response.T
-        camera = self.calibration.corrected(self._rig.views[0].camera)
-        covariance = covariance + covariance_of_margin(at, self.calibration.masks, camera, self._body.instrument)
-        covariance += covariance_of_camera(self.calibration.camera, at, camera)
-        return at, np.asarray(covariance)
-
-    def _offsets(self, at: Posed, predicted: PredictedImage, reading: ReadingAt) -> dict[str, float]:
-        """Return the offsets of roll and of the joints that were read: true = reading + offset."""
-        by_roll = predicted.roll_offset + float(at.minus(predicted.at)[ROLL])
-        found = {"roll": by_roll} if reading.has_outer else {}
-        for name, value, read in zip(self._names, at.joints.tolist(), reading.joints.tolist(), strict=True):
-            if not np.isnan(read):
-                found[name] = value - read
-        return found

@@ -1,18 +1,9 @@
-"""The lag of a calibration, and how poses that it predicts change with it."""
+"""The lag of a calibration, and how far it may be off."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.track.lag import FoundLag
-
-Float64 = NDArray[np.float64]
-
-_STEP = 1e-3  # s, of the difference by which the change of the pose by the lag is found
 
 
 def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
@@ -44,18 +35,3 @@ def lag_and_std(calibration: SessionCalibration, unknown: float) -> tuple[float,
     """
     found = lag_of(calibration, unknown)
     return (0.0, unknown) if found is None else (found.seconds, found.std)
-
-
-def predicted_with_lag(
-    calibration: SessionCalibration, outer: Float64, joints: Float64, rates: Float64, instrument: Instrument
-) -> tuple[Posed, Float64]:
-    """Return the pose and joints that readings make expect, and their change (D,) by the lag, per s.
-
-    ``outer`` (4,) and ``joints`` (J,) are the readings, NaN where there is none, ``rates`` (4 + J,) theirs per s. The
-    change is minus the velocity of pose and joints.
-    """
-    moved = -_STEP * np.nan_to_num(rates)
-    both = np.array([outer, outer + moved[: len(outer)]]), np.array([joints, joints + moved[len(outer) :]])
-    model, own = calibration.model(*both, instrument.joint_names)
-    at = model.predict(own)
-    return at[0], np.asarray(at[1].minus(at[0]) / _STEP)

@@ -15,9 +15,9 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.doubts import doubts_of_tips
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.track.calibrated_frames import covariance_of_margin, mean_of_tips_mm
-from dvrk_cmaes.track.predicted_image import PredictedImage
+from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction
 from dvrk_cmaes.track.reading_buffer import ReadingAt
+from dvrk_cmaes.track.window import covariance_of_margin, mean_of_tips_mm
 
 _KNOWN: Final = 2.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
 _OWN_ERROR: Final = 2.5  # factor on the errors of an image's own result, for those that the images near it share
@@ -43,12 +43,13 @@ def confirmed_by(
     if result.camera_from_root is None or result.covariance is None or not reading.has_outer or reading.still:
         return None
     at = Posed(result.camera_from_root, np.array([result.joints[name] for name in instrument.joint_names]))
-    expected = PredictedImage.of(calibration, reading.outer, reading, lag_std, instrument)
-    but_for_lag = expected.prior - expected.by_lag + expected.shared
-    if expected_error(instrument, expected.at, but_for_lag).of_tips_mm > _KNOWN * config.trust.tip_mm:
+    readings, names = (reading.outer[None], reading.joints[None]), instrument.joint_names
+    expected = Prediction.of(calibration, *readings, names, wrist=WRIST_ERROR)
+    if expected_error(instrument, expected.at[0], expected.spread[0]).of_tips_mm > _KNOWN * config.trust.tip_mm:
         return None
-    apart = at.minus(expected.at)
-    spread = expected.prior + expected.shared + result.covariance
+    late = Prediction.of(calibration, *readings, names, late=lag_std * reading.rates[None], wrist=WRIST_ERROR)
+    apart = at.minus(expected.at[0])
+    spread = late.spread[0] + result.covariance
     if float(apart @ np.linalg.solve(spread, apart)) > _AGREES * len(apart):
         return None
     camera = calibration.corrected(rig.views[0].camera)

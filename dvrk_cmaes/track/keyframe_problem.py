@@ -24,9 +24,9 @@ from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.calibrated_frames import calibration_covariance
-from dvrk_cmaes.track.calibration_lag import lag_and_std, predicted_with_lag
+from dvrk_cmaes.track.calibration_lag import lag_and_std
 from dvrk_cmaes.track.keyframes import solved_with
+from dvrk_cmaes.track.prediction import Prediction
 from dvrk_cmaes.track.quick_fit import LINES_PER_PIXEL
 
 Bool = NDArray[np.bool_]
@@ -158,19 +158,18 @@ class KeyframeProblem:
 
     def _tip_error(self, calibration: SessionCalibration, instrument: Instrument) -> float:
         """Return the expected error of the tips, mm, in the median of the keyframes by the calibration alone."""
-        names, errors = (*OUTER_JOINTS, *instrument.joint_names), []
+        if not self.keyframes:
+            return np.inf
+        names = (*OUTER_JOINTS, *instrument.joint_names)
+        values = np.array([[keyframe.readings.get(name, np.nan) for name in names] for keyframe in self.keyframes])
+        rates = np.array([[keyframe.rates.get(name, 0.0) for name in names] for keyframe in self.keyframes])
         _, std = lag_and_std(calibration, self.config.track.lag_std)
-        for keyframe in self.keyframes:
-            values = np.array([keyframe.readings.get(name, np.nan) for name in names])
-            rates = np.array([keyframe.rates.get(name, 0.0) for name in names])
-            outer = len(OUTER_JOINTS)
-            at, by_lag = predicted_with_lag(calibration, values[:outer], values[outer:], rates, instrument)
-            model, own = calibration.model(values[None, :outer], values[None, outer:], instrument.joint_names)
-            jacobian = model.jacobian(own)[0]
-            late = std * by_lag
-            covariance = jacobian @ calibration_covariance(calibration) @ jacobian.T + np.outer(late, late)
-            errors.append(expected_error(instrument, at, covariance).of_tips_mm)
-        return float(np.median(errors)) if errors else np.inf
+        outer, joints = np.split(values, [len(OUTER_JOINTS)], axis=1)
+        known = Prediction.of(calibration, outer, joints, instrument.joint_names)
+        late = Prediction.of(calibration, outer, joints, instrument.joint_names, late=std * np.nan_to_num(rates))
+        covariance = known.shared + late.prior - known.prior
+        errors = [expected_error(instrument, known.at[k], own).of_tips_mm for k, own in enumerate(covariance)]
+        return float(np.median(errors))
 
 
 def packed(masks: Mapping[str, Bool]) -> dict[str, NDArray[np.uint8]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import zlib
 from base64 import b64decode, b64encode
-from bisect import insort
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -22,6 +21,7 @@ from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, packed
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, well_in_view
+from dvrk_cmaes.track.reading_buffer import ReadingRows
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -54,7 +54,8 @@ class KeyframeStore:
         self._kept: list[Keyframe] = []
         self._places = np.zeros((0, len(self._names) + 1))
         self._shapes: list[MaskShape] = []
-        self._rows: list[tuple[float, int, Mapping[str, float]]] = []
+        self._joint_names = joint_names
+        self._rows = ReadingRows(joint_names)
         self._added = 0
         self._known_until = -np.inf  # s, of the readings that were there when the store was restored
         self._last: float | None = None
@@ -71,9 +72,9 @@ class KeyframeStore:
         """Keep the readings of one time, s; after `restore`, those that were known then may be given again."""
         if time <= self._known_until:
             return
-        insort(self._rows, (time, self._added, dict(joints)))
+        self._rows.add(time, joints)
         self._added += 1
-        if len(self._rows) % _PRUNED_EVERY == 0:
+        if self._added % _PRUNED_EVERY == 0:
             self._prune()
 
     def shows_well(self, masks: Mapping[str, Bool]) -> bool:
@@ -141,20 +142,13 @@ class KeyframeStore:
 
     def problem(self, arm: Arm, config: EstimateConfig, alone: Mapping[str, Result], base: int = 0) -> KeyframeProblem:
         """Return what the keyframes pose to be solved; ``alone`` are results of keyframes, by name, if known."""
-        rows: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in self._names}
-        for time, _, joints in self._rows:
-            for name, value in joints.items():
-                stamps, values = rows[name]
-                if stamps and stamps[-1] == time:
-                    values[-1] = value
-                else:
-                    stamps.append(time)
-                    values.append(value)
-        known = {name: row for name, row in rows.items() if row[0]}
+        rows = self._rows.series
+        read = {name: ~np.isnan(values) for name, values in zip(rows.joints, rows.values.T, strict=True)}
+        known = {name: at for name, at in read.items() if at.any()}
         series = ReadingSeries(
             "s",
-            {name: np.array(stamps) for name, (stamps, _) in known.items()},
-            {name: np.array(values) for name, (_, values) in known.items()},
+            {name: rows.times[at] for name, at in known.items()},
+            {name: rows.values[at, rows.joints.index(name)] for name, at in known.items()},
             {keyframe.name: keyframe.time for keyframe in self._kept},
             float(np.median(self._interval)) if self._interval else 1 / 30,
         )
@@ -171,7 +165,7 @@ class KeyframeStore:
             "places": self._places.tolist(),
             "taken": self.taken,
             "shapes": [[shape.area, shape.on_border] for shape in self._shapes],
-            "rows": [[time, joints] for time, _, joints in self._rows],
+            "rows": [[time, joints] for time, joints in self._rows.rows],
             "last": self._last,
             "interval": self._interval,
         }
@@ -185,19 +179,20 @@ class KeyframeStore:
         self._places = np.array(saved["places"], dtype=np.float64).reshape(len(self._kept), len(self._names) + 1)
         self.taken = int(saved["taken"])
         self._shapes = [MaskShape(float(area), float(share)) for area, share in saved["shapes"]]
-        self._rows = [(float(time), number, dict(joints)) for number, (time, joints) in enumerate(saved["rows"])]
-        self._added = len(self._rows)
-        self._known_until = self._rows[-1][0] if self._rows else -np.inf
+        self._rows = ReadingRows(self._joint_names)
+        for time, joints in saved["rows"]:
+            self._rows.add(time, joints)
+        self._known_until = max(self._rows.series.times, default=-np.inf)
         self._last = None if saved["last"] is None else float(saved["last"])
         self._interval = [float(value) for value in saved["interval"]]
 
     def _prune(self) -> None:
         """Drop old readings that are near no keyframe."""
-        times = np.array([row[0] for row in self._rows])
+        times = self._rows.series.times
         kept = times > times[-1] - _LATEST
         for keyframe in self._kept:
             kept |= np.abs(times - keyframe.time) < _AROUND
-        self._rows = [row for row, keep in zip(self._rows, kept, strict=True) if keep]
+        self._rows.keep(kept)
 
 
 def _written(masks: Mapping[str, NDArray[np.uint8]]) -> dict[str, str]:

@@ -48,37 +48,38 @@ class ReadingAt:
         """Whether all outer joints have a reading."""
         return not np.isnan(self.outer).any()
 
+    @property
+    def rates(self) -> Float64:
+        """Rates of the outer and the instrument's joints (4 + J,), per s; 0 where unknown."""
+        return np.asarray(np.nan_to_num(np.concatenate([self.outer_rate, self.joint_rate])))
 
-class ReadingBuffer:
-    """The readings of the last seconds; readings may arrive at any rate, before or after the images they belong to.
 
-    Joints may be read at times of their own, as the jaw is on its own topic: each is interpolated between its own
-    readings.
+class ReadingRows:
+    """Readings of joints in the order of their times, in arrays that grow as needed.
 
     Parameters
     ----------
     joint_names
         Names of the instrument's J joints.
-    gap
-        Longest time, s, over which readings are interpolated or gone on with; of readings that are usually farther
-        apart than half of it, twice their usual spacing.
-    still
-        Time, s, after which unchanged readings count as frozen, or four times their usual spacing, if that is longer.
     """
 
-    def __init__(self, joint_names: Sequence[str], gap: float, still: float) -> None:
+    def __init__(self, joint_names: Sequence[str]) -> None:
         self._names = (*OUTER_JOINTS, *joint_names)
-        self._gap = gap
-        self._still = still
         self._count = 0
         self._complete = True  # whether every row has all joints
-        self._times = np.empty(_MOST + _BLOCK + 1)
-        self._rows = np.empty((len(self._times), len(self._names)))
+        self._times = np.empty(_BLOCK)
+        self._rows = np.empty((_BLOCK, len(self._names)))
 
     @property
     def series(self) -> TimedReadings:
         """The readings kept, s: a view, which later readings change."""
         return TimedReadings(self._names, self._times[: self._count], self._rows[: self._count])
+
+    @property
+    def rows(self) -> Iterator[tuple[float, dict[str, float]]]:
+        """The readings kept: their times, s, and the joints that were read, by name."""
+        for time, values in zip(self.series.times.tolist(), self.series.values.tolist(), strict=True):
+            yield time, {name: value for name, value in zip(self._names, values, strict=True) if value == value}
 
     def add(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, s; of two of a joint at the same time, the last is used.
@@ -95,6 +96,9 @@ class ReadingBuffer:
         check_readings("readings", joints, self._names)
         row = np.array([joints.get(name, np.nan) for name in self._names], dtype=np.float64)
         at, end = int(self.series.times.searchsorted(time)), self._count
+        if end == len(self._times):
+            self._times = np.resize(self._times, 2 * end)
+            self._rows = np.resize(self._rows, (2 * end, len(self._names)))
         if at == end or self._times[at] != time:
             self._times[at + 1 : end + 1], self._rows[at + 1 : end + 1] = self._times[at:end], self._rows[at:end]
             self._times[at] = time
@@ -103,15 +107,43 @@ class ReadingBuffer:
             row = np.where(np.isnan(row), self._rows[at], row)
         self._rows[at] = row
         self._complete &= not np.isnan(row).any()
-        self._drop()
 
-    def _drop(self) -> None:
-        """Drop old readings, in blocks, because the others are moved."""
+    def keep(self, kept: NDArray[np.bool_] | slice) -> None:
+        """Drop all readings but some (N,)."""
+        times, values = self.series.times[kept], self.series.values[kept]
+        self._count = len(times)
+        self._times[: self._count], self._rows[: self._count] = times, values
+
+
+class ReadingBuffer(ReadingRows):
+    """The readings of the last seconds; they may arrive at any rate, before or after the images they belong to.
+
+    Joints may be read at times of their own, as the jaw is on its own topic: each is interpolated between its own
+    readings.
+
+    Parameters
+    ----------
+    joint_names
+        Names of the instrument's J joints.
+    gap
+        Longest time, s, over which readings are interpolated or gone on with; of readings that are usually farther
+        apart than half of it, twice their usual spacing.
+    still
+        Time, s, after which unchanged readings count as frozen, or four times their usual spacing, if that is longer.
+    """
+
+    def __init__(self, joint_names: Sequence[str], gap: float, still: float) -> None:
+        super().__init__(joint_names)
+        self._gap = gap
+        self._still = still
+
+    def add(self, time: float, joints: Mapping[str, float]) -> None:
+        """Add the readings of one time, and drop old ones, in blocks, because the others are moved."""
+        super().add(time, joints)
         times = self.series.times
         first = max(int(times.searchsorted(times[-1] - _KEPT)), len(times) - _MOST)
         if first > _BLOCK:
-            self._count -= first
-            self._times[: self._count], self._rows[: self._count] = times[first:], self._rows[first : len(times)]
+            self.keep(slice(first, None))
 
     @property
     def last(self) -> float | None:

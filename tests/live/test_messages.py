@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.live.messages import read_pixels
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (6, 8, 3), dtype=np.uint8)
@@ -39,3 +40,23 @@ def test_grey_image_keeps_its_values(message: object) -> None:
     fields = message(PIXELS[:, :, 0])  # type: ignore[operator]
     assert np.array_equal(read_pixels("/mask", fields, grey=True), PIXELS[:, :, 0])
     assert np.array_equal(read_pixels("/mask", fields), np.repeat(PIXELS[:, :, :1], 3, axis=2))
+
+
+def test_jpeg_is_decoded_as_a_file_is_and_a_damaged_one_refused_without_a_word(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    jpeg = cv2.imencode(".jpg", np.repeat(np.repeat(PIXELS, 8, axis=0), 8, axis=1))[1]
+
+    def message(data: bytes) -> dict[str, object]:
+        return {"header": HEADER, "format": "jpeg", "data": base64.b64encode(data).decode()}
+
+    for grey, flag in ((False, cv2.IMREAD_COLOR), (True, cv2.IMREAD_GRAYSCALE)):
+        np.testing.assert_array_equal(
+            read_pixels("/image", message(jpeg.tobytes()), grey=grey), cv2.imdecode(jpeg, flag)
+        )
+    damaged = bytearray(jpeg.tobytes())
+    middle = len(damaged) // 2
+    damaged[middle : middle + 40] = b"\x00" * 40
+    with pytest.raises(InputError, match="/image: expected an image"):
+        read_pixels("/image", message(bytes(damaged)))
+    assert capfd.readouterr() == ("", "")

@@ -37,3 +37,22 @@ def test_threads_share_one_arena(*, prepare: bool) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert (done.stderr.count("Arena ") == 1) is prepare
+
+
+GIVES_BACK = """
+import psutil
+from dvrk_cmaes.runs.long_run import give_back_memory, prepare_long_run
+prepare_long_run()
+both = [(b"x" * 100_000, bytearray(30_000)) for _ in range(500)]
+kept = [small for _, small in both]
+del both
+before = psutil.Process().memory_info().rss
+give_back_memory()
+print((before - psutil.Process().memory_info().rss) / 1e6)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries do not give memory back")
+def test_memory_between_what_is_kept_is_given_back() -> None:
+    done = subprocess.run([sys.executable, "-c", GIVES_BACK], capture_output=True, text=True, check=True)
+    assert float(done.stdout) > 25

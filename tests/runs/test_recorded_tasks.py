@@ -26,8 +26,8 @@ def tasks_of(count: int, monkeypatch: pytest.MonkeyPatch) -> list[BlockTask]:
     whole: Any = SimpleNamespace(files=files, rig=RIG)
     changed = tuple(replace(view, camera=replace(view.camera, fx=900.0)) for view in RIG.views)
     session: Any = SimpleNamespace(corrected_views=lambda _: changed, masks=None)
-    predicted: Any = SimpleNamespace(at=Posed(np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3))))
-    monkeypatch.setattr(recorded, "spread_of", lambda *_: np.tile(np.eye(9), (count, 1, 1)))
+    at = Posed(np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)))
+    predicted: Any = SimpleNamespace(at=at, spread=np.tile(np.eye(9), (count, 1, 1)))
     sent: list[BlockTask] = []
 
     def run(function: Any, tasks: Any) -> list[list[None]]:

@@ -97,6 +97,7 @@ def test_keyframes_that_others_replace_are_not_estimated_and_forgotten() -> None
         solver._driver.submit(begin.wait, 30)  # the process is at something else
         for k in range(30):  # of three that are kept, the oldest one is replaced
             solver.prepare(tasks[k : k + 3])
+        assert solver._driver._work_queue.qsize() <= 3
         begin.set()
         solver._driver.submit(int).result(30)
         assert process.estimated == [task.keyframe.name for task in tasks[29:32]]

@@ -24,7 +24,7 @@ from dvrk_cmaes.track.keyframe_problem import Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES
 from dvrk_cmaes.track.known_base import KnownBase
-from dvrk_cmaes.track.predicted_image import PredictedImage
+from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 
 CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))
@@ -163,10 +163,11 @@ def test_calibration_expects_larger_errors_of_the_wrist_in_later_images(
     at = readings.at(world.time(20))
     model, own = calibration.model(at.outer[None], at.joints[None], instrument.joint_names)
     std = np.sqrt(np.diag(model.covariance(own)[0]))
-    expected = np.sqrt(np.diag(PredictedImage.of(calibration, at.outer, at, 0.0, instrument).prior))
+    readings_at = (calibration, at.outer[None], at.joints[None], instrument.joint_names)
+    expected = np.sqrt(np.diag(Prediction.of(*readings_at, wrist=WRIST_ERROR).prior[0]))
     assert expected[:5] == pytest.approx(std[:5])
     assert expected[5:] == pytest.approx(2 * std[5:])
-    late = np.sqrt(np.diag(PredictedImage.of(calibration, at.outer, at, 0.1, instrument).prior))
+    late = np.sqrt(np.diag(Prediction.of(*readings_at, late=0.1 * at.rates[None], wrist=WRIST_ERROR).prior[0]))
     assert (late >= expected).all()
     assert late[:3].max() > 2 * expected[:3].max()
 

@@ -32,6 +32,7 @@ _HALF = 2  # the least divisor of the size between the smallest and the whole on
 _BETWEEN = 400  # px, about the width of the images of that size where the whole ones are larger than twice that
 _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
+_FARTHEST = 1.0  # m, of an instrument that an endoscope sees; a refinement that leads beyond has diverged
 _AGREEING = 2  # candidates that have reached the same mode, which suffice if no other mode is nearly as good
 _TWINS = 3  # best candidates whose mirror twins are refined as well
 _OF_CONTOUR = Steps(6, tolerance=0.1, tested="none", largest=6.0)  # from a pose that is nearly right
@@ -122,12 +123,15 @@ class LocalSearch:
         selection: Selection = ALL,
         continued: bool = False,
     ) -> list[Fit]:
-        """Refine candidates or modes on the coverage and all other terms."""
+        """Refine candidates or modes on the coverage and all other terms; those that diverge are left out."""
         if not modes:
             return []
         shrink = coverage.views[0].shrink
         steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations, continued=continued)
-        return refine(coverage, self._terms, Posed.stacked([mode.at for mode in modes]), steps, selection)
+        fits = refine(coverage, self._terms, Posed.stacked([mode.at for mode in modes]), steps, selection)
+        distances = [float(np.linalg.norm(fit.at.pose[:3, 3])) for fit in fits]
+        near = [fit for fit, distance in zip(fits, distances, strict=True) if distance < _FARTHEST]
+        return near or [fits[int(np.argmin(distances))]]
 
     def _assess(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
         """Score modes without refining them."""

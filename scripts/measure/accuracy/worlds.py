@@ -202,7 +202,12 @@ def estimated(drawn: Folder) -> tuple[dict[str, Any], list[Failure]]:
     results, failures = {}, []
     for name, stamp in drawn.times().items():
         arguments = ["estimate", "--mask", str(drawn.path / "masks" / f"{name}.png"), "--frame", name, "--json"]
-        arguments += ["--camera", str(drawn.path / "camera.yaml")]
+        arguments += [
+            "--image",
+            str(drawn.path / "images" / f"{name}.jpg"),
+            "--camera",
+            str(drawn.path / "camera.yaml"),
+        ]
         arguments += ["--instrument", drawn.world.instrument, "--arm", drawn.world.arm]
         ignored = drawn.ignored / f"{name}.png"
         arguments += ["--ignore", str(ignored)] if ignored.exists() else []

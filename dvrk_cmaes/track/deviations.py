@@ -27,7 +27,7 @@ _JITTER = 1e-9  # of a covariance, so that it can be inverted
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """FrameDeviations (N, D) of frames from their predictions, and their covariances (N, D, D).
+    """Deviations (N, D) of frames from their predictions, and their covariances (N, D, D).
 
     ``response`` (N, D, K) is the change of the frames' poses and joints with the calibration.
     """
@@ -104,22 +104,16 @@ class FrameDeviations:
         return cls(diagonal, beside, both.T @ right, both, jacobian)
 
     @single_blas_thread()
-    def smoothed(self) -> Smoothed:
-        """Find the most probable deviations of all frames."""
-        solution, blocks = _solve(self.diagonal, self.beside, self.right)
-        found = self.both @ solution
-        return Smoothed(found[:, :, 0], self.both @ blocks @ self.both.T, self.jacobian + found[:, :, 1:])
-
-    @single_blas_thread()
-    def last(self) -> tuple[Float64, Float64, Float64]:
-        """Find the most probable deviation of the last frame, as `smoothed` does for all of them.
-
-        Returns the deviation (D,), its covariance (D, D), and the change (D, K) of pose and joints with the
-        calibration.
-        """
+    def smoothed(self, *, only_last: bool = False) -> Smoothed:
+        """Find the most probable deviations of all frames, or of the last one only, N = 1, given all."""
         pivots, sides = _eliminated(self.diagonal, self.beside, self.right)
-        found = self.both @ pivots[-1] @ sides[-1]
-        return found[:, 0], self.both @ pivots[-1] @ self.both.T, self.jacobian[-1] + found[:, 1:]
+        if only_last:
+            pivots, found = pivots[-1:], pivots[-1:] @ sides[-1:]
+        else:
+            found, pivots = _substituted(pivots, sides, self.beside)
+        found = self.both @ found
+        jacobian = self.jacobian[-len(found) :]
+        return Smoothed(found[:, :, 0], self.both @ pivots @ self.both.T, jacobian + found[:, :, 1:])
 
 
 def _carried(prior: Float64, steps: Float64, size: int) -> Float64:
@@ -136,19 +130,16 @@ def _carried(prior: Float64, steps: Float64, size: int) -> Float64:
     return out
 
 
-def _solve(diagonal: Float64, beside: Float64, right: Float64) -> tuple[Float64, Float64]:
-    """Solve a symmetric block-tridiagonal system (N blocks of M x M) for columns (N, M, C).
+def _substituted(pivots: Float64, sides: Float64, beside: Float64) -> tuple[Float64, Float64]:
+    """Solve a system whose frames were eliminated, for columns (N, M, C).
 
     Also returns the diagonal blocks (N, M, M) of the inverse.
     """
-    count = len(diagonal)
-    pivots, sides = _eliminated(diagonal, beside, right)
-    solution, blocks = np.empty_like(right), np.empty_like(diagonal)
-    solution[-1], blocks[-1] = pivots[-1] @ sides[-1], pivots[-1]
-    for k in range(count - 2, -1, -1):
+    solution, blocks = pivots @ sides, pivots.copy()
+    for k in range(len(pivots) - 2, -1, -1):
         gain = pivots[k] @ beside[k]
-        solution[k] = pivots[k] @ sides[k] - gain @ solution[k + 1]
-        blocks[k] = pivots[k] + gain @ blocks[k + 1] @ gain.T
+        solution[k] -= gain @ solution[k + 1]
+        blocks[k] += gain @ blocks[k + 1] @ gain.T
     return solution, blocks
 
 

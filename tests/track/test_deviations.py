@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.track.offset_smoother import FrameDeviations
+from dvrk_cmaes.track.deviations import FrameDeviations
 
 COUNT, SIZE, CONSTANTS = 6, 3, 2
 TIMES = np.array([0.0, 0.1, 0.2, 0.5, 0.6, 1.0])
@@ -27,13 +27,13 @@ def test_result_is_that_of_the_dense_system() -> None:
     jacobian = rng.standard_normal((COUNT, SIZE, CONSTANTS))
     stacked = np.tile(prior, (COUNT, 1, 1))
     deviations = FrameDeviations.of(TIMES, stacked, information, optimum, jacobian, slow_share=0.7, slow=1.0, fast=0.1)
-    found, last = deviations.smoothed(), deviations.last()
+    found, last = deviations.smoothed(), deviations.smoothed(only_last=True)
     told = np.zeros((COUNT * SIZE, COUNT * SIZE))
     for k in range(COUNT):
         told[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] = information[k]
     covariance = np.linalg.inv(np.linalg.inv(spread(prior, TIMES, 1.0, 0.1, 0.7)) + told)
-    for value, of_all in zip(last, (found.deviations, found.covariance, found.response), strict=True):
-        assert value == pytest.approx(of_all[-1], rel=1e-9, abs=1e-12)
+    for name in ("deviations", "covariance", "response"):
+        assert getattr(last, name) == pytest.approx(getattr(found, name)[-1:], rel=1e-9, abs=1e-12)
     assert found.deviations.ravel() == pytest.approx(covariance @ optimum.ravel(), abs=1e-6)
     blocks = [covariance[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] for k in range(COUNT)]
     assert found.covariance == pytest.approx(np.array(blocks), abs=1e-6)

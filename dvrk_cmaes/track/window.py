@@ -1,24 +1,31 @@
-"""What the fit of one image to the prediction of a calibration tells, and the result that follows."""
+"""The window: images whose deviations from a calibration's predictions are estimated together, and their results.
+
+A recording on disk is one window of all its frames; while images come, the window is the last fifteen.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.session_camera import covariance_of_camera
+from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
-from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.geometry import Posed, apply, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.track.deviations import FrameDeviations
+from dvrk_cmaes.track.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.track.quick_fit import QuickFit
 from dvrk_cmaes.track.recorded_frames import EMPTY, FittedFrame, JudgedFrame
 
@@ -33,13 +40,12 @@ OVERLAP_LOSS = 0.15
 # Neighbours support the pose, so these limits are wider than those of a single frame.
 _CONTOUR_FACTOR, _LARGEST_PX = 3.0, 9.0
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
-_CALIBRATION_ERROR = 1.3  # factor on the calibration's covariance, for errors that all masks of a recording share
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
 
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """What a fit tells of a frame's deviation from its prediction.
+    """What a fit tells of an image's deviation from its prediction.
 
     ``information`` (D, D) and ``optimum`` (D,) are those of `FrameDeviations.of`, zero where it tells nothing;
     ``misfit`` is the squared misfit per parameter.
@@ -65,10 +71,52 @@ class Told:
             weight = 0.0
         return cls(weight * fit.information, weight * (fit.information @ deviation - fit.slope), misfit)
 
+    def plus(self, other: Told, weight: float) -> Told:
+        """Return this with what other evidence of the same image tells, which has a weight."""
+        information, optimum = weight * other.information, weight * other.optimum
+        return Told(self.information + information, self.optimum + optimum, self.misfit)
 
-def calibration_covariance(session: SessionCalibration) -> Float64:
-    """Return the covariance (K, K) of a calibration, widened for errors that all masks of a recording share."""
-    return np.asarray(_CALIBRATION_ERROR * session.covariance_given_camera)
+
+@dataclass(frozen=True, eq=False)
+class WindowImage:
+    """An image of the window: its time, s, what is expected of it, as in `Prediction`, and what its fit tells."""
+
+    time: float
+    at: Posed
+    prior: Float64
+    jacobian: Float64
+    told: Told
+
+
+def solve_window(
+    images: Sequence[WindowImage],
+    calibration: SessionCalibration,
+    camera: Camera,
+    instrument: Instrument,
+    *,
+    only_last: bool = False,
+) -> list[tuple[Posed, Float64]]:
+    """Find the poses and joints of N images by what all of them tell, with their covariances (D, D).
+
+    The covariances include those of the calibration. With ``only_last``, the list has the last image alone.
+    """
+    smoothed = FrameDeviations.of(
+        np.array([image.time for image in images]),
+        np.array([image.prior for image in images]),
+        np.array([image.told.information for image in images]),
+        np.array([image.told.optimum for image in images]),
+        np.array([image.jacobian for image in images]),
+    ).smoothed(only_last=only_last)
+    calibrated, camera = calibration_covariance(calibration), calibration.corrected(camera)
+    found = []
+    for image, deviation, own, response in zip(
+        images[-len(smoothed.deviations) :], smoothed.deviations, smoothed.covariance, smoothed.response, strict=True
+    ):
+        at = image.at.moved(deviation)
+        covariance = own + response @ calibrated @ response.T
+        covariance += covariance_of_margin(at, calibration.masks, camera, instrument)
+        found.append((at, covariance + covariance_of_camera(calibration.camera, at, camera)))
+    return found
 
 
 def covariance_of_margin(at: Posed, masks: SessionMasks | None, camera: Camera, instrument: Instrument) -> Float64:
@@ -100,22 +148,22 @@ def mean_of_tips_mm(instrument: Instrument, error: ExpectedError) -> float | Non
 def status_of(
     judged: JudgedFrame | None,
     misfit: float,
-    session: SessionCalibration,
+    calibration: SessionCalibration,
     config: EstimateConfig,
     source: str = "mask",
 ) -> tuple[TrackStatus, list[str]]:
-    """Return the status of a frame by its mask alone, and the reasons; ``source`` names the evidence."""
+    """Return the status of an image by its mask alone, and the reasons; ``source`` names the evidence."""
     if judged is None:
         return "lost", [EMPTY.format(source=source)]
     quality = judged.quality
     if quality.iou < _LEAST_OVERLAP:
         return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]
     reasons = list(judged.reasons)
-    largest_px = max(_LARGEST_PX, _CONTOUR_FACTOR * session.contour_px_95)
-    if quality.iou < session.iou - OVERLAP_LOSS or quality.contour_px_95 > largest_px:
+    largest_px = max(_LARGEST_PX, _CONTOUR_FACTOR * calibration.contour_px_95)
+    if quality.iou < calibration.iou - OVERLAP_LOSS or quality.contour_px_95 > largest_px:
         reasons.append(
             f"mask not explained: IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour, of "
-            f"keyframes {session.iou:.3f} and {session.contour_px_95:.1f} px"
+            f"keyframes {calibration.iou:.3f} and {calibration.contour_px_95:.1f} px"
         )
     if misfit > config.session.largest_misfit:
         reasons.append(
@@ -125,35 +173,54 @@ def status_of(
     return "doubtful" if reasons else "ok", reasons
 
 
-def describe(
+def result_of(
     time: float,
     status: TrackStatus,
-    reasons: tuple[str, ...],
-    at: Posed,
-    covariance: Float64,
-    base: Float64,
-    offsets: Mapping[str, float],
+    reasons: Sequence[str],
+    found: tuple[Posed, Float64],
+    judged: JudgedFrame | None,
+    predicted: Prediction,
+    number: int,
+    calibration: SessionCalibration,
     instrument: Instrument,
     camera: Camera,
     *,
-    seconds: float,
-    judged: JudgedFrame | None,
+    seconds: float = 0.0,
+    remarks: tuple[str, ...] = (),
 ) -> TrackResult:
-    """Return a frame's result with the error that is expected of its tips; ``judged`` is how the pose was judged."""
+    """Describe an image of the window; one for whose pose there is any reason to doubt it is not ok.
+
+    Parameters
+    ----------
+    time, status, reasons, seconds, remarks
+        As in `TrackResult`; the reasons are those of the status and any others.
+    found
+        Pose and joints, and their covariance (D, D).
+    judged
+        How the pose explains the image; None where it shows nothing.
+    predicted, number
+        What was expected of some images, and the number of this one among them.
+    calibration
+        The calibration on which the result rests.
+    instrument, camera
+        The instrument, and the camera as its file has it.
+    """
+    at, covariance = found
     tips, _ = locate_tips(instrument, camera, at)
     error = expected_error(instrument, at, covariance) if judged is None else judged.error
-    residual = None if judged is None else NORMAL_MEDIAN * judged.quality.contour_px_median
-    return TrackResult(
+    result = TrackResult(
         time=time,
-        status=status,
-        reasons=reasons,
+        status="doubtful" if reasons and status == "ok" else status,
+        reasons=tuple(reasons),
         camera_from_root=at.pose,
         joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
         covariance=covariance,
         tips=np.array(tips),
         tip_std_mm=mean_of_tips_mm(instrument, error),
-        camera_from_base=base,
-        offsets=dict(offsets),
+        camera_from_base=np.asarray(at.pose @ inverse(predicted.base_from_root[number])),
+        offsets=predicted.offsets(number, at, instrument.joint_names),
         seconds=seconds,
-        residual_px=residual,
+        residual_px=None if judged is None else NORMAL_MEDIAN * judged.quality.contour_px_median,
+        remarks=remarks,
     )
+    return resting_on(result, calibration)

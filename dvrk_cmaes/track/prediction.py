@@ -1,0 +1,154 @@
+"""What a calibration and readings make expect of images: pose and joints, and how far they may be off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.joints.sparse import LEAST_ERROR
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+
+ROLL: Final = 5
+"""Index, among the changes of pose and joints, of the first that is an error of the wrist: roll."""
+WRIST_ERROR: Final = 2.0
+"""Factor on the errors of roll and joints that a calibration expects of later images.
+
+In 12 recordings with known truth the wrist was 1.5 to 2.5 standard deviations (root mean square) off what the
+keyframes before an image expect; the arm was 0.5 to 1.
+"""
+_CALIBRATION_ERROR = 1.3  # factor on the calibration's covariance, for errors that all masks of a recording share
+_UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
+_STEP = 1e-3  # of a change of the readings, of the difference by which the change of the pose is found
+
+
+def calibration_covariance(calibration: SessionCalibration) -> Float64:
+    """Return the covariance (K, K) of a calibration, widened for errors that all masks of a recording share."""
+    return np.asarray(_CALIBRATION_ERROR * calibration.covariance_given_camera)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What is expected of N images.
+
+    ``at`` is where the calibration expects the instrument. ``prior`` (N, D, D) is the covariance of the images' own
+    deviations from there, ``shared`` (N, D, D) that by the calibration's errors, and ``jacobian`` (N, D, K) the change
+    of ``at`` with the calibration. ``base_from_root`` (N, 4, 4), m, are those of the readings, ``read`` (N, J) the
+    joints' readings, rad, NaN without one, and ``roll_offset`` (N,), rad, what the calibration adds to that of roll.
+    ``told`` (N,) is whether the outer joints were read.
+    """
+
+    at: Posed
+    prior: Float64
+    shared: Float64
+    jacobian: Float64
+    base_from_root: Float64
+    read: Float64
+    roll_offset: Float64
+    told: Bool
+
+    @classmethod
+    def of(
+        cls,
+        calibration: SessionCalibration,
+        outer: Float64,
+        joints: Float64,
+        joint_names: tuple[str, ...],
+        *,
+        told: Bool | None = None,
+        moving: Bool | None = None,
+        errors: Float64 | None = None,
+        late: Float64 | None = None,
+        wrist: float = 1.0,
+    ) -> Prediction:
+        """Predict N images.
+
+        Parameters
+        ----------
+        calibration, joint_names
+            The calibration, and the instrument's J joints.
+        outer : (N, 4)
+            Readings of the outer joints at the times of the images less the lag, rad and m.
+        joints : (N, J)
+            Those of the instrument's joints, rad; NaN where there is none.
+        told, moving : (N,)
+            Whether the outer joints were read then, and whether their readings are those of a moving arm; by default
+            both. Otherwise the arm may be elsewhere.
+        errors : (N, 4)
+            How far the readings of the outer joints may be off between those that were taken, rad and m.
+        late : (N, 4 + J)
+            Change of the readings within a standard deviation of the lag.
+        wrist
+            Factor on the errors of roll and joints that the calibration expects.
+        """
+        model, own = calibration.model(outer, joints, joint_names)
+        at, prior, jacobian = model.predict(own), model.covariance(own), model.jacobian(own)
+        told = np.ones(len(outer), np.bool_) if told is None else told
+        wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
+        prior[~(told if moving is None else told & moving)] += wide
+        readings = np.concatenate([outer, joints], axis=1)
+
+        def widen(change: Float64) -> None:
+            some = np.flatnonzero(change.any(axis=1))
+            if len(some):
+                moved_outer, moved_joints = np.split(readings[some] + _STEP * change[some], [outer.shape[1]], axis=1)
+                moved_model, same = calibration.model(moved_outer, moved_joints, joint_names)
+                off = moved_model.predict(same).minus(at[some]) / _STEP
+                prior[some] += off[:, :, None] * off[:, None, :]
+
+        if late is not None:
+            widen(late)
+        if errors is not None:
+            counted = np.where(errors > LEAST_ERROR, errors, 0.0)
+            for joint in range(len(OUTER_JOINTS)):
+                widen(counted[:, [joint]] * np.eye(readings.shape[1])[joint])
+        factor = np.ones(prior.shape[-1])
+        factor[ROLL:] = wrist
+        shared = jacobian @ calibration_covariance(calibration) @ jacobian.swapaxes(1, 2)
+        return cls(
+            at,
+            prior * np.outer(factor, factor),
+            shared * np.outer(factor, factor),
+            jacobian,
+            model.base_from_root(own.offsets),
+            joints,
+            own.offsets[1] + model.correction.values[:, 0],
+            told,
+        )
+
+    def without_calibration(self) -> Prediction:
+        """Return the same with the calibration's errors among the images' own deviations."""
+        nothing = np.zeros_like(self.shared)
+        return Prediction(
+            self.at,
+            self.prior + self.shared,
+            nothing,
+            np.zeros_like(self.jacobian),
+            self.base_from_root,
+            self.read,
+            self.roll_offset,
+            self.told,
+        )
+
+    @property
+    def spread(self) -> Float64:
+        """Covariance (N, D, D) of the images about what is expected."""
+        return self.prior + self.shared
+
+    def offsets(self, number: int, at: Posed, joint_names: Sequence[str]) -> dict[str, float]:
+        """Return the offsets, rad, of roll and of the joints that were read, of one image: true = reading + offset."""
+        found = {}
+        if self.told[number]:
+            found["roll"] = float(self.roll_offset[number] + at.minus(self.at[number])[ROLL])
+        for name, value, read in zip(joint_names, at.joints.tolist(), self.read[number].tolist(), strict=True):
+            if not np.isnan(read):
+                found[name] = value - read
+        return found
