@@ -15,6 +15,7 @@ from dvrk_cmaes.cli.options import (
     FRAME,
     MOST_THREADS,
     OUTPUT,
+    SEGMENT,
     Flag,
     FollowLinksOption,
     PromptOptions,
@@ -74,6 +75,7 @@ def segment(
     *,
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
+    instrument: Annotated[str, Parameter(group=SEGMENT)] = "lnd",
     follow_links: FollowLinksOption = False,
     threads: Annotated[int, Parameter(group=OUTPUT)] = 2,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
@@ -82,11 +84,12 @@ def segment(
     r"""Find the instrument in an image, or in each image of a folder.
 
     Writes OUT/masks/FRAME.png, OUT/overlays/FRAME.jpg for inspection and, if the model computes a score of each pixel,
-    OUT/scores/FRAME.png (8-bit; 128 and more is instrument). Without prompts, the model classic takes for instrument
-    what is grey before a colourful background and reaches the image's border. Where that is not found, it takes what
-    differs from the background: one learned from at least 8 images of a camera that stands still, or in a single image
-    a smooth one, as of paper. If this does not hold either, give a box or a point. In a folder, the same prompts are
-    used for every image.
+    OUT/scores/FRAME.png (8-bit; 128 and more is instrument). The model classic looks for the instrument's shape,
+    whatever its colours: straight edges of the shaft, with wrist and jaws that look unlike what is around them. Of
+    several instruments the surest one is taken, unless a box or a point says which; the masks of the others are
+    OUT/others/FRAME-2.png and so on. Where no shape is found, it takes what is grey before a colourful background, or
+    what differs from a smooth one; in a folder with at least 8 images of a camera that stands still, what differs from
+    the background that these show. In a folder, the same prompts are used for every image.
 
     `estimate` and `batch` find masks in images themselves, and more accurately, because they use the instrument's
     shape. Of a stereo session, the images of both eyes are segmented, into OUT/masks/left and OUT/masks/right.
@@ -109,6 +112,8 @@ def segment(
         The segmentation model.
     prompts
         Prompts; in a folder, the same for every image.
+    instrument
+        Name of a bundled instrument, or path of a URDF.
     follow_links
         Read what links in a folder lead to, also outside of it; such links are refused otherwise.
     threads
@@ -140,7 +145,7 @@ def segment(
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
     check_output_folder(out, "segment", whole=True, replaces=True)
-    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores", "others")) as beside:
+    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as beside:
         outcomes = []
         for frame, path in images.items():
             try:

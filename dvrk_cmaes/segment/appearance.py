@@ -33,12 +33,11 @@ _LEARNED: Final = 4000  # pixels from which bins are learned
 _BAND: Final = 0.0030  # m, width of the band around the silhouette
 _THIN: Final = 0.0004  # m, to either side of the outline, where edges are
 _USUAL: Final = 0.05  # of the image's longer side, width of a shaft, below which an instrument is less likely
-_WEIGHTS: Final = 2.0, 0.25, 0.1, 1.5  # of separation, edges, rarity, and of the logarithm of a width that is not usual
+_WEIGHTS: Final = 2.0, 0.25, 0.3, 1.5  # of separation, edges, rarity, and of the logarithm of a width that is not usual
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
 _LEAST: Final = 1.5, 0.8, 6.0, 4.0
 """Pixels whose histograms count fully, of the shaft and of wrist and jaws, in squared widths of the shaft; and pixels
 along the outline of all and of wrist and jaws, whose edges count fully, in widths."""
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +88,9 @@ class Appearance:
         self._longer = max(counts.shape)
         self._rarity = -np.log(self._whole + 1e-3)
         self._common = float(self._whole @ self._rarity)
-        self._wide, self._wide_shaft, self._all, self._shaft, self._bounds = (
-            Renderer(each, camera, threads=1) if isinstance(each, Body) else [Renderer(b, camera, threads=1) for b in each]
-            for each in _bodies(body)
-        )
+        drawn, outlined = (tuple(Renderer(each, camera, threads=1) for each in kind) for kind in _bodies(body))
+        self._wide, self._wide_shaft, self._all, self._shaft = drawn
+        self._bounds = outlined
 
     def scores(self, at: Posed) -> Scores:
         """Measure C candidates."""
@@ -114,7 +112,7 @@ class Appearance:
         )
 
     def _mean_rarity(self, counts: Float64) -> Float64:
-        """Return how rare the colours of histograms (C, K) are in the picture, (C,); that of few pixels is less sure."""
+        """Return how rare the colours of histograms (C, K) are in the picture, (C,); of few pixels as usual."""
         return np.asarray((counts @ self._rarity + 20 * self._common) / (counts.sum(axis=1) + 20))
 
     def _separation(self, inside: Float64, band: Float64, least: Float64) -> Float64:
@@ -156,7 +154,10 @@ def edge_scores(image: Image, counts: Bool) -> Float32:
     """Return of each pixel (H, W) how rare its gradient is: -log of the share with a larger one, less 1; at most 4."""
     smooth = cv2.GaussianBlur(image, (0, 0), 0.8).astype(np.float32)
     smooth = np.log(smooth + 12.0)
-    steep = np.max([np.hypot(cv2.Sobel(part, cv2.CV_32F, 1, 0), cv2.Sobel(part, cv2.CV_32F, 0, 1)) for part in cv2.split(smooth)], axis=0)
+    steep = np.max(
+        [np.hypot(cv2.Sobel(part, cv2.CV_32F, 1, 0), cv2.Sobel(part, cv2.CV_32F, 0, 1)) for part in cv2.split(smooth)],
+        axis=0,
+    )
     levels = np.sort(steep[counts])
     if not len(levels):
         return np.zeros(counts.shape, np.float32)
@@ -165,14 +166,18 @@ def edge_scores(image: Image, counts: Bool) -> Float32:
 
 
 @lru_cache(maxsize=4)
-def _bodies(body: Body) -> tuple[Body, Body, Body, Body, tuple[Body, ...]]:
-    """Return the body wider by the band, as it is, its root link, and root link and all, wider and narrower."""
+def _bodies(body: Body) -> tuple[list[Body], list[Body]]:
+    """Return what is drawn, and what bounds outlines.
+
+    These are all and the root link, wider by the band, then both as they are; and all, and wrist and jaws, each a
+    little wider and a little narrower.
+    """
     instrument = body.instrument
-    shaft = replace(instrument, links=instrument.links[:1], link_joints=instrument.link_joints[:1])
+    root = replace(instrument, links=instrument.links[:1], link_joints=instrument.link_joints[:1])
     distal = replace(instrument, links=instrument.links[1:], link_joints=instrument.link_joints[1:])
-    bounds = [_widened(each, by) for each in (instrument, distal) for by in (_THIN, -_THIN)]
-    wide = [Body(_widened(each, _BAND)) for each in (instrument, shaft)]
-    return *wide, Body(instrument), Body(shaft), tuple(Body(each) for each in bounds)
+    drawn = [_widened(each, by) for by in (_BAND, 0.0) for each in (instrument, root)]
+    outlined = [_widened(each, by) for each in (instrument, distal) for by in (_THIN, -_THIN)]
+    return [Body(each) for each in drawn], [Body(each) for each in outlined]
 
 
 def _widened(instrument: Instrument, by: float) -> Instrument:

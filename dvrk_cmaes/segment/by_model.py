@@ -43,7 +43,7 @@ _BENDS: Final = np.deg2rad([(0, 0), (45, 0), (-45, 0), (0, 45), (0, -45), (35, 3
 _JAWS: Final = (0.4,)
 _STARTS: Final = 2  # of a group
 _EVALUATIONS: Final = 160
-_SCALE: Final = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
+_SCALE: Final = np.array([1e-3, 1e-3, 4e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
 _SEED: Final = 1
 _STRAIN: Final = 0.01  # of the score, for each squared unit of change
 _EVEN, _STEEPNESS = 1.6, 8.0  # score of a candidate that is as likely to be wrong as right, and slope of the log-odds
@@ -105,7 +105,7 @@ def find_instruments(
 
     def loss(index: NDArray[np.intp], change: Float64) -> Float64:
         strain = _STRAIN * (change**2).sum(axis=1)
-        return strain - appearance.scores(begin[index].moved(change * scale)).total
+        return np.asarray(strain - appearance.scores(begin[index].moved(change * scale)).total)
 
     found = minimise_each("cmaes", loss, known, len(scale), _EVALUATIONS, _SEED)
     ends = Posed.stacked([begin[k].moved(each.best * scale) for k, each in enumerate(found)])
@@ -122,7 +122,7 @@ def find_instruments(
 
 def _share(first: Bool, second: Bool) -> bool:
     """Whether two silhouettes (h, w) share more pixels than those of two instruments may."""
-    return int((first & second).sum()) > _SHARED * min(first.sum(), second.sum())
+    return int((first & second).sum()) > _SHARED * min(int(first.sum()), int(second.sum()))
 
 
 def _grouped(at: Posed, scores: Float64, renderer: Renderer) -> list[list[int]]:

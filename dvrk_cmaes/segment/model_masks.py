@@ -33,7 +33,7 @@ Float32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 _SIZE: Final = 480  # px, longer side at which masks are cut
-_FREE: Final = 0.12, 0.6  # widths of the shaft from the shaft, and from wrist and jaws, within which there is no prior
+_FREE: Final = 0.12, 0.6  # widths of the shaft from the shaft, and from wrist and jaws, beyond which there is a prior
 _STEEPNESS: Final = 6.0  # log-odds for each width beyond
 _REACH: Final = 0.8, 1.5  # widths beyond, from which on nothing is instrument
 _BESIDE: Final = 0.15, 3.0  # widths around a mask, between which the colours of the surroundings are learned

@@ -156,7 +156,10 @@ def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Fl
         own = line.point @ along + line.stretches * (line.direction @ along)
         covered.append(np.sort(own, axis=1))
     common = [
-        (max(a[0], b[0]), min(a[1], b[1])) for a in covered[0].tolist() for b in covered[1].tolist() if min(a[1], b[1]) > max(a[0], b[0])
+        (max(a[0], b[0]), min(a[1], b[1]))
+        for a in covered[0].tolist()
+        for b in covered[1].tolist()
+        if min(a[1], b[1]) > max(a[0], b[0])
     ]
     overlap = sum(end - begin for begin, end in common)
     low = max(covered[0].min(), covered[1].min())

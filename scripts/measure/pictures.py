@@ -96,8 +96,8 @@ def _endovis17(frames: Path) -> Iterator[Picture]:
     folder = frames / "labs/endovis17"
     camera = read_camera(folder / "camera.yaml")
     for number, path in enumerate(sorted((folder / "images").glob("*.png"))):
-        label = cv2.imread(str(folder / "labels" / path.name), cv2.IMREAD_GRAYSCALE)
-        tools = pieces(np.asarray(label > 0))
+        label = read_image(folder / "labels" / path.name).max(axis=2)
+        tools = pieces(np.not_equal(label, 0))
         yield Picture("endovis17", path.stem, read_image(path), camera, "lnd", number % 2 == 0, tools=tools)
 
 
