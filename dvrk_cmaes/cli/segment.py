@@ -132,8 +132,10 @@ def segment(
     from dvrk_cmaes.io.output import check_output_folder, whole_folder
     from dvrk_cmaes.results.paths import check_output
     from dvrk_cmaes.runs.backgrounds import learned_backgrounds
+    from dvrk_cmaes.silhouette.prepare import prepare
 
     hints = prompts.resolve()
+    prepare(instrument)  # before any image is read, and cached
     cv2.setNumThreads(threads)
     single = not source.is_dir()
     images = {source.stem: source} if single else find_images(source, follow_links=follow_links)
@@ -149,7 +151,7 @@ def segment(
         outcomes = []
         for frame, path in images.items():
             try:
-                outcomes.append(_segment(frame, path, settings, hints, threads, beside, instrument))
+                outcomes.append(segment_file(frame, path, settings, hints, threads, beside, instrument))
             except DvrkCmaesError as error:
                 if single:
                     raise
@@ -173,7 +175,7 @@ def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:
     return views
 
 
-def _segment(
+def segment_file(
     frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path, instrument: str
 ) -> ImageOutcome:
     """Segment one image and write score, overlay and, as the last file, the mask."""

@@ -24,6 +24,7 @@ from pathlib import Path
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.files import CameraFile, Side, read_camera_file
+from dvrk_cmaes.camera.guess import CameraGuess
 from dvrk_cmaes.camera.rig_files import RigFile, read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
@@ -40,7 +41,14 @@ from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, ReadAs, frame_readings, read_joint_file
+from dvrk_cmaes.joints.reading import (
+    TIME_TOLERANCE,
+    JointFile,
+    NoneNearError,
+    ReadAs,
+    frame_readings,
+    read_joint_file,
+)
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
@@ -52,6 +60,7 @@ NO_READINGS = "readings: none"
 
 _COUNTED = 3  # frames from which on their numbers may be those of every N-th image
 _MANY = 2  # times as many rows as frames that are the first of them
+_WORD = re.compile(r"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt)s?$", re.IGNORECASE)
 _VIEWS = ("left", "right")
 _CAMERAS = (
     *(f"camera.{suffix}" for suffix in ("yaml", "yml", "xml", "json", "mat", "txt")),
@@ -67,7 +76,8 @@ class Session:
 
     ``truth`` holds the known poses, if any. ``notes`` describe the recognised formats of folder, camera and readings.
     ``rig`` has both cameras of a stereo session, or the only one; ``camera`` is its first. ``joint_files`` are the
-    files of readings, ``image_times`` the times of the images by frame, ns, None if unknown.
+    files of readings, ``image_times`` the times of the images by frame, ns, None if unknown. ``guessed`` tells that
+    there is no camera file, and the camera is a guess.
     """
 
     folder: Path
@@ -77,6 +87,7 @@ class Session:
     notes: tuple[str, ...] = ()
     joint_files: tuple[JointFile, ...] = ()
     image_times: Mapping[str, int | None] = field(default_factory=dict)
+    guessed: bool = False
 
     @property
     def camera(self) -> Camera:
@@ -223,12 +234,14 @@ def read_session_as(
     masks: Path | None = None,
     video: SessionVideo | None = None,
     tolerance: int = TIME_TOLERANCE,
+    guess: CameraGuess | None = None,
     follow_links: bool = False,
 ) -> Session:
     """Read a session as `read_session`, of files that do not tell all of it.
 
     ``joints`` may be files that were read already, or None to use no readings; ``read_as`` tells how the others are
-    read, and ``fit`` how the pictures fit the camera file.
+    read, and ``fit`` how the pictures fit the camera file. ``guess`` is the camera to use where there is no file, or in
+    any case if it has a focal length; by default there must be a file.
     """
     check_type("folder", folder, PATH, "the path of a session folder")
     root = Path(folder)
@@ -250,15 +263,25 @@ def read_session_as(
         raise InputError(
             f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
         )
-    if camera is None and not stereo and not (root / "camera.yaml").exists() and notes[0] != "a session folder":
+    without_file = camera is None and not stereo and not os.path.lexists(_camera_file(root))
+    guessed = guess is not None and (guess.focal_px is not None or without_file)
+    if guessed and stereo:
+        raise InputError(
+            f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
+        )
+    without = camera is None and not stereo and not (root / "camera.yaml").exists() and not guessed
+    if without and notes[0] != "a session folder":
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
     lens: CameraFile | RigFile
     if stereo:
         lens = fit.lens(_read_eyes(own, root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
     else:
-        path = own.check(camera or _camera_file(root))
-        lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
+        if guess is not None and guessed:
+            lens = guess.file(frame_size(frames[0]))
+        else:
+            path = own.check(camera or _camera_file(root))
+            lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
         frames = frames if video is None else video.fitted(frames, lens.camera)
         lens = fit.lens(lens, frames[0])
     golden = own.check(root / "golden.json")
@@ -270,6 +293,7 @@ def read_session_as(
         notes=(*notes, f"camera: {lens.kind}", *lens.notes, *own.notes),
         joint_files=readings,
         image_times=times,
+        guessed=guessed,
     )
 
 
@@ -328,12 +352,16 @@ def _session_frames(
         for of_kind in kinds:
             own.check_all(of_kind.values())
     if video is None and not any(files for kinds in of_views for files in kinds[:2]):
-        raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got none")
+        raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
     files = [
         source if isinstance(source, JointFile) else read_joint_file(own.check(source), known=known, read_as=read_as)
         for source in (() if joints is None else joints or _joint_files(root))
     ]
     own.check_all(root / name for name in ("images.csv", "keypoints.csv", "boxes.csv"))
+    named = set(images).union(*(file.rows for file in files if file.labels == "frame"))
+    for kinds in of_views:
+        kinds[0] = _with_names_of(kinds[0], named)
+    masks = of_views[0][0]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
@@ -366,7 +394,7 @@ def _session_frames(
         try:
             found = frame_readings(files, name, time=time, tolerance=tolerance)
         except InputError as error:
-            frames.append(replace(frame, problem=str(error)))
+            frames.append(replace(frame, problem=str(error), unread=isinstance(error, NoneNearError)))
             continue
         frames.append(replace(frame, readings=found.readings, notes=found.notes))
         farthest = max((d for d in (farthest, found.farthest) if d is not None), default=None)
@@ -374,6 +402,26 @@ def _session_frames(
         raise InputError(str(frames[0].problem))
     notes = (*(_described(files) or (NO_READINGS,)), *remarks, *_interpolation(farthest, tolerance))
     return tuple(frames), tuple(files), image_times, notes
+
+
+def _other_files(folder: Path) -> str:
+    """Say what is in a folder of masks that has none, and what to do."""
+    if not folder.is_dir():
+        return "none"
+    others = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    folders = [path.name for path in others if path.is_dir() and any(image_files(path))]
+    if folders:
+        return f'folders: {listed(folders, 3)} (session.toml says which: masks = "masks/{folders[0]}" of a [[tool]])'
+    kinds = sorted({path.suffix.lower() for path in others if path.suffix})
+    return f"files {', '.join(kinds)}: convert them to PNG" if kinds else "none"
+
+
+def _with_names_of(masks: Mapping[str, Path], named: set[str]) -> Mapping[str, Path]:
+    """Return masks by the names of frames where they have these with a word such as ``_mask`` or ``mask_``."""
+    if not masks or not named.isdisjoint(masks):
+        return masks
+    found = {_WORD.sub("", name): path for name, path in masks.items()}
+    return masks if len(found) < len(masks) or named.isdisjoint(found) else found
 
 
 def _seconds_of(files: Sequence[JointFile], frame: str, image_time: int | None) -> float | None:
