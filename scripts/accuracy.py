@@ -3,6 +3,8 @@
     python scripts/accuracy.py errors SESSION...       errors, scatter over a session, share of doubtful results
     python scripts/accuracy.py calibration SESSION...  share of 90 % intervals that contain the truth
     python scripts/accuracy.py trust SESSION...        expected errors, probabilities of the mode and statuses
+    python scripts/accuracy.py tip-probability SESSION...  stated probabilities of the tips against the truth, and
+                                                       the constants that fit them best
     python scripts/accuracy.py lies SESSION...         share of falsified frames that are doubtful
     python scripts/accuracy.py bound SESSION...        errors and scatter compared with the Cramer-Rao bound
     python scripts/accuracy.py sessions SESSION...     sessions solved together: errors of the base, 95 % intervals
@@ -20,6 +22,7 @@
     python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
     python scripts/accuracy.py image-sizes SESSION...  drawn masks of 14 sizes of images: errors, tips, times
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
+    python scripts/accuracy.py no-camera SESSION...    focal length and tips of sessions without a camera file
     python scripts/accuracy.py worlds FOLDER           worlds of every kind (scripts/worlds), drawn into FOLDER and
                                                        solved by estimate, calibrate and track
 
@@ -43,7 +46,7 @@ from measure.accuracy.arms import arms_report
 from measure.accuracy.bound import bound_report
 from measure.accuracy.cables import cables_report
 from measure.accuracy.calibration import calibration_report
-from measure.accuracy.camera import measure_camera
+from measure.accuracy.camera import measure_camera, measure_no_camera
 from measure.accuracy.disparity import disparity_report
 from measure.accuracy.errors import error_report, feature_rows, frame_rows
 from measure.accuracy.fleet import fleet_report
@@ -58,12 +61,13 @@ from measure.accuracy.rig_rotations import rotations_report
 from measure.accuracy.session_lies import measure_session_lies
 from measure.accuracy.sessions import original_trials, session_report, solve
 from measure.accuracy.spread_bound import mask_report
+from measure.accuracy.tip_probability import tip_probability_report
 from measure.accuracy.track import track_report
 from measure.accuracy.trust import trust_report
 from measure.accuracy.worlds import KINDS, worlds_report
 from measure.cases import Measurement, Run
 from measure.places import SHARED
-from measure.tables import Report, print_report, write_csv
+from measure.tables import Report, add_output_options, print_report, write_csv
 from worlds.table import worlds
 
 from dvrk_cmaes.calibration.document import read_calibration
@@ -82,7 +86,7 @@ def main() -> int:
     if options.quick:
         options.frames, options.cases = QUICK_FRAMES, QUICK_FRAMES // 2
         options.sessions = options.sessions[:1]
-    return print_report("accuracy.py", lambda: _report(options), as_json=options.json)
+    return print_report("accuracy.py", lambda: _report(options), as_json=options.json, kept=options.record)
 
 
 def _report(options: argparse.Namespace) -> Report:
@@ -116,7 +120,7 @@ def _parser() -> argparse.ArgumentParser:
         help="number of processes, with one thread each (default: %(default)s)",
     )
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_output_options(parser)
     parser.add_argument(
         "--csv", type=Path, metavar="FILE", help="for errors and lies: file for the features of all estimates"
     )
@@ -184,6 +188,11 @@ def _trust(given: Measurement, _: argparse.Namespace) -> Report:
     return trust_report(given.instrument, given.runs())
 
 
+def _tip_probability(given: Measurement, _: argparse.Namespace) -> Report:
+    """Report how often the stated probability of the tips is right."""
+    return tip_probability_report(given.instrument, given.runs(), given.config)
+
+
 def _lies(given: Measurement, options: argparse.Namespace) -> Report:
     """Report the share of falsified frames that are doubtful, and what happens to frames with users' mistakes."""
     original, others = given.cases(), load_others(options.others)
@@ -243,6 +252,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "errors": _errors,
     "calibration": _calibration,
     "trust": _trust,
+    "tip-probability": _tip_probability,
     "lies": _lies,
     "bound": _bound,
     "sessions": _sessions,
@@ -260,6 +270,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "disparity": _disparity,
     "arms": lambda given, _: arms_report(given),
     "camera": lambda given, _: measure_camera(given),
+    "no-camera": lambda given, _: measure_no_camera(given),
     "worlds": _worlds,
     "image-sizes": lambda given, _: image_sizes_report(given),
 }

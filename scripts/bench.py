@@ -40,7 +40,7 @@ from measure.bench.page import page_report
 from measure.bench.stages import stages_report
 from measure.bench.track import track_report
 from measure.places import SCANNED, SHARED
-from measure.tables import Report, print_report
+from measure.tables import Report, add_output_options, print_report
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.track.sight import KINDS
@@ -74,7 +74,7 @@ def main() -> int:
     def measure() -> Report:
         return {"machine": [_machine()], **COMMANDS[options.command](options)}
 
-    return print_report("bench.py", measure, as_json=options.json)
+    return print_report("bench.py", measure, as_json=options.json, kept=options.record)
 
 
 def _scale(options: argparse.Namespace) -> Report:
@@ -146,7 +146,7 @@ def _parser() -> argparse.ArgumentParser:
             metavar="NAME|URDF",
             help="bundled instrument or URDF",
         )
-        one.add_argument("--json", action="store_true", help="print JSON")
+        add_output_options(one)
         if module is None:
             _add_options(one, {"calibrate": SOLVED, "track": RECORDINGS, "kernel": RECORDINGS}.get(name, SESSIONS))
         else:

@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
 import re
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -24,6 +22,7 @@ from typing import Any, Final
 
 from measure.accuracy.errors import error_report
 from measure.cases import Measurement
+from measure.tables import commit, machine
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.io.atomic import write_json, write_text
@@ -131,22 +130,6 @@ def named(session: str) -> str:
     """Return the name of the row of a session's folder."""
     path = Path(session)
     return f"real/{path.name}" if path.parent.name == "real" else path.name
-
-
-def machine() -> str:
-    """Return the processor's name and the number of cores."""
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = re.findall(r"^model name\s*:\s*(.*?)\s*$", text, re.MULTILINE)
-    return f"{len(names)} cores of {names[0]}" if names else platform.machine()
-
-
-def commit() -> str:
-    """Return the commit of the checkout."""
-    ran = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True)
-    return ran.stdout.strip()
 
 
 def measured_rows(sessions: Sequence[str], instrument: str, *, workers: int) -> dict[str, dict[str, Any]]:

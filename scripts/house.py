@@ -30,12 +30,11 @@ NAMED: Final = {
     "loops that solve": """
         pose/refine/gauss_newton.py:refine              pose/refine/direct.py:_coordinate_descent
         calibration/solve.py:solve                      calibration/solve.py:solve_with_modes
-        calibration/variances.py:solve_with_variances   calibration/alternation.py:Alternation.iterate
-        calibration/mask_margin.py:_linearised          calibration/camera_change.py:estimate_camera
-        calibration/rig_estimate.py:_estimated          calibration/lag.py:LagRefiner.refine_value
+        calibration/variances.py:solve_with_variances   calibration/alternation.py:solved
+        calibration/constants.py:linearise              calibration/lag.py:LagRefiner.refine_value
         track/update.py:OutlineUpdate.__call__""",
     "drivers of a fit": """
-        calibration/frame_fit.py:fit_frame              calibration/frame_fit.py:fit_predicted
+        calibration/frame_fit.py:fit_frame
         track/recorded_frames.py:fit_followed           track/quick_fit.py:quick_fit""",
     "predictions from readings": """
         calibration/prediction.py:fit_session_pose      track/prediction.py:Prediction""",
@@ -45,7 +44,7 @@ NAMED: Final = {
 }
 """What there is of each kind, as FILE:NAME in dvrk_cmaes."""
 POSES: Final = re.compile(r"(camera|view|rig|base)_from_\w+|\w*_from_(root|base)|poses?|Posed")
-FRAMES: Final = re.compile(r"\b(SessionFrame|Alternation)\b")
+FRAMES: Final = re.compile(r"\b(SessionFrame)\b")
 SCRIPT: Final = re.compile(r"scripts/[\w/]+\.py")
 DATA: Final = re.compile(r"\.\./shared/|\bdata/|\bseeds? \d|\bsynth\b")
 PRIVATE: Final = re.compile(r"(^|\.)_[a-zA-Z]\w*$")

@@ -27,8 +27,8 @@ from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.silhouette.prepare import prepare
 
 FRAME = "0001"
-WIDTH = 960  # px
-QUALITY = 78  # of the JPEG, 0 to 100
+WIDTH = 800  # px
+QUALITY = 64  # of the JPEG, 0 to 100
 
 RECORDING = (
     "synth recording --motion video --level medium --frames 90 --seed 7",

@@ -30,7 +30,7 @@ COPIED: Final = (
     "CHANGELOG.md",
     "CONTRIBUTING.md",
     "CITATION.cff",
-    *(f"data/{name}" for name in ("reference", "experiments", "docs")),
+    *(f"data/{name}" for name in ("reference", "measurements", "experiments", "docs")),
 )
 """Files and folders that keep their places on the site, so that links between them are those of the repository."""
 

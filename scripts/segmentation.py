@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from measure.tables import Report, print_report
+from measure.tables import Report, add_output_options, print_report
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
@@ -47,7 +47,7 @@ OVERLAP: Final = 0.85
 def main() -> int:
     """Run a command and print its report; return the exit code."""
     options = _parser().parse_args()
-    return print_report("segmentation.py", lambda: _report(options), as_json=options.json)
+    return print_report("segmentation.py", lambda: _report(options), as_json=options.json, kept=options.record)
 
 
 def _report(options: argparse.Namespace) -> Report:
@@ -64,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("command", choices=("masks", "poses", "predicted"), help="what to measure")
     parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="session folders, or session.json")
     parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="for poses: instrument (default: lnd)")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_output_options(parser)
     return parser
 
 

@@ -107,13 +107,14 @@ PYTHON = of_kind("from |import ")
 TOML = of_kind(r"\[|seed = ")
 LISTINGS = of_kind(r"recording/\n")
 LINES = of_kind("warning: ")
+CAMERAS = of_kind("width: ")
 
 
 def test_every_block_is_known() -> None:
-    known = [*COMMANDS, *PYTHON, *TOML, *LISTINGS, *LINES]
+    known = [*COMMANDS, *PYTHON, *TOML, *LISTINGS, *LINES, *CAMERAS]
     shells = [each for each in EXAMPLES if each.block.text.startswith(OTHER_PROGRAMS)]
     assert [each.name for each in EXAMPLES if each not in [*known, *shells]] == []
-    assert (len(PYTHON), len(TOML), len(LISTINGS), len(LINES)) == (4, 2, 1, 2)
+    assert (len(PYTHON), len(TOML), len(LISTINGS), len(LINES), len(CAMERAS)) == (4, 2, 1, 2, 1)
     assert len(COMMANDS) > 20
     for each in COMMANDS:
         shell = each.block.text.startswith("$ ")  # followed by its output, which tests/test_readme.py compares
@@ -136,8 +137,10 @@ def test_commands_run_as_printed(example: Example, request: pytest.FixtureReques
 
 
 def make_way(command: str) -> None:
-    """Remove the session that an earlier line of the block, or the page, made under the same name."""
+    """Remove what the command makes: a session of an earlier line of the block or page, or the truth of a made one."""
     tokens = shlex.split(command)
+    if "record" in tokens:
+        Path("session/golden.json").unlink()
     if "import" in tokens:
         shutil.rmtree(tokens[tokens.index("--out") + 1], ignore_errors=True)
 
@@ -175,6 +178,10 @@ def test_python_runs_as_printed(example: Example, folder: Path) -> None:
     names |= {"image": np.zeros((*left.shape, 3), np.uint8)}
     exec(compile(example.block.text, example.name, "exec"), names)
     assert names["result"].status in ("ok", "doubtful", "lost", "predicted")
+
+
+def test_camera_is_the_one_that_the_commands_read(folder: Path) -> None:
+    assert CAMERAS[0].block.text == (folder / "guess.yaml").read_text()
 
 
 def test_toml_is_read_as_printed(folder: Path) -> None:

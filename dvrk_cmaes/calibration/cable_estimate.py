@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,28 +20,26 @@ _ROLL = 3  # index among the outer joints
 _ALIKE_SECONDS = 1.0  # over which masks err alike, so that their frames count as one
 
 
+@dataclass(frozen=True, eq=False)
 class CableEstimate:
     """Estimate of the cables of a session.
 
-    ``names`` are the cable-driven joints. ``fit`` is the current fit, None before the first; ``alone`` is that of
-    models that need nothing but the reading of a frame itself.
-
-    Parameters
-    ----------
-    joint_names
-        Names of the instrument's joints.
-    deviations
-        Initial standard deviations of the readings from frame to frame.
-    offset_std : (1 + J,)
-        Standard deviations of the offsets' priors, rad.
+    ``names`` are the cable-driven joints, ``noise`` (1 + J,), rad, the initial standard deviations of their readings
+    from frame to frame and ``offset_std`` (1 + J,), rad, those of the offsets' priors. ``fit`` is the current fit, None
+    before the first; ``alone`` is that of models that need nothing but the reading of a frame itself.
     """
 
-    def __init__(self, joint_names: tuple[str, ...], deviations: Deviations, offset_std: Float64) -> None:
-        self.names = ("roll", *joint_names)
-        self.fit: CableFit | None = None
-        self.alone: CableFit | None = None
-        self._noise = np.concatenate([deviations.outer[_ROLL:], deviations.joints])
-        self._offset_std = offset_std
+    names: tuple[str, ...]
+    noise: Float64
+    offset_std: Float64
+    fit: CableFit | None = None
+    alone: CableFit | None = None
+
+    @classmethod
+    def of(cls, joint_names: tuple[str, ...], deviations: Deviations, offset_std: Float64) -> CableEstimate:
+        """Return what is known before the first fit, of an instrument's joints."""
+        noise = np.concatenate([deviations.outer[_ROLL:], deviations.joints])
+        return cls(("roll", *joint_names), noise, offset_std)
 
     @property
     def prior(self) -> CablePrior:
@@ -56,11 +56,12 @@ class CableEstimate:
         outer = np.concatenate([usual.outer[:_ROLL], self.fit.noise[:1]])
         return Deviations(outer, self.fit.noise[1:], usual.slack)
 
-    def corrected(self, model: SessionModel, fits: FrameFits, solution: Solution, lag: LagEstimate) -> SessionModel:
-        """Fit the cables, and return the model with the frames' corrections.
+    def corrected(self, model: SessionModel) -> SessionModel:
+        """Return the model of the same frames with their corrections."""
+        return model if self.fit is None else model.with_correction(self.fit.correction)
 
-        ``fits`` and ``solution`` are of the same frames as the model, ``lag`` has their times and readings.
-        """
+    def estimated(self, model: SessionModel, fits: FrameFits, solution: Solution, lag: LagEstimate) -> CableEstimate:
+        """Fit the cables: ``fits`` and ``solution`` are of the frames of the model, ``lag`` has times and readings."""
         times = lag.seconds()
         weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
         information, vector = observe_errors(model, fits, solution.calibration, weights)
@@ -73,8 +74,8 @@ class CableEstimate:
             information=information,
             vector=vector,
             offsets=solution.calibration.offsets[1:],
-            offset_std=self._offset_std,
-            noise=self._noise,
+            offset_std=self.offset_std,
+            noise=self.noise,
         )
-        self.fit, self.alone = fit_cables(session, self.prior)
-        return model.with_correction(self.fit.correction)
+        fit, alone = fit_cables(session, self.prior)
+        return replace(self, fit=fit, alone=alone)

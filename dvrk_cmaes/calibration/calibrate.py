@@ -14,16 +14,19 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.alternation import LEAST_FRAMES, Alternation
+from dvrk_cmaes.calibration.alternation import reported, with_lag_of_modes
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
-from dvrk_cmaes.calibration.instrument_test import CandidateFit, untold_instrument
+from dvrk_cmaes.calibration.imaging import checked_camera
+from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
+from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
 from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again
+from dvrk_cmaes.calibration.stored_frame import camera_remarks
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
@@ -124,12 +127,13 @@ def calibrate_with_evidence(
     run: Run[Any, Any] | None,
     progress: Callable[[str, int], None],
     others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
+    guessed_camera: bool = False,
 ) -> tuple[SolvedSession, dict[str, Evidence]]:
     """Do what `calibrate_session` does, and also return what was found in the masks, for drawings.
 
     That is of the first view of each frame that was fitted, by name, without its image. ``others`` are the
     leave-one-out predictions of calibrations of the same frames with other instruments, by name of the instrument, or
-    why they were refused.
+    why they were refused. ``guessed_camera`` tells that the frames' camera is a guess, of which there is no file.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
@@ -147,33 +151,36 @@ def calibrate_with_evidence(
     rotations = rotations_of_session(frame.result for frame in usable)
     if turned := changes_of(rotations):
         usable = [with_changed_views(frame, turned, {}) for frame in usable]
-    alternation = Alternation(
-        usable, series, body.instrument, arm, settings, run, progress, rig=rotations, refine_camera=refine_camera
-    )
-    alternation = solve_session(alternation)
+    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera, guessed_camera)
+    state = solve_session(SessionState.of(problem, usable, rotations))
     if settings.session.masks_again:
-        alternation = with_masks_again(alternation)
-    alternation.check_constants()
-    reports, reasons = alternation.report()
+        state = with_masks_again(state)
+    lag, applied = state.lag, state.lag.applied
+    if applied is not None:
+        option = f"taken out; other commands take it out with {applied.option}"
+        state = state.noted(remarks=[f"{applied.describe()}: {option}"])
+    state, check = checked_camera(state)
+    reports, reasons = reported(state, check.camera)
     results = {frame.name: frame.result for frame in frames}
-    reported = dict(zip((frame.name for frame in alternation.frames), reports, strict=True))
-    results |= {name: report.result for name, report in reported.items()}
+    by_name = dict(zip((frame.name for frame in state.frames), reports, strict=True))
+    results |= {name: report.result for name, report in by_name.items()}
     left_out |= reasons
-    used = [results[frame.name].quality for frame in alternation.frames if frame.name not in left_out]
+    again = state.again or FoundMasks()
+    used = [results[frame.name].quality for frame in state.frames if frame.name not in left_out]
     qualities = [quality for quality in used if quality is not None]
-    described = describe_solution(alternation.model, alternation.solution, alternation.of_camera, settings)
-    described["untold"] += tuple(alternation.undetermined)
-    if alternation.lag.lag is None:
-        described["untold"] += (f"lag between images and readings: {alternation.lag.undetermined}",)
+    described = describe_solution(state.model, state.solution, check.covariance, settings)
+    described["untold"] += state.notes.undetermined
+    if lag.lag is None:
+        described["untold"] += (f"lag between images and readings: {lag.undetermined}",)
     if commanded:
         described["untold"] += (f"offsets of {', '.join(commanded)} at other readings than the only one of each",)
-    alone = {name: report.leave_one_out for name, report in reported.items() if name not in left_out}
+    alone = {name: report.leave_one_out for name, report in by_name.items() if name not in left_out}
     view_names = dict.fromkeys(view for predicted in alone.values() for view in predicted.views)
     calibration = SessionCalibration(
         instrument=body.instrument.name,
         arm=arm,
         roll_offset=body.instrument.roll_offset,
-        frames=tuple(frame.name for frame in alternation.frames if frame.name not in left_out),
+        frames=tuple(frame.name for frame in state.frames if frame.name not in left_out),
         left_out=dict(sorted(left_out.items())),
         leave_one_out={name: (predicted.iou, predicted.contour_px) for name, predicted in alone.items()},
         leave_one_out_of_views={
@@ -183,37 +190,36 @@ def calibrate_with_evidence(
         },
         iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
-        lag=alternation.lag.lag,
-        lag_curve=alternation.lag.curve,
-        cables=SessionCables.of(
-            alternation.cables, tuple(frame.name for frame in alternation.frames), alternation.lag.seconds()
-        ),
-        camera=alternation.camera,
-        masks=alternation.masks,
-        masks_again=alternation.again,
-        rig=alternation.rig,
+        lag=lag.lag,
+        lag_curve=lag.curve,
+        cables=SessionCables.of(state.cables, tuple(frame.name for frame in state.frames), lag.seconds()),
+        camera=check.camera,
+        masks=state.imaging.masks,
+        masks_again=again.compared,
+        rig=state.imaging.rig,
         commanded=_only_readings(usable, commanded),
         remarks=(
-            *alternation.camera_remarks,
-            *(text for each in alternation.rig for text in each.warnings()),
+            *camera_remarks(state.stored[0]),
+            *(text for each in state.imaging.rig for text in each.warnings()),
             *([describe_commanded(commanded)] if commanded else []),
-            *alternation.remarks,
+            *state.notes.remarks,
         ),
         seconds=time.perf_counter() - started,
         config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
         **described,
     )
-    without_lag = alternation.lag.undetermined if alternation.lag.nowhere else ""
+    without_lag = lag.undetermined if lag.nowhere else ""
     tried = tuple(CandidateFit.of(*one, calibration.leave_one_out) for one in (others or {}).items())
-    if text := untold_instrument(tried, calibration.instrument):
+    if text := undetermined_instrument(tried, calibration.instrument):
         calibration = replace(calibration, untold=(*calibration.untold, text))
     unusual = unusual_insertion(calibration, settings.session)
     remarks = (*calibration.remarks, *([unusual] if unusual else []))
     calibration = replace(calibration, instruments=tried, remarks=remarks)
     calibration = replace(calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
-    predicted = {name: report.leave_one_out for name, report in reported.items()}
-    return SolvedSession(calibration, results, predicted, alternation.masks_found_again), alternation.evidence
+    predicted = {name: report.leave_one_out for name, report in by_name.items()}
+    evidence = {frame.name: one.reference.evidence for frame, one in zip(state.frames, state.stored, strict=True)}
+    return SolvedSession(calibration, results, predicted, again.masks), evidence
 
 
 def find_lag(
@@ -240,9 +246,9 @@ def find_lag(
     if series is None:
         series = _series_of(usable)
     run = partial(_in_threads, body, settings)
-    alternation = Alternation(usable, series, body.instrument, arm, settings, run, lambda stage, count: None)
-    alternation.search_lag()
-    return alternation.lag.lag, alternation.lag.undetermined
+    state = SessionState.of(SessionProblem(series, body.instrument, arm, settings, run), usable)
+    lag = with_lag_of_modes(state).lag
+    return lag.lag, lag.undetermined
 
 
 def _series_of(frames: Sequence[SessionFrame]) -> ReadingSeries | None:

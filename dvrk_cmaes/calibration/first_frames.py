@@ -10,10 +10,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from dvrk_cmaes.calibration.alternation import Alternation
+from dvrk_cmaes.calibration.alternation import initialised, with_lag_of_modes
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.session_state import SessionProblem, SessionState
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
@@ -56,14 +57,14 @@ def predict_from_first(
         if frame.result.covariance is not None and not np.isnan(outer_readings([frame.result.readings])).any()
     ]
     try:
-        alternation = Alternation(usable, series, instrument, arm, config, _no_tasks, lambda stage, count: None)
-        alternation.initialise()
+        problem = SessionProblem(series, instrument, arm, config, _no_tasks)
+        state = initialised(with_lag_of_modes(SessionState.of(problem, usable)))
     except InputError:  # too few frames, or they contradict each other: then they tell nothing about the others
         return {}
-    misfit = alternation.solution.misfit / (6 + len(instrument.joint_names))
+    misfit = state.solution.misfit / (6 + len(instrument.joint_names))
     if float((misfit < INLIER_MISFIT).mean()) < _LEAST_AGREEING:
         return {}
-    lag = alternation.lag.applied
+    lag = state.lag.applied
     readings = {
         name: own if lag is None or series is None or name not in series.frames else series.of_frame(name, lag)
         for name, own in others.items()
@@ -80,7 +81,7 @@ def predict_from_first(
         arm=arm,
         roll_offset=instrument.roll_offset,
     )
-    predicted = model.predict(alternation.solution.calibration)
+    predicted = model.predict(state.solution.calibration)
     return {name: predicted[i] for i, name in enumerate(names)}
 
 

@@ -11,10 +11,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame, terms_of_constants
+from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame
 from dvrk_cmaes.calibration.masks_again import FindMasks
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import ViewChange, changed_views
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
@@ -26,7 +25,7 @@ from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.quality import measure_overlap, measure_views, pooled_quality
 from dvrk_cmaes.pose.search.modes import are_distinct
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.pose.terms.term import Quadratic
+from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body
@@ -71,20 +70,6 @@ class FitTask:
     starts: tuple[Posed, ...]
     change: Float64 | None = None
     margins: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class ConstantsTask:
-    """Arguments of `constants_task`: a frame, the number of its view, and where the instrument is with that camera.
-
-    ``margin``, px, is that of the view's mask.
-    """
-
-    stored: StoredFrame
-    view: int
-    at: Posed
-    camera: Camera
-    margin: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +185,7 @@ def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, fl
 
 def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior."""
-    return fit_frame(
+    fit, _ = fit_frame(
         restored_views(body, task.stored, task.change),
         _of_instrument(body, config, {}),
         config,
@@ -209,14 +194,8 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
         task.stored.own,
         own_cameras=None if task.change is None else [view.stored.evidence.camera for view in task.stored.views],
         margins=task.margins,
-        confirm=False,
     )
-
-
-def constants_task(body: Body, config: EstimateConfig, task: ConstantsTask) -> Quadratic:
-    """Compute the outline's terms about a frame's pose, the camera and the margin, as `terms_of_constants`."""
-    view, own = task.stored.views[task.view].restored(body), task.stored.own.of_view(task.view)
-    return terms_of_constants(view, config, task.at, own, task.camera, task.margin)
+    return fit
 
 
 def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameReport:
@@ -293,6 +272,7 @@ def _result_of_fit(
         covariance=covariance,
         expected_error=error,
         mode_probability=None,
+        tip_probability=tip_probability(error.of_tips_mm, config.trust.tip_mm),
         alternatives=_alternatives(own_result, fit, names, readings),
         view_fits=tuple(
             replace(check, quality=of_view.get(check.name, check.quality)) for check in own_result.view_fits

@@ -1,226 +1,156 @@
 """What a session's frames tell of its cameras and its masks, beside the base, the readings' errors and the poses.
 
 A change of the camera, what further views differ in from the file of the rig, and the margin of each view's masks are
-each estimated from the outlines of all frames, linearised about the current fits.
+each estimated from the outlines of all frames, linearised about the current fits. The functions `with_camera`,
+`with_rig` and `with_margins` take a session, the calibration and the frames' poses with cameras and masks as they are,
+and return the session with those that were estimated, the calibration, and the poses (N) with them, None if nothing
+changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.camera_change import SessionOutlines, estimate_camera
-from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.frame_task import Run
-from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors, LastingSize
-from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
-from dvrk_cmaes.calibration.mask_margin import estimate_margin
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.rig_estimate import RigOutlines, estimate_rig
-from dvrk_cmaes.calibration.session_camera import CameraCheck, check_camera
-from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks, margins_of
-from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
-from dvrk_cmaes.calibration.stored_frame import StoredFrame
-from dvrk_cmaes.camera.rig import ViewChange
-from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.calibration.constants import SessionOutlines
+from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras, with_changed_views
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors
+from dvrk_cmaes.calibration.model import Calibration
+from dvrk_cmaes.calibration.rig_estimate import ViewDifference, estimate_rig
+from dvrk_cmaes.calibration.session_camera import (
+    CameraChange,
+    CameraCheck,
+    check_camera,
+    estimate_camera,
+    file_deviations,
+)
+from dvrk_cmaes.calibration.session_masks import MaskMargin, estimate_margin
+from dvrk_cmaes.calibration.session_rig import FEWEST, changes_of
+from dvrk_cmaes.calibration.session_state import SessionState
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 
 Float64 = NDArray[np.float64]
+Changed = tuple[SessionState, Calibration, Posed | None]
 
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 
 
-@dataclass(frozen=True, eq=False)
-class Imaging:
-    """What is known of a session's cameras and masks.
+def with_camera(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
+    """Estimate the change of the camera, and use it."""
+    problem = state.problem
+    of_all = state.model, calibration, problem.prior, problem.config.session, at
+    estimate = estimate_camera(*of_all, _outlines(state), passes=_CAMERA_PASSES)
+    changed = replace(state, imaging=replace(state.imaging, change=estimate.change))
+    return changed, estimate.calibration, estimate.at
 
-    ``change`` (3,) is that of the camera, as of `changed`, None where the camera's file is used; ``rig`` what the
-    further views differ in from the file; ``margins`` those of the views' masks by name, in the views' order, empty
-    until they are estimated; ``lasting`` the size of the masks' errors that last, None until it is estimated.
+
+def with_rig(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
+    """Estimate what the further views differ in from the file beside rotations, and use what is clear."""
+    outlines, problem = _outlines_of_rig(state), state.problem
+    if outlines is None:
+        return state, calibration, None
+    problem.progress("checking the rig", len(state.frames))
+    try:
+        estimate = estimate_rig(state.model, calibration, problem.prior, at, outlines, state.imaging.rig)
+    except InputError as error:
+        return state.noted(undetermined=[f"rig: {error}"]), calibration, None
+    state = replace(state, imaging=replace(state.imaging, rig=estimate.views)).noted(undetermined=estimate.undetermined)
+    if not estimate.moved:
+        return state, calibration, None
+    frames = [
+        with_changed_views(frame, estimate.changes, {view.name: view.view_from_camera for view in stored.views})
+        for frame, stored in zip(state.frames, state.stored, strict=True)
+    ]
+    problem.progress("gathering evidence", len(frames))
+    stored = tuple(problem.run(gather_task, frames))
+    return replace(state, frames=tuple(frames), stored=stored), estimate.calibration, estimate.at
+
+
+def with_margins(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
+    """Estimate the margin of each view's masks, and take it off if it is clear."""
+    names = list(dict.fromkeys(view.name for stored in state.stored for view in stored.views))
+    of_all = state.model, calibration, state.problem.prior, at
+    found = [estimate_margin(*of_all, _outlines(state, name, file_tells=True)) for name in names]
+    margins = tuple((name, margin) for name, (margin, _, _) in zip(names, found, strict=True))
+    state = replace(state, imaging=replace(state.imaging, margins=margins))
+    applied = ((own, moved) for margin, own, moved in found if margin.applied)
+    return (state, *next(applied, (calibration, None)))
+
+
+def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
+    """Test whether the frames contradict the camera file.
+
+    The evidence of the returned session is as seen by the camera that is used.
     """
-
-    change: Float64 | None = None
-    rig: tuple[ViewRotation, ...] = ()
-    margins: tuple[tuple[str, Margin], ...] = ()
-    lasting: LastingEstimate | None = None
-
-    @property
-    def size(self) -> LastingSize:
-        """Size of the masks' errors that last from frame to frame."""
-        return USUAL_SIZE if self.lasting is None else self.lasting.size
-
-    @property
-    def masks(self) -> SessionMasks | None:
-        """What is stated of errors that the masks share; None if their margin was not estimated."""
-        return SessionMasks.of(self.margins, self.lasting) if self.margins else None
-
-    @property
-    def taken_off(self) -> float:
-        """Margin, px, that is taken off the masks of the first view."""
-        return 0.0 if self.masks is None else self.masks.taken_off
-
-    def margins_of(self, stored: StoredFrame) -> tuple[float, ...]:
-        """Return the margins, px, that are taken off the masks of a frame's views.
-
-        Parameters
-        ----------
-        stored
-            The frame.
-        """
-        return margins_of(self.masks, [view.name for view in stored.views])
+    problem, change = state.problem, state.imaging.change
+    problem.progress("checking the camera", len(state.frames))
+    at, config = Posed.stacked(fit.at for fit in state.fits), problem.config.session
+    of_all = state.model, state.solution.calibration, problem.prior, config, at
+    check = check_camera(*of_all, _outlines(state), applied=change)
+    if check.camera is None:
+        state = state.noted(undetermined=[check.undetermined])
+    elif problem.guessed_camera:
+        state = state.noted(remarks=[check.camera.describe_found(state.stored[0].camera)])
+    elif check.camera.applied:
+        state = state.noted(remarks=check.camera.contradictions(config))
+    if change is not None:
+        frames = [with_changed_cameras(frame, change) for frame in state.frames]
+        state = replace(state, stored=tuple(problem.run(gather_task, frames)))
+    return state, check
 
 
-@dataclass(frozen=True, eq=False)
-class Estimated:
-    """Cameras and masks that were estimated beside a calibration, which is the one with these.
+def _outlines(state: SessionState, view: str | None = None, *, file_tells: bool = False) -> SessionOutlines:
+    """Return the outlines of all frames in a view, as functions of the camera and the margin.
 
-    ``at`` are the poses of the N frames with them, None if nothing changed. ``changes`` are those of the further views,
-    by name, ``undetermined`` texts about what the session does not determine.
+    ``view`` is by default that of the reference camera; of another one if it does not show the instrument in any frame.
+    ``file_tells`` is whether the camera's file counts as a measurement.
     """
+    shown = [stored for stored in state.stored if stored.in_reference] or state.stored
+    name = str(shown[0].views[0].name) if view is None else view
+    pairs = zip(state.fits, state.stored, strict=True)
+    numbers = [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
+    views = [() if number is None else (number,) for number in numbers]
+    return SessionOutlines(
+        state.stored,
+        views,
+        state.problem.run,
+        state.common,
+        (_camera(state, file_tells=file_tells), _margin(state, name)),
+    )
 
-    imaging: Imaging
-    calibration: Calibration
-    at: Posed | None
-    changes: dict[str, ViewChange] | None = None
-    undetermined: tuple[str, ...] = ()
+
+def _outlines_of_rig(state: SessionState) -> SessionOutlines | None:
+    """Return outlines that tell what the further views differ in from the file; None without enough of them."""
+    if not state.imaging.rig:
+        return None
+    used = [fit.explains_mask and one.in_reference for fit, one in zip(state.fits, state.stored, strict=True)]
+    counts: dict[str, int] = {}
+    for stored, counted in zip(state.stored, used, strict=True):
+        for view in stored.views[1:] if counted else ():
+            counts[view.name] = counts.get(view.name, 0) + 1
+    changes = changes_of(state.imaging.rig)
+    turned = {name: changes[name].rotation if name in changes else np.zeros(3) for name in counts}
+    of_views = [ViewDifference(name, turned[name]) for name, count in counts.items() if count >= FEWEST]
+    if not of_views:
+        return None
+    views = [tuple(range(len(one.views))) if own else () for one, own in zip(state.stored, used, strict=True)]
+    # each frame is taken to err by itself: what frames share is the reason for the factor on standard deviations
+    common = CommonErrors.none(len(state.stored), len(state.fits[0].slope))
+    camera, margin = _camera(state, file_tells=not state.problem.refine_camera), _margin(state, None)
+    return SessionOutlines(state.stored, views, state.problem.run, common, (camera, margin, *of_views))
 
 
-@dataclass(frozen=True, eq=False)
-class FittedSession:
-    """N frames of a session with their current fits, from which cameras and masks are estimated.
+def _camera(state: SessionState, *, file_tells: bool) -> CameraChange:
+    """Return the change of the camera as a constant that starts where it is."""
+    return CameraChange(file_deviations(state.problem.config.session) if file_tells else None, state.imaging.change)
 
-    ``prior`` (K, K) is the information matrix of the calibration's prior, as in `solve`; ``stored`` are the frames'
-    evidence, ``common`` the errors that the frames share; ``run`` applies a function to many tasks. ``imaging`` is what
-    the fits were made with.
-    """
 
-    model: SessionModel
-    prior: Float64
-    config: SessionConfig
-    fits: Sequence[FrameFit]
-    stored: Sequence[StoredFrame]
-    common: CommonErrors
-    run: Run[Any, Any]
-    imaging: Imaging
-
-    def with_camera(self, calibration: Calibration, at: Posed) -> Estimated:
-        """Estimate the change of the camera, and use it.
-
-        Parameters
-        ----------
-        calibration, at
-            The calibration and the frames' poses with the present change.
-        """
-        estimate = estimate_camera(
-            self.model,
-            calibration,
-            self.prior,
-            self.config,
-            at,
-            self.outlines(),
-            start=self.imaging.change,
-            passes=_CAMERA_PASSES,
-        )
-        return Estimated(replace(self.imaging, change=estimate.change), estimate.calibration, estimate.at)
-
-    @property
-    def rig_outlines(self) -> RigOutlines | None:
-        """Outlines that tell what the further views differ in from the file; None without enough of them."""
-        if not self.imaging.rig:
-            return None
-        used = np.array([fit.explains_mask and stored.in_reference for fit, stored in self._fitted()])
-        turned = {name: change.rotation for name, change in changes_of(self.imaging.rig).items()}
-        outlines = RigOutlines(self.stored, used, self.run, turned)
-        return outlines if outlines.names else None
-
-    def with_rig(self, calibration: Calibration, at: Posed, outlines: RigOutlines) -> Estimated:
-        """Estimate what the further views differ in from the file beside rotations, and use what is clear.
-
-        Parameters
-        ----------
-        calibration, at
-            The calibration and the frames' poses with the rig as it is.
-        outlines
-            Those of `rig_outlines`.
-
-        Raises
-        ------
-        InputError
-            The lens distortion with the estimated focal length is not one-to-one over the image.
-        """
-        estimate = estimate_rig(
-            self.model,
-            calibration,
-            self.prior,
-            self.config,
-            at,
-            outlines,
-            self.imaging.rig,
-            self.imaging.change,
-            self.imaging.taken_off,
-        )
-        imaging = replace(self.imaging, rig=estimate.views)
-        if not estimate.moved:
-            return Estimated(imaging, calibration, None, undetermined=estimate.untold)
-        changes = outlines.further(estimate.changes)
-        return Estimated(imaging, estimate.calibration, estimate.at, changes, estimate.untold)
-
-    def with_margins(self, calibration: Calibration, at: Posed) -> Estimated:
-        """Estimate the margin of each view's masks, and take it off if it is clear.
-
-        Parameters
-        ----------
-        calibration, at
-            The calibration and the frames' poses with whole masks.
-        """
-        names = list(dict.fromkeys(view.name for stored in self.stored for view in stored.views))
-        found = [
-            estimate_margin(self.model, calibration, self.prior, self.config, at, self.outlines(name)) for name in names
-        ]
-        margins = tuple((name, estimate.margin) for name, estimate in zip(names, found, strict=True))
-        imaging = replace(self.imaging, margins=margins)
-        for estimate in found:
-            if estimate.margin.applied:
-                return Estimated(imaging, estimate.calibration, estimate.at)
-        return Estimated(imaging, calibration, None)
-
-    def check_camera(self, calibration: Calibration) -> CameraCheck:
-        """Test whether the frames contradict the camera file, as `check_camera` of a session's camera.
-
-        Parameters
-        ----------
-        calibration
-            The calibration that belongs to the fits.
-        """
-        at = Posed.stacked(fit.at for fit in self.fits)
-        return check_camera(
-            self.model, calibration, self.prior, self.config, at, self.outlines(), applied=self.imaging.change
-        )
-
-    def outlines(self, view: str | None = None) -> SessionOutlines:
-        """Return the outlines of all frames in a view.
-
-        Parameters
-        ----------
-        view
-            Name of the view; by default that of the reference camera.
-        """
-        name = self._reference if view is None else view
-        views = [stored.number_of(name) if fit.explains_mask else None for fit, stored in self._fitted()]
-        masks = self.imaging.masks
-        margin = 0.0 if masks is None else masks.taken_off_in(name)
-        return SessionOutlines(self.stored, views, self.run, self.common, margin)
-
-    @property
-    def _reference(self) -> str:
-        """Name of the view of the reference camera; of another one if it does not show the instrument in any frame."""
-        shown = [stored for stored in self.stored if stored.in_reference] or self.stored
-        return str(shown[0].views[0].name)
-
-    def _fitted(self) -> Iterator[tuple[FrameFit, StoredFrame]]:
-        """Return the fit and the stored evidence of each frame."""
-        return zip(self.fits, self.stored, strict=True)
+def _margin(state: SessionState, view: str | None) -> MaskMargin:
+    """Return the margin of a view's masks, by default the first one's, as a constant that starts where it is."""
+    masks = state.imaging.masks
+    if masks is None:
+        return MaskMargin()
+    return MaskMargin(masks.taken_off if view is None else masks.taken_off_in(view))

@@ -71,6 +71,11 @@ class CommonErrors:
     by_lag: Float64
     alike_seconds: float = 0.0
 
+    @classmethod
+    def none(cls, frames: int, dimension: int) -> CommonErrors:
+        """Return those of N frames, of D unknowns each, that err each by itself."""
+        return cls(SINGLE_SIZE, np.full(frames, np.nan), np.zeros((frames, dimension)))
+
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> CommonErrors:
         """Return those of the frames at some indices."""
         return replace(self, times=self.times[index], by_lag=self.by_lag[index])

@@ -68,8 +68,9 @@ def estimate_lasting(
     timed = bool(np.isfinite(times).sum() > 1)
     if not (count and len(used)):
         return LastingEstimate(USUAL_SIZE, _SCALE_STD, _SECONDS_STD, timed, rms)
-    with_errors = FrameFits(Posed.stacked(fit.at for fit in fits), stacked, np.zeros(count))
-    frames = marginalise(model, with_errors, replace(solution.calibration, further=np.zeros(count)))
+    errors = {"lasting": np.zeros(count)}
+    with_errors = FrameFits(Posed.stacked(fit.at for fit in fits), stacked, errors)
+    frames = marginalise(model, with_errors, replace(solution.calibration, constants=errors))
     jacobian = model.jacobian(solution.calibration)
     order = used[np.argsort(times[used], kind="stable")]
     blocks = [

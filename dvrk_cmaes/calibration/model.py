@@ -19,6 +19,8 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_
 from dvrk_cmaes.pose.terms.expected import Expected
 
 Float64 = NDArray[np.float64]
+Constants = Mapping[str, Float64]
+"""Values of further unknowns that all frames share, by the name of their block, as of `calibration.constants`."""
 
 BASE_AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
 """Components of a small change of camera_from_base, along and about the base's axes, m and rad."""
@@ -60,18 +62,30 @@ def offset_deviations(config: EstimateConfig, joint_names: Sequence[str]) -> Flo
 class Calibration:
     """Constants of a session: ``camera_from_base`` (4, 4), m, ``offsets`` (2 + J,), m and rad, and E further ones.
 
-    The offsets are those of insertion, roll and the instrument's joints. The ``further`` constants, as those of the
+    The offsets are those of insertion, roll and the instrument's joints. The further ``constants``, as those of the
     camera, change the outlines and not what is predicted; most often there are none.
     """
 
     camera_from_base: Float64
     offsets: Float64
-    further: Float64 = field(default_factory=lambda: np.zeros(0))
+    constants: Constants = field(default_factory=dict)
+
+    @property
+    def further(self) -> Float64:
+        """Values (E,) of the further constants, block after block."""
+        return np.concatenate([np.zeros(0), *self.constants.values()])
+
+    def place(self, name: str) -> slice:
+        """Return where a block of the further constants is among the components of a step."""
+        before = list(self.constants).index(name)
+        start = 6 + len(self.offsets) + sum(len(block) for block in list(self.constants.values())[:before])
+        return slice(start, start + len(self.constants[name]))
 
     def changed(self, step: Float64) -> Calibration:
         """Return the calibration after a step (8 + J + E,), in the order of `SessionModel.axes`, the further last."""
-        base, offsets, further = np.split(step, [6, 6 + len(self.offsets)])
-        return Calibration(moved(self.camera_from_base, base), self.offsets + offsets, self.further + further)
+        count = 6 + len(self.offsets)
+        constants = {name: block + step[self.place(name)] for name, block in self.constants.items()}
+        return Calibration(moved(self.camera_from_base, step[:6]), self.offsets + step[6:count], constants)
 
 
 @dataclass(frozen=True, eq=False)

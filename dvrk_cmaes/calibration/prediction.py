@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_fit import fit_frame
+from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, fit_frame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
+from dvrk_cmaes.calibration.session_doubts import OF_FRAMES
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, inverse
@@ -22,13 +24,10 @@ from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView
 
 Float64 = NDArray[np.float64]
-
-_OVERLAP_LOSS = 0.03  # below the session's median intersection over union, from which on a pose is rejected
-_LARGEST_PX = 3.5  # contour_px_95, within which a pose is not rejected
-_CONTOUR_FACTOR = 1.5  # on the session's median of contour_px_95, beyond which a pose is rejected
 
 
 def fit_session_pose(
@@ -75,21 +74,16 @@ def fit_session_pose(
     covariance = model.covariance(calibration)[0] + jacobian @ session.covariance_given_camera @ jacobian.T
     expected = Expected(start, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
     margins = margins_of(session.masks, [view.name for view in views])
-    first = fit_frame(views, readings, config, expected, (start,), None, margins=margins)
-    fit = fit_frame(views, readings, config, expected, (first.at,), OwnEstimate.of(views, first.at), margins=margins)
+    refined = partial(fit_frame, views, readings, config, expected, margins=margins, preset=OF_NEW_FRAME)
+    first, _ = refined((start,), None)
+    fit, _ = refined((first.at,), OwnEstimate.of(views, first.at))
     of_views, rays = measure_views(views, readings, Posed.stacked([fit.at]), config)
     qualities = [of_view[0] for of_view in of_views]
     quality = pooled_quality(qualities)
     deviation = fit.at.minus(expected.mean)
     misfit = float(deviation @ expected.information @ deviation) / len(deviation)
-    largest_px = max(_LARGEST_PX, _CONTOUR_FACTOR * session.contour_px_95)
-    if quality.iou < session.iou - _OVERLAP_LOSS or quality.contour_px_95 > largest_px:
-        return (
-            f"session: what it expects does not explain the mask (IoU {quality.iou:.3f}, "
-            f"{quality.contour_px_95:.1f} px at 95 % of the contour): searched anew"
-        )
-    if misfit > config.session.largest_misfit:
-        return f"session: the mask is {misfit**0.5:.1f} times the expected error from what it expects: searched anew"
+    if doubts := OF_FRAMES["alone"].doubts(quality, misfit, session, config.session):
+        return f"session: {'; '.join(doubts)}: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
     fitted += covariance_of_camera(session.camera, fit.at, views[0].evidence.camera)
     error = expected_error(instrument, fit.at, fitted)
@@ -99,6 +93,7 @@ def fit_session_pose(
         at=fit.at,
         covariance=fitted,
         expected_error=error,
+        tip_probability=tip_probability(error.of_tips_mm, config.trust.tip_mm),
         quality=quality,
         reasons=tuple(doubts),
         evaluations=first.evaluations + fit.evaluations + sum(view.renderer.poses for view in views),

@@ -1,23 +1,48 @@
-"""What a session's frames tell about its camera: the change they fit, and whether they contradict the camera file."""
+"""What a session's frames tell about its camera: the change they fit, and whether they contradict the camera file.
+
+The change has three unknowns: the logarithm of the focal length's factor and the shift of the principal point, px. It
+is estimated beside the margin of the masks, which makes the shaft wider as a longer focal length does. A single frame
+hardly determines it, because a change of its pose has nearly the same effect. In a session, the arm's kinematics fix
+the distances between the remote centre of motion and the wrists, and thereby the scale along the optical axis.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines, estimate_camera
+from dvrk_cmaes.calibration.constants import (
+    Constant,
+    OutlineOfView,
+    SessionOutlines,
+    ViewAsSeen,
+    inverse_information,
+    linearise,
+)
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.solve import FrameFits, Solution
+from dvrk_cmaes.calibration.stored_frame import changed
+from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.critical import FILE
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
+from dvrk_cmaes.pose.terms.coverage import of_camera
 
 Float64 = NDArray[np.float64]
 
+CAMERA = "camera"
+"""Name of the constant."""
+
+_WEAK_STD = np.array([0.3, 300.0, 300.0])  # of the change where it is estimated from the frames: relative, and px
+_PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
+_STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
 _SHARED_ERRORS = 1.2
@@ -37,6 +62,25 @@ _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
     "another length has a similar effect"
 )
+
+
+class CameraChange(Constant):
+    """The change (3,) of all cameras: by default, nothing is known of it beforehand; arguments as of `Constant`."""
+
+    def __init__(self, std: Float64 | None = None, start: Float64 | None = None) -> None:
+        super().__init__(CAMERA, _WEAK_STD if std is None else std, start)
+
+    def is_plausible(self, values: Float64) -> bool:
+        """Whether the outlines are not likely to have left the image."""
+        return bool((np.abs(values) < _PLAUSIBLE * _WEAK_STD).all())
+
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return a view with the changed camera."""
+        return replace(by, camera=changed(by.camera, values * [1.0, by.size, by.size]))
+
+    def effect(self, outline: OutlineOfView) -> Float64:
+        """Return the displacements of an outline's points by the change."""
+        return of_camera(outline.view, outline.points) * [1.0, outline.size, outline.size]
 
 
 @dataclass(frozen=True)
@@ -119,6 +163,34 @@ class SessionCamera(Document):
             f"point {right:+.0f} px right (std {std_right:.0f}), {down:+.0f} px down (std {std_down:.0f})"
         )
 
+    def of_the_camera_found(self) -> SessionCamera:
+        """Return what is known of the camera that was found, where that takes the place of a camera's file."""
+        return replace(
+            self,
+            focal_scale=1.0,
+            std_focal_scale=self.std_focal_scale / self.focal_scale,
+            principal_point_px=(0.0, 0.0),
+            contradicts=False,
+        )
+
+    def describe_found(self, guess: Camera) -> str:
+        """Describe the camera that was found without a file, and what would tell it better.
+
+        Parameters
+        ----------
+        guess
+            The camera that was guessed, for images of any size.
+        """
+        found, size = self.corrected(guess), guess.width / self.width
+        std = found.fx * self.std_focal_scale / self.focal_scale
+        across, down = (size * each for each in self.std_principal_point_px)
+        return (
+            f"no camera file: these frames tell a focal length of {found.fx:.0f} px (std {std:.0f}) and a principal "
+            f"point at {found.cx:.0f}, {found.cy:.0f} px (std {across:.0f}, {down:.0f}), without lens distortion. A "
+            "checkerboard in some 20 pictures tells all of these better (camera_calibration of ROS), a longer "
+            "recording in which insertion moves by some centimetres the focal length"
+        )
+
     def contradictions(self, config: SessionConfig) -> list[str]:
         """Describe what of the camera file the frames contradict, with likely causes; empty if they do not.
 
@@ -177,7 +249,7 @@ def covariance_of_camera(change: SessionCamera | None, at: Posed, camera: Camera
     return covariance
 
 
-def untold(model: SessionModel) -> str | None:
+def camera_undetermined(model: SessionModel) -> str | None:
     """Say why a session cannot tell its camera; None if it can."""
     return _lacking(model, _MANY_FRAMES, "tell")
 
@@ -207,6 +279,64 @@ class CameraCheck:
     covariance: Float64
 
 
+@dataclass(frozen=True, eq=False)
+class CameraEstimate:
+    """The change (3,) of the camera that a session's frames fit best, and the calibration with it.
+
+    ``covariance`` (3, 3) is that of the change, of which hardly anything is known beforehand. ``sensitivity`` (K, 3) is
+    the derivative of the calibration, in the order of `SessionModel.axes`, by the change. ``at`` are the poses of the N
+    frames with the changed camera. ``plausible`` is as in `Linearised`. ``first_change`` (3,) and ``first_covariance``
+    (3, 3) are what the first linearisation told, at the start.
+    """
+
+    change: Float64
+    covariance: Float64
+    first_change: Float64
+    first_covariance: Float64
+    sensitivity: Float64
+    calibration: Calibration
+    at: Posed
+    plausible: bool = True
+
+
+def estimate_camera(
+    model: SessionModel,
+    calibration: Calibration,
+    prior: Float64,
+    config: SessionConfig,
+    at: Posed,
+    outlines: SessionOutlines,
+    *,
+    passes: int,
+) -> CameraEstimate:
+    """Estimate the change of the camera beside the calibration.
+
+    Arguments are as in `linearise`; the ``outlines`` are those of the reference camera, with the change among their
+    constants. ``config`` has the settings of the variance components, which are estimated again with the change.
+    """
+    solver = partial(_with_variances, config)
+    there = linearise(model, calibration, prior, at, outlines, solver, [CAMERA], passes=passes)
+    first, own = there.first or there, there.solution.calibration.place(CAMERA)
+    count, information = len(prior), there.information
+    return CameraEstimate(
+        there.value(CAMERA),
+        there.covariance[own, own],
+        first.value(CAMERA),
+        first.covariance[own, own],
+        -inverse_information(information[:count, :count]) @ information[:count, own],
+        replace(there.solution.calibration, constants={}),
+        there.at,
+        there.plausible,
+    )
+
+
+def _with_variances(
+    config: SessionConfig, model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64
+) -> tuple[SessionModel, Solution]:
+    """Estimate a calibration and the variances."""
+    return solve_with_variances(model, fits, start, prior, config, steps=_STEPS)
+
+
 def check_camera(
     model: SessionModel,
     calibration: Calibration,
@@ -219,13 +349,13 @@ def check_camera(
 ) -> CameraCheck:
     """Test the camera of a calibrated session.
 
-    ``applied`` is the change (3,) of the camera with which the frames were fitted, None if they were fitted with the
-    file's; the other arguments are as in `estimate_camera`.
+    ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the constant starts; None
+    if they were fitted with the file's. The other arguments are as in `estimate_camera`.
     """
     reason = _lacking(model, _LEAST_FRAMES, "test") if config.test_camera or applied is not None else _NOT_ASKED
     passes = _PASSES if reason is None and applied is None else 1
     try:
-        estimate = estimate_camera(model, calibration, prior, config, at, outlines, start=applied, passes=passes)
+        estimate = estimate_camera(model, calibration, prior, config, at, outlines, passes=passes)
         if passes > 1 and not estimate.plausible:
             reason = "camera: its estimate from these frames is not plausible"
             estimate = estimate_camera(model, calibration, prior, config, at, outlines, passes=1)
@@ -239,10 +369,10 @@ def check_camera(
     camera = SessionCamera.of(
         estimate,
         config,
-        outlines.width,
+        outlines.camera.width,
         applied=applied is not None,
         frames=len(at),
-        unusual=outlines.unusual,
+        unusual=any(text.startswith(FILE) for text in outlines.camera.remarks),
     )
     return CameraCheck(camera, "", covariance)
 

@@ -1,15 +1,19 @@
-"""What makes a session's calibration doubtful, and with it every result that rests on it: decided here alone."""
+"""What makes a session doubtful, and every result that rests on it, and a frame that is not what its session expects.
+
+All of it is decided here, by the rows of two tables: `OF_SESSIONS` and `OF_FRAMES`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
 from dvrk_cmaes.calibration.instrument_test import better_instrument
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.result import Quality, Result
 from dvrk_cmaes.results.tracked import TrackResult
 
 if TYPE_CHECKING:
@@ -37,6 +41,56 @@ _CAUSES_OF_INSERTION = (
 )
 
 
+@dataclass(frozen=True)
+class FrameLimits:
+    """Limits on how far a frame may be from what its session expects: a row of the table of frames.
+
+    what : the frames that it belongs to, in words. overlap_loss : below the session's median intersection over union.
+    largest_px, contour_factor : 95 % of the contour are within the larger one of the first, px, and of the second times
+    the session's median.
+    """
+
+    what: str
+    overlap_loss: float
+    largest_px: float
+    contour_factor: float
+
+    def doubts(
+        self, quality: Quality, misfit: float, calibration: SessionCalibration, config: SessionConfig
+    ) -> list[str]:
+        """List the reasons, in words, for which a frame is not what its session expects.
+
+        Parameters
+        ----------
+        quality
+            That of the frame's pose.
+        misfit
+            Squared distance of the pose from what is expected by the covariance, per parameter.
+        calibration, config
+            The session, and its settings.
+        """
+        reasons, least = [], calibration.iou - self.overlap_loss
+        largest_px = max(self.largest_px, self.contour_factor * calibration.contour_px_95)
+        if quality.iou < least or quality.contour_px_95 > largest_px:
+            reasons.append(
+                f"mask not explained: IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour, "
+                f"expected at least {least:.3f} and at most {largest_px:.1f} px"
+            )
+        if misfit > config.largest_misfit:
+            reasons.append(
+                f"disagrees with the {self.what}: the mask is {misfit**0.5:.1f} times the expected error from what the "
+                "calibration and the readings expect"
+            )
+        return reasons
+
+
+OF_FRAMES: Final = {
+    "alone": FrameLimits("session", 0.03, 3.5, 1.5),
+    "followed": FrameLimits("recording", 0.15, 9.0, 3.0),
+}
+"""The table of frames: a frame by itself, and one whose pose its neighbours support, too."""
+
+
 def doubts_of(
     calibration: SessionCalibration, config: SessionConfig | None = None, *, without_lag: str = ""
 ) -> tuple[str, ...]:
@@ -52,19 +106,9 @@ def doubts_of(
         Why the frames agree at no lag between images and readings; empty if they agree at one, or none was searched.
     """
     settings = SessionConfig() if config is None else config
-    camera, masks = calibration.camera, calibration.masks
-    doubts = [bad_predictions(calibration), _few_agree(calibration)]
-    doubts.append(f"lag between images and readings: {without_lag}" if without_lag and not calibration.lag else "")
-    doubts.append(better_instrument(calibration.instruments, calibration.predicted_iou))
-    if masks is not None and abs(masks.margin_px) > _LARGEST_MARGIN_PX:
-        wide = "wide" if masks.margin_px > 0 else "narrow"
-        doubts.append(
-            f"masks are {abs(masks.margin_px):.1f} px (std {masks.std_margin_px:.1f}) too {wide} all round: more than "
-            "segmenters err; another instrument, another focal length or masks that were widened have this effect"
-        )
-    if camera is not None and not camera.applied:
-        doubts += camera.contradictions(settings)
-    return tuple(text for text in (*doubts, *_far_offsets(calibration, settings)) if text)
+    lag = f"lag between images and readings: {without_lag}" if without_lag and not calibration.lag else ""
+    found = [text for rule in OF_SESSIONS.values() for text in rule(calibration, settings)]
+    return tuple(text for text in (*found, lag) if text)
 
 
 def resting_on(result: R, calibration: SessionCalibration | None) -> R:
@@ -103,6 +147,24 @@ def bad_predictions(calibration: SessionCalibration) -> str:
         f"this calibration predicts frames badly that it has not seen: IoU {predicted:.2f} by the other frames, "
         f"{calibration.iou:.2f} by their own fits; its lag, camera file, instrument or readings may be wrong"
     )
+
+
+def _wide_masks(calibration: SessionCalibration) -> str:
+    """Say that the masks are wider or narrower than segmenters make them; empty if they are not."""
+    masks = calibration.masks
+    if masks is None or abs(masks.margin_px) <= _LARGEST_MARGIN_PX:
+        return ""
+    wide = "wide" if masks.margin_px > 0 else "narrow"
+    return (
+        f"masks are {abs(masks.margin_px):.1f} px (std {masks.std_margin_px:.1f}) too {wide} all round: more than "
+        "segmenters err; another instrument, another focal length or masks that were widened have this effect"
+    )
+
+
+def _wrong_camera(calibration: SessionCalibration, config: SessionConfig) -> list[str]:
+    """Describe what of the camera file the frames contradict, unless the session was solved with another camera."""
+    camera = calibration.camera
+    return [] if camera is None or camera.applied else camera.contradictions(config)
 
 
 def _few_agree(calibration: SessionCalibration) -> str:
@@ -153,3 +215,14 @@ def _far_offsets(calibration: SessionCalibration, config: SessionConfig) -> list
                 f"that cables do; likely causes: {_CAUSES_OF_ROLL if name == 'roll' else _CAUSES_OF_CABLES}"
             )
     return texts
+
+
+OF_SESSIONS: Final[Mapping[str, Callable[[SessionCalibration, SessionConfig], Sequence[str]]]] = {
+    "predictions": lambda calibration, config: [bad_predictions(calibration)],
+    "agreement": lambda calibration, config: [_few_agree(calibration)],
+    "instrument": lambda calibration, config: [better_instrument(calibration.instruments, calibration.predicted_iou)],
+    "masks": lambda calibration, config: [_wide_masks(calibration)],
+    "camera": _wrong_camera,
+    "offsets": _far_offsets,
+}
+"""The table of sessions: what is tested, and why a session is doubtful; a text that is empty is no reason."""

@@ -1,15 +1,57 @@
-"""What a session tells of the errors that its masks share, as it is stated."""
+"""What a session tells of the errors that its masks share, and the margin by which they are too wide or too narrow.
+
+A single frame cannot tell a margin from a shorter distance. In a session the arm moves along the optical axis by
+amounts that its joints state, and a margin makes near and far shafts wider by the same number of pixels.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
+from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
+from dvrk_cmaes.pose.terms.coverage import of_margin
+
+Float64 = NDArray[np.float64]
+
+MARGIN = "margin"
+"""Name of the constant."""
+
+_STD = 1.0  # px beforehand
+_CLEAR = 2.5  # standard deviations from zero, and ...
+_LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
+_LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
+_PASSES = 5  # largest number of linearisations of the outlines
+_MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those less the margin
+
+
+class MaskMargin(Constant):
+    """The margin (1,), px, by which a segmenter makes all masks of a view too wide, from where estimates ``start``."""
+
+    def __init__(self, start: float = 0.0) -> None:
+        super().__init__(MARGIN, np.array([_STD]), np.array([start]))
+
+    @property
+    def least_std(self) -> Float64:
+        """Standard deviation (1,), px, by which margins of parts of one recording differ."""
+        return np.array([_LEAST_STD])
+
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return a view whose mask has the margin."""
+        return replace(by, margin=by.margin + float(values[0]))
+
+    def effect(self, outline: OutlineOfView) -> Float64:
+        """Return the displacements of an outline's points by the margin."""
+        return of_margin(outline.points)[:, None]
 
 
 @dataclass(frozen=True)
@@ -113,6 +155,27 @@ def margins_of(masks: SessionMasks | None, views: Sequence[str]) -> tuple[float,
         Names of the views.
     """
     return tuple(0.0 if masks is None else masks.taken_off_in(view) for view in views)
+
+
+def estimate_margin(
+    model: SessionModel, calibration: Calibration, prior: Float64, at: Posed, outlines: SessionOutlines
+) -> tuple[Margin, Calibration, Posed]:
+    """Estimate the margin of a view's masks beside the calibration and the camera, whose file counts as a measurement.
+
+    Arguments are as in `linearise`; the outlines are those of the view, with the margin among their constants. Also
+    returns the calibration and the poses of the N frames with masks less the margin, if it is clear, and the camera of
+    the file: a change of the camera that is estimated beside the margin is not used.
+    """
+    there = linearise(model, calibration, prior, at, outlines, solve_unchanged, [MARGIN], passes=_PASSES)
+    value = float(there.value(MARGIN)[0])
+    (std,) = (float(there.std(one)[0]) for one in outlines.constants if one.name == MARGIN)
+    clear = abs(value) > max(_CLEAR * std, _LEAST_MARGIN)
+    values = {one.name: np.zeros(len(one.std)) for one in outlines.constants} | {MARGIN: there.value(MARGIN)}
+    for _ in range(_MARGIN_STEPS if clear else 0):
+        fits = outlines.near(at, values).at_constants()
+        calibration = solve(model, fits, calibration, prior).calibration
+        at = at.moved(marginalise(model, fits, calibration).own)
+    return Margin(value, std, clear), calibration, at
 
 
 def _in_words(view: str, margin: Margin) -> str:

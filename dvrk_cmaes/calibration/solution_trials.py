@@ -1,18 +1,27 @@
 """Several solutions of one session, of which that one is taken that predicts frames best which are left out.
 
 A session is solved at several lags where its frames' own modes do not tell the lag, and again with masks that were
-found around its silhouettes.
+found around its silhouettes. Errors of cables and a lag explain much of each other in the frames that are fitted; in
+frames that are left out, they do not.
 """
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.alternation import Alternation
-from dvrk_cmaes.calibration.lag_trials import best_predicting, lags_to_try
+from dvrk_cmaes.calibration.alternation import (
+    initialised,
+    solved,
+    with_lag_of_fits,
+    with_lag_of_modes,
+    with_other_masks,
+)
+from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.masks_again import (
     AgainTask,
     FoundAgain,
@@ -21,13 +30,21 @@ from dvrk_cmaes.calibration.masks_again import (
     compared,
     predicted_task,
 )
+from dvrk_cmaes.calibration.session_state import FoundMasks, SessionState
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 
+MOST_LAGS: Final = 3
+"""Largest number of lags at which a session is solved, beside none."""
+
+_LIKELY = 1.5  # largest ratio of the misfit at a lag that is tried to the least one
+_CLEAR = 2.0  # standard deviations of a mean difference, and ...
+_LEAST_GAIN = 0.005  # ... of overlap, by which a lag must predict better than none
+_ALIKE = 3.0  # frames near each other in time err alike, so that each counts as one of so many
 _WELL = 0.06  # of overlap, by which left-out frames may be worse than their own fits for the session to predict well
 
 
-def solve_session(session: Alternation) -> Alternation:
+def solve_session(start: SessionState) -> SessionState:
     """Solve a session; where the frames' own modes do not tell the lag, also at others.
 
     These are the lags that the modes allow and the one that the fits without a lag tell. A solution at such a lag is
@@ -37,35 +54,31 @@ def solve_session(session: Alternation) -> Alternation:
 
     Parameters
     ----------
-    session
+    start
         The session, of which nothing is solved yet.
 
     Raises
     ------
     InputError
-        As `Alternation.initialise`.
+        As `initialised`.
     """
-    problem: InputError | None = None
+    start = with_lag_of_modes(start)
+    lags = lags_to_try(start.lag.curve) if start.lag.can_be_tried else []
     try:
-        session.initialise()
-        session.iterate()
-    except InputError as error:
-        problem = error
-    if not session.lag.can_be_tried:
-        if problem is not None:
-            raise problem
-        return session
-    lags = lags_to_try(session.lag.curve)
-    if problem is not None:
-        trials = _at_lags(session, lags)
+        session = solved(initialised(start))
+    except InputError:
+        trials = _at_lags(start, lags)
         if not trials:
-            raise problem
+            raise
         overlaps = [_left_out_overlaps(trial) for trial in trials]
         return trials[int(np.argmax([np.mean(list(each.values())) for each in overlaps]))]
-    by_fits, without_lag = session.tell_lag(), _left_out_overlaps(session)
+    if not session.lag.can_be_tried:
+        return session
+    session, by_fits = with_lag_of_fits(session)
+    without_lag = _left_out_overlaps(session)
     if by_fits is None and session.lag.lag is not None and _predicts_well(session, without_lag):
         return session
-    trials = _at_lags(session, lags if by_fits is None else [by_fits, *lags])
+    trials = _at_lags(start, lags if by_fits is None else [by_fits, *lags])
     overlaps = [_left_out_overlaps(trial) for trial in trials]
     best = best_predicting(without_lag, overlaps)
     if best is None or (session.lag.nowhere and not _predicts_well(trials[best], overlaps[best])):
@@ -73,7 +86,42 @@ def solve_session(session: Alternation) -> Alternation:
     return trials[best]
 
 
-def with_masks_again(session: Alternation) -> Alternation:
+def lags_to_try(curve: LagCurve | None) -> list[float]:
+    """Return the lags, in the curve's unit, at which the frames' modes disagree least, the best first; without zero.
+
+    They are the minima of the curve between its ends that are not much higher than its lowest point.
+    """
+    if curve is None or len(curve.lags) < 3:
+        return []
+    misfit = curve.misfit
+    inner = np.arange(1, len(misfit) - 1)
+    minima = inner[(misfit[inner] <= misfit[inner - 1]) & (misfit[inner] <= misfit[inner + 1])]
+    step = float(np.diff(curve.lags).min())
+    order = minima[np.argsort(misfit[minima], kind="stable")]
+    likely = [k for k in order if misfit[k] <= _LIKELY * misfit.min()]
+    return [float(curve.lags[k]) for k in likely if abs(curve.lags[k]) > 0.5 * step][:MOST_LAGS]
+
+
+def best_predicting(first: Mapping[str, float], others: Sequence[Mapping[str, float]]) -> int | None:
+    """Return which of several solutions predicts the frames best, or None if none is clearly better than the first.
+
+    Parameters
+    ----------
+    first, others
+        Overlap of each frame's mask and the silhouette that the other frames predict, by the frame's name.
+    """
+    gains = []
+    for other in others:
+        both = sorted(first.keys() & other.keys())
+        change = np.array([other[name] - first[name] for name in both])
+        error = float(change.std() / np.sqrt(max(len(change) / _ALIKE, 1.0))) if len(change) else np.inf
+        gain = float(change.mean()) if len(change) else -np.inf
+        gains.append(gain if gain > max(_CLEAR * error, _LEAST_GAIN) else -np.inf)
+    best = int(np.argmax(gains)) if gains else 0
+    return best if gains and np.isfinite(gains[best]) else None
+
+
+def with_masks_again(session: SessionState) -> SessionState:
     """Find the masks again that were found in images, around the fits, and solve again; returns the better solution.
 
     Only frames that agree with the session are looked at again, and only those whose masks change are fitted again.
@@ -85,48 +133,47 @@ def with_masks_again(session: Alternation) -> Alternation:
     session
         The session, solved.
     """
-    agree = session.agreeing
+    agree, problem, change = session.agreeing, session.problem, session.imaging.change
     finders = {i: frame.find_masks for i, frame in enumerate(session.frames) if agree[i]}
     tasks = {
-        i: AgainTask(session.frames[i].data, find, session.fits[i].at, session.change)
+        i: AgainTask(session.frames[i].data, find, session.fits[i].at, change)
         for i, find in finders.items()
         if find is not None
     }
     if not tasks:
         return session
-    session.progress("finding masks again", len(tasks))
-    found: dict[int, FoundAgain] = dict(zip(tasks, session.run(again_task, list(tasks.values())), strict=True))
+    problem.progress("finding masks again", len(tasks))
+    found: dict[int, FoundAgain] = dict(zip(tasks, problem.run(again_task, list(tasks.values())), strict=True))
     new = {i: of_frame.masks for i, of_frame in found.items() if of_frame.masks}
-    other = session.with_masks(new) if new else session
+    other = with_other_masks(session, new) if new else session
     pairs = zip(session.left_out_predictions(), other.left_out_predictions(), strict=True)
     poses = [Posed.stacked(pair) for pair in pairs]
     used = [i for i, agrees in enumerate(agree) if agrees]
-    predicted = session.run(predicted_task, [PredictedTask(session.stored[i], poses[i], session.change) for i in used])
+    predicted = problem.run(predicted_task, [PredictedTask(session.stored[i], poses[i], change) for i in used])
     bases = (session.solution.calibration.camera_from_base, other.solution.calibration.camera_from_base)
     again = compared([of_frame.iou for of_frame in found.values()], len(new), bases, predicted)
     better = other if again.applied else session
-    better.again = again
-    return better
+    return replace(better, again=replace(better.again or FoundMasks(), compared=again))
 
 
-def _at_lags(session: Alternation, lags: Sequence[float]) -> list[Alternation]:
+def _at_lags(start: SessionState, lags: Sequence[float]) -> list[SessionState]:
     """Solve a session at some lags, but for those that its readings contradict."""
     trials = []
     for lag in lags:
-        session.progress("trying another lag", len(session.frames))
+        start.problem.progress("trying another lag", len(start.frames))
         with contextlib.suppress(InputError):
-            trials.append(session.at_lag(lag))
+            trials.append(solved(initialised(replace(start, lag=start.lag.with_trial(lag)))))
     return trials
 
 
-def _left_out_overlaps(session: Alternation) -> dict[str, float]:
+def _left_out_overlaps(session: SessionState) -> dict[str, float]:
     """Return the overlap of each frame's masks and the silhouette that all other frames predict, by its name."""
     poses = [Posed.stacked([at]) for at in session.left_out_predictions()]
-    tasks = [PredictedTask(*pair, session.change) for pair in zip(session.stored, poses, strict=True)]
-    measured = session.run(predicted_task, tasks)
+    tasks = [PredictedTask(*pair, session.imaging.change) for pair in zip(session.stored, poses, strict=True)]
+    measured = session.problem.run(predicted_task, tasks)
     return {frame.name: iou for frame, ((iou, _),) in zip(session.frames, measured, strict=True)}
 
 
-def _predicts_well(session: Alternation, left_out: Mapping[str, float]) -> bool:
+def _predicts_well(session: SessionState, left_out: Mapping[str, float]) -> bool:
     """Whether frames that are left out overlap nearly as well as their fits; argument as of `_left_out_overlaps`."""
     return float(np.median(list(left_out.values()))) > float(np.median([fit.iou for fit in session.fits])) - _WELL

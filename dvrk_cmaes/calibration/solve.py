@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors, LastingSlopes, frames_alike, without_lasting
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
 from dvrk_cmaes.pose.terms.term import Quadratic
@@ -39,16 +39,16 @@ class FrameFits:
     """Quadratic approximations of the outline terms of N frames, without the session's prior.
 
     ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
-    J, and for changes of E further unknowns from their values ``further`` (E,); most often there are none. The slope
-    is zero at an outline's own optimum. ``lasting`` are the changes of these slopes by errors of the masks that last
-    from frame to frame, and ``by_lag`` (N, D) the changes of what is predicted by one standard deviation of the lag
-    between images and readings; none by default. ``shares`` (N,) are the shares of one frame as which each counts,
-    because others err like it; 1 by default.
+    J, and for changes of E further unknowns from the values of their blocks, ``constants``; most often there are none.
+    The slope is zero at an outline's own optimum. ``lasting`` are the changes of these slopes by errors of the masks
+    that last from frame to frame, and ``by_lag`` (N, D) the changes of what is predicted by one standard deviation of
+    the lag between images and readings; none by default. ``shares`` (N,) are the shares of one frame as which each
+    counts, because others err like it; 1 by default.
     """
 
     at: Posed
     outlines: Quadratic
-    further: Float64 = field(default_factory=lambda: np.zeros(0))
+    constants: Constants = field(default_factory=dict)
     lasting: LastingSlopes | None = None
     by_lag: Float64 | None = None
     shares: Float64 | float = 1.0
@@ -71,14 +71,14 @@ class FrameFits:
         at: Posed,
         terms: Sequence[Quadratic],
         common: CommonErrors,
-        further: Float64 | None = None,
+        constants: Constants | None = None,
     ) -> FrameFits:
         """Stack the outlines' terms of N frames, whose last unknowns are the errors that last, and eliminate these.
 
-        ``common`` are the errors that the frames share; ``further`` (E,) as above.
+        ``common`` are the errors that the frames share; ``constants`` as above.
         """
-        constants = np.zeros(0) if further is None else further
-        own = 6 + at.joints.shape[1] + len(constants)
+        constants = {} if constants is None else constants
+        own = 6 + at.joints.shape[1] + sum(len(block) for block in constants.values())
         most = max(of_frame.dimension for of_frame in terms)
         stacked = Quadratic.joined([of_frame.padded(most) for of_frame in terms])
         lasting = LastingSlopes.of(stacked, most - own, common.size, common.times)
@@ -86,6 +86,11 @@ class FrameFits:
         counted = stacked.information.any(axis=(1, 2))  # those without an outline are no others beside a frame
         shares = 1 / frames_alike(np.where(counted, common.times, np.nan), common.alike_seconds)
         return cls(at, outlines, constants, lasting, common.by_lag, shares)
+
+    @property
+    def further(self) -> Float64:
+        """Values (E,) of the further unknowns, block after block."""
+        return np.concatenate([np.zeros(0), *self.constants.values()])
 
     def at_constants(self) -> FrameFits:
         """Return the fits with the further unknowns at their values, as functions of poses and joints alone."""
@@ -115,7 +120,7 @@ class FrameFits:
         by_lag = None if self.by_lag is None else self.by_lag[index]
         outlines = self.outlines.select([int(i) for i in index])
         shares = np.broadcast_to(self.shares, len(self.at))[index]
-        return FrameFits(self.at[index], outlines, self.further, lasting, by_lag, shares)
+        return FrameFits(self.at[index], outlines, self.constants, lasting, by_lag, shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +200,13 @@ def solve(
         if step @ information @ step < 1e-6 * len(step):
             break
     return solution
+
+
+def solve_unchanged(
+    model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64
+) -> tuple[SessionModel, Solution]:
+    """Estimate the calibration as `solve`, and return the model as it was, too."""
+    return model, solve(model, fits, start, prior)
 
 
 def solve_with_modes(

@@ -130,6 +130,13 @@ class StoredFrame:
         return bool(np.array_equal(self.views[0].view_from_camera, np.eye(4)))
 
 
+def camera_remarks(stored: StoredFrame) -> tuple[str, ...]:
+    """Return what is unusual about the camera files of a frame."""
+    further = [view for view in stored.views if not np.array_equal(view.view_from_camera, np.eye(4))]
+    of_views = (f"view {view.name}: {text}" for view in further for text in view.stored.evidence.camera.remarks)
+    return (*stored.camera.remarks, *of_views)
+
+
 def changed(camera: Camera, change: Float64, width: int | None = None) -> Camera:
     """Return a camera after a change (3,): the logarithm of the focal length's factor, and the shift of the centre, px.
 

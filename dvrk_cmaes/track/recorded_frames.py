@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_predicted
+from dvrk_cmaes.calibration.frame_fit import FOLLOWED, FrameFit, fit_frame
 from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame, StoredView
 from dvrk_cmaes.config import EstimateConfig
@@ -110,7 +110,7 @@ def fit_followed(
         near = expected.mean.moved(before)
         starts = [near, expected.mean] if apart > _ANOTHER_START else [near]
     margins = margins_of(masks, [view.name for view in views])
-    fit, own = fit_predicted(views, limits, config, expected, starts, margins=margins)
+    fit, own = fit_frame(views, limits, config, expected, starts, None, margins=margins, preset=FOLLOWED)
     stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
     return FittedFrame(
         StoredFrame(tuple(stored), data.camera, own),

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from helpers.session_worlds import make_frames_in_memory
 
-from dvrk_cmaes.calibration import few_frames
+from dvrk_cmaes.calibration import constants
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-from dvrk_cmaes.calibration.camera_change import shifted
-from dvrk_cmaes.calibration.few_frames import few_of
-from dvrk_cmaes.calibration.frame_task import constants_task, fit_task
+from dvrk_cmaes.calibration.constants import few_of, outline_task, shifted
+from dvrk_cmaes.calibration.frame_task import fit_task
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Posed, change_between, moved
@@ -27,7 +26,7 @@ def solved(body: Body, config: EstimateConfig | None = None) -> tuple[SolvedSess
     tasks: list[tuple[str, int]] = []
 
     def run(function: Callable[[Body, EstimateConfig, Any], Any], of_frames: Sequence[Any]) -> list[Any]:
-        if function in (fit_task, constants_task):
+        if function in (fit_task, outline_task):
             tasks.append((function.__name__, len(of_frames)))
         return [function(body, EstimateConfig(), task) for task in of_frames]
 
@@ -47,13 +46,13 @@ def test_few_frames_lead_to_the_same_calibration_as_all(bundled_body: Body, monk
     by_all, tasks = solved(bundled_body)
     assert tasks[0] == ("fit_task", COUNT)
     assert all(count in (COUNT, FEW) or name == "fit_task" for name, count in tasks)
-    monkeypatch.setattr(few_frames, "_FEW", FEW)
+    monkeypatch.setattr(constants, "_FEW", FEW)
     by_few, tasks = solved(bundled_body)
     fitted = [count for name, count in tasks if name == "fit_task"]
     assert fitted[0] == FEW
     assert fitted[1] <= FEW
     assert fitted[2] == COUNT  # the first round in which predictions are not widened
-    linearised = [count for name, count in tasks if name == "constants_task"]
+    linearised = [count for name, count in tasks if name == "outline_task"]
     assert linearised[0] == FEW
     assert linearised[-1] == COUNT
     std = np.sqrt(np.diag(by_all.calibration.covariance))
@@ -68,7 +67,7 @@ def test_few_frames_lead_to_the_same_calibration_as_all(bundled_body: Body, monk
 
 
 def test_all_frames_take_part_in_the_only_round(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(few_frames, "_FEW", FEW)
+    monkeypatch.setattr(constants, "_FEW", FEW)
     by_few, tasks = solved(bundled_body, EstimateConfig(session=SessionConfig(rounds=1, test_camera=False)))
     assert tasks[0] == ("fit_task", COUNT)
     assert len(by_few.results) == COUNT

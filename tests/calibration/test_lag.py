@@ -246,26 +246,25 @@ def test_frames_without_readings_near_the_lag_are_not_kept() -> None:
     late = series.times["yaw"] >= 8.0  # the image of frame 12 shows the arm as read at 8: no lag above 4 can be tried
     times = {name: stamps[late] for name, stamps in series.times.items()}
     values = {name: stamps[late] for name, stamps in series.values.items()}
-    estimate = LagEstimate(replace(series, times=times, values=values), names, world.model.deviations.outer)
-    estimate.search(world.model, modes, EXPECTED_OFFSETS, PRIOR)
+    estimate = LagEstimate.of(replace(series, times=times, values=values), names, world.model.deviations.outer)
+    estimate = estimate.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR)
     lag = estimate.applied
     assert lag is not None
     assert lag.frames == pytest.approx(4.0, abs=0.3)
     kept = estimate.has_readings()
     assert names[0] == "0012"
     assert (bool(kept[0]), bool(kept[1:].all())) == (False, True)
-    estimate.select(np.flatnonzero(kept).tolist())
     model = world.model.subset(np.flatnonzero(kept))
-    estimate.refine(model, fits_of(modes[1:]), world.truth, PRIOR)
+    estimate = estimate.subset(np.flatnonzero(kept).tolist()).refined(model, fits_of(modes[1:]), world.truth, PRIOR)
     assert not np.isnan(estimate.corrected(model).outer).any()
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.9])
 def test_fits_tell_that_there_is_no_lag_or_which_is_to_be_tried(lag: float) -> None:
     world, clock, modes = moving_world(lag, seed=1)
-    estimate = LagEstimate(clock.series, list(clock.series.frames), world.model.deviations.outer)
+    estimate = LagEstimate.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
     found = find_consensus(world.model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
-    to_try = estimate.tell_by_fits(world.model, fits_of(modes), found.calibration, PRIOR)
+    estimate, to_try = estimate.told_by_fits(world.model, fits_of(modes), found.calibration, PRIOR)
     if lag == 0.0:
         assert to_try is None
         assert estimate.lag is not None
@@ -280,14 +279,14 @@ def test_fits_tell_that_there_is_no_lag_or_which_is_to_be_tried(lag: float) -> N
 def test_fits_do_not_tell_that_there_is_no_lag_where_the_modes_agree_on_another() -> None:
     """Fits are near what a session without a lag expects, and hardly tell others; the modes do not know of it."""
     world, clock, modes = moving_world(0.0, seed=1)
-    estimate = LagEstimate(clock.series, list(clock.series.frames), world.model.deviations.outer)
-    estimate.curve = LagCurve("frames", np.arange(-2.0, 6.0), np.array([3.0, 2.0, 1.0, 0.7, 0.4, 0.2, 0.5, 1.0]))
+    estimate = LagEstimate.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
+    curve = LagCurve("frames", np.arange(-2.0, 6.0), np.array([3.0, 2.0, 1.0, 0.7, 0.4, 0.2, 0.5, 1.0]))
+    estimate = replace(estimate, curve=curve)
     found = find_consensus(world.model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
     before = estimate.change_of_predictions(world.model, found.calibration)
-    assert estimate.tell_by_fits(world.model, fits_of(modes), found.calibration, PRIOR) is None
-    assert estimate.lag is None
-    estimate.curve = None
-    without = estimate.change_of_predictions(world.model, found.calibration)
+    told, to_try = estimate.told_by_fits(world.model, fits_of(modes), found.calibration, PRIOR)
+    assert (told.lag, to_try) == (None, None)
+    without = replace(estimate, curve=None).change_of_predictions(world.model, found.calibration)
     assert np.linalg.norm(before) > 1.3 * np.linalg.norm(without)  # the base is expected to err by more
 
 
@@ -315,12 +314,12 @@ def test_lag_of_a_flat_curve_has_a_least_standard_deviation() -> None:
 def test_counted_frames_whose_readings_jump_have_no_known_times() -> None:
     world, clock, _ = moving_world(0.0, 1)
     names, outer_std = list(clock.series.frames), world.model.deviations.outer
-    followed = LagEstimate(clock.series, names, outer_std)
+    followed = LagEstimate.of(clock.series, names, outer_std)
     assert followed.seconds() is not None
     far = np.random.default_rng(0).permutation(ROWS)
     picked = replace(clock.series, values={name: values[far] for name, values in clock.series.values.items()})
-    estimate = LagEstimate(picked, names, outer_std)
+    estimate = LagEstimate.of(picked, names, outer_std)
     assert estimate.seconds() is None
     assert estimate.play(NAMES, world.model.joints, np.full(len(NAMES), 0.1)) is None
-    timed = LagEstimate(replace(picked, unit="s"), names, outer_std)
+    timed = LagEstimate.of(replace(picked, unit="s"), names, outer_std)
     assert timed.seconds() is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -11,11 +12,11 @@ import pytest
 from helpers.session_worlds import PRIOR, SEEN, World, make_frames_in_memory, make_world
 
 from dvrk_cmaes.calibration.calibrate import calibrate_session
-from dvrk_cmaes.calibration.camera_change import SessionOutlines
+from dvrk_cmaes.calibration.constants import Constant, SessionOutlines
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.mask_margin import estimate_margin
-from dvrk_cmaes.calibration.session_masks import SessionMasks
+from dvrk_cmaes.calibration.session_camera import CameraChange, file_deviations
+from dvrk_cmaes.calibration.session_masks import MARGIN, MaskMargin, SessionMasks, estimate_margin
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.frames.frame import FrameData
@@ -77,9 +78,9 @@ class FarCamera:
     """Outlines of a session that fit a focal length 10 % shorter than the file's and masks 0.8 px too wide."""
 
     world: World
-    margin: float = 0.0
+    constants: tuple[Constant, ...] = (CameraChange(file_deviations(SessionConfig())), MaskMargin())
 
-    def near(self, at: Posed, constants: np.ndarray) -> FrameFits:
+    def near(self, at: Posed, constants: Mapping[str, np.ndarray]) -> FrameFits:
         """Linearise the outlines as `SessionOutlines.near`: a longer focal length looks like a depth.
 
         A margin moves what is seen to alternate sides, so that it is told.
@@ -89,7 +90,7 @@ class FarCamera:
         jacobian[:] = np.eye(len(SEEN), len(SEEN) + 4)
         jacobian[:, 2, -4], jacobian[:, 0, -1] = depth, 1e-3 * (-1.0) ** np.arange(len(depth))
         jacobian[:, 0, -3] = jacobian[:, 1, -2] = depth / 1000
-        off = np.array([-0.1, 0.0, 0.0, 0.8]) - constants
+        off = np.array([-0.1, 0.0, 0.0, 0.8]) - np.concatenate([*constants.values()])
         seen = self.world.at.minus(at) + jacobian[:, :, -4:] @ off
         weighted = np.swapaxes(jacobian, 1, 2) * (0.1 * SEEN) ** -2
         return FrameFits(at, Quadratic(weighted @ jacobian, -(weighted @ seen[:, :, None])[:, :, 0]), constants)
@@ -99,8 +100,9 @@ def test_poses_with_a_margin_are_those_with_the_camera_of_the_file() -> None:
     """A change of the camera that is estimated beside it is not used: poses with that would be centimetres off."""
     world = make_world(80)
     outlines = cast("SessionOutlines", FarCamera(world))
-    found = estimate_margin(world.model, world.truth, PRIOR, SessionConfig(), world.at, outlines)
-    assert found.margin.applied
-    with_file = FarCamera(world).near(found.at, np.array([0.0, 0.0, 0.0, found.margin.px])).at_constants()
+    margin, _, at = estimate_margin(world.model, world.truth, PRIOR, world.at, outlines)
+    assert margin.applied
+    constants = {"camera": np.zeros(3), MARGIN: np.array([margin.px])}
+    with_file = FarCamera(world).near(at, constants).at_constants()
     off = 1e3 * np.abs(with_file.optimum(np.zeros(0))[:, 2])
     assert np.quantile(off, 0.9) < 1.5

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_in_memory
 
-from dvrk_cmaes.calibration.camera_change import CameraEstimate, SessionOutlines
+from dvrk_cmaes.calibration.constants import SessionOutlines
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
-from dvrk_cmaes.calibration.session_camera import CameraCheck, SessionCamera, check_camera
+from dvrk_cmaes.calibration.session_camera import CameraChange, CameraCheck, CameraEstimate, SessionCamera, check_camera
+from dvrk_cmaes.calibration.session_masks import MaskMargin
 from dvrk_cmaes.calibration.solve import FrameFits, Solution, solve
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
@@ -56,15 +57,16 @@ def check(
         stored.append(StoredFrame.of(one.data.with_camera(wrong), at[k], body, EstimateConfig()))
     outlines = SessionOutlines(
         stored,
-        [0] * len(frames),
+        [(0,)] * len(frames),
         lambda function, tasks: [function(body, EstimateConfig(), task) for task in tasks],
-        CommonErrors(USUAL_SIZE, np.full(len(frames), np.nan), np.zeros((len(frames), 6 + len(names)))),
+        CommonErrors.none(len(frames), 6 + len(names)),
+        (CameraChange(), MaskMargin()),
     )
     outer = outer_readings(readings)
     outer[:, 2] = outer[:, 2].mean() + insertion * (outer[:, 2] - outer[:, 2].mean())
     read = np.array([[one[name] for name in names] for one in readings])
     model = SessionModel(outer, read, names, Deviations.of(CONFIG, names), roll_offset=body.instrument.roll_offset)
-    of_camera = outlines.near(at, np.zeros(4)).outlines
+    of_camera = outlines.near(at, {one.name: one.start for one in outlines.constants}).outlines
     fits = FrameFits(at, Quadratic(of_camera.information[:, :-4, :-4], of_camera.slope[:, :-4]))
     solution = solve(model, fits, Calibration(base, np.zeros(len(EXPECTED_OFFSETS))), PRIOR)
     return check_camera(model, solution.calibration, PRIOR, config, at, outlines), solution
@@ -211,7 +213,7 @@ def test_document_is_read_back() -> None:
 def test_estimate_far_away_says_nothing_about_the_camera(
     bundled_body: Body, made: Made, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dvrk_cmaes.calibration.camera_change._PLAUSIBLE", 1.0)  # 0.3 in the logarithm of the factor
+    monkeypatch.setattr("dvrk_cmaes.calibration.session_camera._PLAUSIBLE", 1.0)  # 0.3 in the logarithm of the factor
     found, _ = check(bundled_body, made, 0.6)
     assert found.camera is None
     assert found.undetermined == "camera: its estimate from these frames is not plausible"

@@ -166,7 +166,7 @@ def with_further(world: World, fits: FrameFits, columns: np.ndarray, values: np.
     both = np.concatenate([np.tile(np.eye(9), (len(fits.at), 1, 1)), -columns], axis=2)
     information = np.swapaxes(both, 1, 2) @ fits.outlines.information @ both
     at = information @ np.concatenate([np.zeros(9), -values])
-    return FrameFits(fits.at, Quadratic(information, at), np.zeros(len(values)))
+    return FrameFits(fits.at, Quadratic(information, at), {"some": np.zeros(len(values))})
 
 
 @pytest.mark.parametrize("further", [0, 3])
@@ -177,7 +177,7 @@ def test_information_and_slope_are_the_derivatives_of_the_frames_cost(further: i
     fits = with_further(world, world.fits(rng, 0.3), columns, np.zeros(further))
     scale = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-4] + [1e-2] * 4 + [0.1] * further)
     prior = np.zeros((len(scale),) * 2)
-    start = replace(world.truth, further=np.zeros(further))
+    start = replace(world.truth, constants={"some": np.zeros(further)})
 
     def half(step: np.ndarray) -> float:
         """Give half the sum of the frames' costs, whose weights are 1."""
@@ -197,8 +197,8 @@ def test_further_unknowns_that_do_not_act_change_nothing() -> None:
     world = make_world(8)
     fits = world.fits(np.random.default_rng(0))
     alone = solved(world, fits)
-    padded = replace(fits, outlines=fits.outlines.padded(12), further=np.ones(3))
-    start = replace(a_start(world), further=np.ones(3))
+    padded = replace(fits, outlines=fits.outlines.padded(12), constants={"some": np.ones(3)})
+    start = replace(a_start(world), constants={"some": np.ones(3)})
     beside = solve(world.model, padded, start, np.pad(PRIOR, (0, 3)) + np.diag([*np.zeros(11), 1, 1, 1]))
     np.testing.assert_allclose(beside.calibration.camera_from_base, alone.calibration.camera_from_base, atol=1e-12)
     np.testing.assert_allclose(beside.calibration.offsets, alone.calibration.offsets, atol=1e-12)
@@ -212,7 +212,7 @@ def test_further_unknowns_that_act_are_found_beside_the_calibration() -> None:
     world = make_world(20, seed=3)
     values = np.array([1.0, -2.0, 0.5])
     fits = with_further(world, world.fits(rng), SEEN[:, None] * rng.standard_normal((20, 9, 3)), values)
-    start = replace(a_start(world), further=np.zeros(3))
+    start = replace(a_start(world), constants={"some": np.zeros(3)})
     found = solve(world.model, fits, start, np.pad(PRIOR, (0, 3)) + 1e-4 * np.diag([*np.zeros(11), 1, 1, 1]))
     std = np.sqrt(np.diag(found.covariance))
     assert (np.abs(found.calibration.further - values) < 3 * std[11:]).all()

@@ -1,0 +1,344 @@
+"""Named blocks of unknowns that all frames of a session share, and the outlines as functions of these.
+
+A `Constant` is a change of the camera, the margin of the masks or what a further view of the rig differs in from its
+file: what it does to a view, and by how much it displaces the points of an outline there. `linearise` estimates
+constants beside a session's calibration: the outlines are approximated about poses and constants, both are estimated,
+and that is repeated until the constants stay where they are.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.consensus import evenly_spaced
+from dvrk_cmaes.calibration.frame_fit import with_noise
+from dvrk_cmaes.calibration.frame_task import Run
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors
+from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
+from dvrk_cmaes.calibration.own_estimate import OwnEstimate
+from dvrk_cmaes.calibration.solve import FrameFits, Solution, marginalise
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.terms.shared_errors import LASTING
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Quadratic
+from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.silhouette import Body, OutlinePoints, Renderer
+
+Float64 = NDArray[np.float64]
+Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solution]]
+"""Estimates a calibration from a model, fits, a start and the prior's information, as `solve`; the model may change."""
+
+_SETTLED = 0.25  # standard deviations of the constants, below which the outlines are not linearised again
+_LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
+_BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
+_FEW, _PAYS = 100, 2  # number of frames that are enough on the way, and the multiple of it from which on that is done
+
+
+@dataclass(frozen=True, eq=False)
+class ViewAsSeen:
+    """How a view is taken to see the instrument: its ``camera``, ``place`` (4, 4), m, and mask's ``margin``, px.
+
+    ``size`` is the width of its images in that of the reference camera's.
+    """
+
+    camera: Camera
+    place: Float64
+    margin: float
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineOfView:
+    """The N points of the outline of a pose ``at`` in a view, and their displacements ``by_pose`` (N, D), px.
+
+    Displacements are times the lengths of the points' normals. ``name`` is that of the view.
+    """
+
+    name: str
+    view: SizedView
+    points: OutlinePoints
+    by_pose: Float64
+    at: Posed
+    size: float
+
+
+class Constant(ABC):
+    """A block of n unknowns that all frames share: its prior, about zero, and its effect on what a view shows.
+
+    Parameters
+    ----------
+    name
+        Name of the block.
+    std : (n,)
+        Standard deviations beforehand.
+    start : (n,)
+        Values from which estimates start; zero by default.
+    """
+
+    def __init__(self, name: str, std: Float64, start: Float64 | None = None) -> None:
+        self.name, self.std = name, std
+        self.start = np.zeros(len(std)) if start is None else start
+
+    @property
+    def least_std(self) -> Float64:
+        """Standard deviations (n,) of errors that the scatter of a session's frames does not show; by default none."""
+        return np.zeros(len(self.std))
+
+    def is_plausible(self, values: Float64) -> bool:
+        """Whether outlines that are linearised at some values (n,) still tell something; by default at all."""
+        return True
+
+    @abstractmethod
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return how a view of some name sees with the values (n,); InputError as `Camera.changed`."""
+
+    @abstractmethod
+    def effect(self, outline: OutlineOfView) -> Float64:
+        """Return the displacements (N, n) of the outline's points by the unknowns, times their normals' lengths, px."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineTask:
+    """Arguments of `outline_task`: a frame, the numbers of views and by what they are seen, and the pose there."""
+
+    stored: StoredFrame
+    views: tuple[int, ...]
+    seen: tuple[ViewAsSeen, ...]
+    at: Posed
+    constants: tuple[Constant, ...]
+
+
+def outline_task(body: Body, config: EstimateConfig, task: OutlineTask) -> Quadratic:
+    """Compute the outline's terms (1, D + E + S) about a pose, E constants and the S errors that last.
+
+    Other errors that parts of one mask share are eliminated. The noise is that at the frame's own estimate; of several
+    views, it is measured at the pose where it is less there: in a wrong rig, no pose fits all views.
+    """
+    stored = [task.stored.views[number] for number in task.views]
+    views = []
+    for one, by in zip(stored, task.seen, strict=True):
+        evidence = replace(one.stored.restored(), camera=by.camera)
+        views.append(FrameView(one.name, evidence, Renderer(body, by.camera, threads=1), by.place))
+    outline = replace(config.refine.outline, cauchy=config.session.cauchy)
+    sized = [SizedView(view, blur=outline.blur, margin=by.margin) for view, by in zip(views, task.seen, strict=True)]
+    own, here = task.stored.own, Posed.stacked([task.at])
+    if len(views) == 1:
+        own = own.of_view(task.views[0])
+        own = own if own.residual is not None else with_noise(own, [stored[0].restored(body)], config)
+        noises = own.noises
+    else:
+        pairs = zip(own.noises, OwnEstimate.of(views, task.at).noises, strict=True)
+        noises = tuple(min(pair, key=lambda noise: noise.sigma) for pair in pairs)
+    coverage = Coverage(sized, outline, correlations=[noise.length for noise in noises])
+    (drawn,) = coverage.draw(here)
+    noise = sum(coverage.final_losses(drawn)) if len(views) > 1 or own.residual is None else own.residual
+    coverage = coverage.with_noise(noise if own.residual is None else min(noise, own.residual))
+
+    def effects(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
+        size = task.seen[number].size
+        drawn_there = OutlineOfView(views[number].name, sized[number], points, by_pose, task.at, size)
+        return np.column_stack([constant.effect(drawn_there) for constant in task.constants])
+
+    return coverage.near_with_lasting(task.at, noises, effects, drawn, as_seen=config.session.shadows)
+
+
+@dataclass(frozen=True, eq=False)
+class SessionOutlines:
+    """The outlines of N frames in some of their views, as functions of poses, joints and constants.
+
+    ``stored`` are the frames, ``views`` (N,) the numbers of the views that count; a frame without any does not
+    influence the estimate. ``run`` applies a function to many tasks. ``common`` are the errors that the frames share.
+    """
+
+    stored: Sequence[StoredFrame]
+    views: Sequence[tuple[int, ...]]
+    run: Run[Any, Any]
+    common: CommonErrors
+    constants: tuple[Constant, ...]
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of the first frame in its first view that counts, as its file has it."""
+        return self.stored[0].views[self.views[0][0] if self.views[0] else 0].stored.evidence.camera
+
+    def near(self, at: Posed, values: Constants) -> FrameFits:
+        """Linearise the outlines at N poses and values of the constants, in both.
+
+        Raises
+        ------
+        InputError
+            With a changed focal length, the lens distortion is not one-to-one over the image.
+        """
+        tasks = [
+            OutlineTask(stored, views, tuple(self._seen(stored, view, values) for view in views), at[k], self.constants)
+            for k, (stored, views) in enumerate(zip(self.stored, self.views, strict=True))
+            if views
+        ]
+        found = iter(self.run(outline_task, tasks))
+        size = 6 + at.joints.shape[1] + sum(len(block) for block in values.values())
+        terms = [next(found) if views else Quadratic.zero(1, size + LASTING) for views in self.views]
+        return FrameFits.with_lasting(at, terms, self.common, values)
+
+    def _seen(self, stored: StoredFrame, number: int, values: Constants) -> ViewAsSeen:
+        """Return how a view of a frame sees with some values of the constants."""
+        view = stored.views[number]
+        camera = view.stored.evidence.camera
+        by = ViewAsSeen(camera, view.view_from_camera, 0.0, camera.width / self.camera.width)
+        for constant in self.constants:
+            by = constant.seen(view.name, by, values[constant.name])
+        return by
+
+    def subset(self, index: NDArray[np.intp]) -> SessionOutlines:
+        """Return the outlines of the frames at some indices."""
+        stored, views = [self.stored[i] for i in index.tolist()], [self.views[i] for i in index.tolist()]
+        return replace(self, stored=stored, views=views, common=self.common.subset(index))
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A session's ``solution`` with constants, from ``fits`` that were linearised near it in the last of ``passes``.
+
+    ``prior`` (K, K) is the information matrix beforehand, with that of the constants. ``at`` are the N poses there.
+    ``covariance`` (K, K) is that of the solution, where the base is known to a metre and a radian beforehand.
+    ``plausible`` is false if an estimate on the way lay so far away that the outlines said nothing about it. ``first``
+    is what the first linearisation told, at the start.
+    """
+
+    model: SessionModel
+    solution: Solution
+    fits: FrameFits
+    prior: Float64
+    covariance: Float64
+    at: Posed
+    passes: int
+    plausible: bool
+    first: Linearised | None = None
+
+    @property
+    def information(self) -> Float64:
+        """Information matrix (K, K) of the solution with that of the base beforehand."""
+        return self.solution.information + _weak(len(self.prior))
+
+    def value(self, name: str) -> Float64:
+        """Return the values (n,) of a block."""
+        return self.solution.calibration.constants[name]
+
+    def std(self, constant: Constant) -> Float64:
+        """Return the standard deviations (n,) of a block."""
+        own = np.diag(self.covariance)[self.solution.calibration.place(constant.name)]
+        return np.hypot(np.sqrt(own), constant.least_std)
+
+
+def linearise(
+    model: SessionModel,
+    calibration: Calibration,
+    prior: Float64,
+    at: Posed,
+    outlines: SessionOutlines,
+    solver: Solver,
+    names: Sequence[str],
+    *,
+    passes: int,
+) -> Linearised:
+    """Estimate constants beside a calibration, linearising the outlines until those of some names are settled.
+
+    Of many frames, few lead to where the outlines of all are then linearised: frames of a recording that follow each
+    other closely err alike, so that what they tell of constants grows much more slowly than their number.
+
+    Parameters
+    ----------
+    model, calibration
+        The session's model and its calibration; without constants, these start as `Constant.start` says.
+    prior : (K, K)
+        Information matrix of the calibration's prior, as in `solve`, without the constants.
+    at
+        The poses of the N frames.
+    outlines
+        The same frames' outlines.
+    solver
+        What estimates calibration and constants from linearised outlines.
+    names
+        Names of the blocks that have to settle.
+    passes
+        Largest number of linearisations.
+
+    Raises
+    ------
+    InputError
+        As `SessionOutlines.near`.
+    """
+    constants, first, done = outlines.constants, None, 0
+    if not calibration.constants:
+        calibration = replace(calibration, constants={one.name: one.start for one in constants})
+    index = few_of(len(at)) if passes > 1 else None
+    if index is not None:
+        of_few = model.subset(index), calibration, prior, at[index], outlines.subset(index)
+        few = linearise(*of_few, solver, names, passes=passes - 1)
+        if few.plausible:
+            at = shifted(model, at, calibration, few.solution.calibration)
+            calibration, first, done = few.solution.calibration, few.first or few, few.passes
+    padded = np.diag(np.concatenate([np.zeros(len(prior)), *(one.std**-2 for one in constants)]))
+    padded[: len(prior), : len(prior)] += prior
+    asked = [one for one in constants if one.name in names]
+    while True:
+        before, fits, done = calibration.constants, outlines.near(at, calibration.constants), done + 1
+        model, solution = solver(model, fits, calibration, padded)
+        calibration = solution.calibration
+        covariance = solution.covariance_of(inverse_information(solution.information + _weak(len(padded))))
+        at = at.moved(marginalise(model, fits, calibration).own)
+        plausible = all(one.is_plausible(calibration.constants[one.name]) for one in asked)
+        there = Linearised(model, solution, fits, padded, covariance, at, done, plausible, first)
+        moved = [(np.abs(there.value(one.name) - before[one.name]) < _SETTLED * there.std(one)).all() for one in asked]
+        if done >= passes or not plausible or all(moved):
+            return there
+        first = first or there
+
+
+def few_of(count: int) -> NDArray[np.intp] | None:
+    """Return the indices of a few of ``count`` frames in their order, evenly spaced; None where all are to be used.
+
+    What only leads to a final estimate is found with few frames; the final estimate is always from all of them.
+
+    Parameters
+    ----------
+    count
+        Number of the session's frames.
+    """
+    return evenly_spaced(count, _FEW) if count >= _PAYS * _FEW else None
+
+
+def shifted(model: SessionModel, at: Posed, before: Calibration, after: Calibration) -> Posed:
+    """Return N poses that differ from what a calibration predicts as they did from what another one predicts.
+
+    Parameters
+    ----------
+    model
+        The session's model.
+    at
+        The poses of the N frames.
+    before, after
+        The calibration that belongs to these poses, and the other one.
+    """
+    return model.predict(after).moved(at.minus(model.predict(before)))
+
+
+def inverse_information(information: Float64) -> Float64:
+    """Invert an information matrix (K, K), which rounding may have left with negative eigenvalues."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    return np.asarray((vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale))
+
+
+def _weak(count: int) -> Float64:
+    """Return an information matrix (K, K), K = ``count``, of a base that is hardly known."""
+    return np.diag(np.array([_BASE_STD[0] ** -2] * 3 + [_BASE_STD[1] ** -2] * 3 + [0.0] * (count - 6)))

@@ -1,0 +1,224 @@
+"""What a session is estimated from, and how far its estimation is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.cable_estimate import CableEstimate
+from dvrk_cmaes.calibration.consensus import Mode
+from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.frame_reports import describe_disagreements
+from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
+from dvrk_cmaes.calibration.lag_estimate import LagEstimate
+from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
+from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
+from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
+from dvrk_cmaes.calibration.model import Deviations, SessionModel, offset_deviations, outer_readings
+from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
+from dvrk_cmaes.calibration.session_rig import ViewRotation
+from dvrk_cmaes.calibration.solve import FrameFits, Solution, leave_one_out
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.joints.series import ReadingSeries
+
+Float64 = NDArray[np.float64]
+
+LEAST_FRAMES = 3
+"""Smallest number of frames from which a session can be calibrated."""
+
+
+@dataclass(frozen=True, eq=False)
+class SessionProblem:
+    """What a session is estimated with, beside its frames.
+
+    ``series`` are the readings as functions of time, with the frames' times; None if the lag is not to be estimated.
+    ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
+    applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
+    ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
+    frames' camera is a guess, of which there is no file. ``gathered`` keeps the frames'
+    evidence by name, for all solutions.
+    """
+
+    series: ReadingSeries | None
+    instrument: Instrument
+    arm: Arm
+    config: EstimateConfig
+    run: Run[Any, Any]
+    progress: Callable[[str, int], None] = lambda stage, count: None
+    refine_camera: bool = False
+    guessed_camera: bool = False
+    gathered: dict[str, StoredFrame] = field(default_factory=dict)
+
+    @property
+    def offset_std(self) -> Float64:
+        """Standard deviations (2 + J,) of the offsets beforehand."""
+        return offset_deviations(self.config, self.instrument.joint_names)
+
+    @property
+    def prior(self) -> Float64:
+        """Information matrix (8 + J, 8 + J) of the calibration's prior."""
+        return np.diag([*np.zeros(6), *(1 / self.offset_std**2)])
+
+
+@dataclass(frozen=True, eq=False)
+class Imaging:
+    """What is known of a session's cameras and masks.
+
+    ``change`` (3,) is that of the camera, as of `changed`, None where the camera's file is used; ``rig`` what the
+    further views differ in from the file; ``margins`` those of the views' masks by name, in the views' order, empty
+    until they are estimated; ``lasting`` the size of the masks' errors that last, None until it is estimated.
+    """
+
+    change: Float64 | None = None
+    rig: tuple[ViewRotation, ...] = ()
+    margins: tuple[tuple[str, Margin], ...] = ()
+    lasting: LastingEstimate | None = None
+
+    @property
+    def masks(self) -> SessionMasks | None:
+        """What is stated of errors that the masks share; None if their margin was not estimated."""
+        return SessionMasks.of(self.margins, self.lasting) if self.margins else None
+
+
+@dataclass(frozen=True)
+class Notes:
+    """Texts about a session.
+
+    ``remarks`` are about faults of the session as a whole that are put right, ``undetermined`` about what it does not
+    determine; ``left_out`` are the reasons for which frames are left out, by name.
+    """
+
+    remarks: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMasks:
+    """Masks that were found again and are used, by frame and view, and the ``first`` evidence of these frames by index.
+
+    ``compared`` tells what changed, None before that is known.
+    """
+
+    masks: Mapping[str, Mapping[str, PackedMask]] = field(default_factory=dict)
+    first: Mapping[int, StoredFrame] = field(default_factory=dict)
+    compared: MasksAgain | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SessionState:
+    """How far the estimation of a session is.
+
+    ``frames`` are the N frames in use, ``modes`` those of each and ``model`` the model of their readings; ``lag`` is
+    the estimate of the lag of the images behind the readings, ``cables`` that of what cables do to readings. ``stored``
+    is the frames' evidence and ``fits`` are their current fits, both empty before the first round. ``found`` is the
+    current solution, None before the first one. ``again`` are masks that were found again, None where they were not.
+    """
+
+    problem: SessionProblem
+    frames: tuple[SessionFrame, ...]
+    modes: tuple[Sequence[Mode], ...]
+    model: SessionModel
+    lag: LagEstimate
+    cables: CableEstimate
+    imaging: Imaging
+    notes: Notes = Notes()
+    stored: tuple[StoredFrame, ...] = ()
+    fits: tuple[FrameFit, ...] = ()
+    found: Solution | None = None
+    again: FoundMasks | None = None
+
+    @classmethod
+    def of(
+        cls, problem: SessionProblem, frames: Sequence[SessionFrame], rig: tuple[ViewRotation, ...] = ()
+    ) -> SessionState:
+        """Return the state before anything is estimated.
+
+        Parameters
+        ----------
+        problem
+            What the session is estimated with.
+        frames
+            Frames with a pose, its covariance and readings of all outer joints, in the order they were taken.
+        rig
+            The rotations of the further views against the file that the frames' own results tell; those that are clear
+            are taken out of the frames.
+        """
+        instrument, readings = problem.instrument, [frame.result.readings for frame in frames]
+        names, outer = instrument.joint_names, outer_readings(readings)
+        joints = np.array([[of_frame.get(name, np.nan) for name in names] for of_frame in readings])
+        deviations = Deviations.of(problem.config.session, names)
+        return cls(
+            problem,
+            tuple(frames),
+            tuple(Mode.all_of(frame.result, names) for frame in frames),
+            SessionModel(outer, joints, names, deviations, arm=problem.arm, roll_offset=instrument.roll_offset),
+            LagEstimate.of(problem.series, [frame.name for frame in frames], deviations.outer),
+            CableEstimate.of(names, deviations, problem.offset_std[1:]),
+            Imaging(np.zeros(3) if problem.refine_camera else None, rig),
+        )
+
+    @property
+    def solution(self) -> Solution:
+        """The current solution."""
+        assert self.found is not None
+        return self.found
+
+    def subset(self, index: Sequence[int]) -> SessionState:
+        """Return the state of the frames at some indices, before their first fit."""
+        return replace(
+            self,
+            frames=tuple(self.frames[i] for i in index),
+            modes=tuple(self.modes[i] for i in index),
+            model=self.model.subset(index),
+            lag=self.lag.subset(index),
+            stored=tuple(self.stored[i] for i in index) if self.stored else (),
+        )
+
+    def without_others(self, kept: Sequence[int], reason: str) -> SessionState:
+        """Return the state of only the frames at some indices; the others are left out for a reason."""
+        names = {self.frames[i].name for i in kept}
+        left_out = {frame.name: reason for frame in self.frames if frame.name not in names}
+        return replace(self.subset(kept), notes=replace(self.notes, left_out={**self.notes.left_out, **left_out}))
+
+    def noted(self, *, remarks: Sequence[str] = (), undetermined: Sequence[str] = ()) -> SessionState:
+        """Return the state with further texts."""
+        notes = self.notes
+        both = (*notes.remarks, *remarks), (*notes.undetermined, *undetermined)
+        return replace(self, notes=replace(notes, remarks=both[0], undetermined=both[1]))
+
+    @property
+    def times(self) -> Float64:
+        """Times (N,) of the frames, s; NaN where unknown."""
+        read = self.lag.seconds()
+        return np.full(len(self.frames), np.nan) if read is None else read
+
+    @property
+    def common(self) -> CommonErrors:
+        """The errors that the frames share."""
+        by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
+        size = USUAL_SIZE if self.imaging.lasting is None else self.imaging.lasting.size
+        return CommonErrors(size, self.times, by_lag, self.problem.config.session.alike_seconds)
+
+    def outlines(self, *, keep_all: bool = False) -> FrameFits:
+        """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``."""
+        fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
+        terms = [fit.whole_outline for fit in fits]
+        return FrameFits.with_lasting(Posed.stacked(fit.at for fit in fits), terms, self.common)
+
+    @property
+    def agreeing(self) -> list[bool]:
+        """Whether each frame agrees with the session."""
+        return [not text for text in describe_disagreements(self.fits, self.solution, self.problem.config.session)]
+
+    def left_out_predictions(self) -> list[Posed]:
+        """Return what all other frames predict of each frame."""
+        return [self.model.subset([i]).predict(leave_one_out(self.solution, i))[0] for i in range(len(self.frames))]
