@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from dvrk_cmaes.calibration.frame_reports import (
     report_tasks,
     with_readings,
 )
-from dvrk_cmaes.calibration.frame_task import FitTask, FrameReport, fit_task, gather_task, report_task
+from dvrk_cmaes.calibration.frame_task import FitTask, FrameReport, fit_task, gather_task, report_task, with_data
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import PackedMask, with_masks
@@ -165,7 +166,7 @@ def _begun_with_few(state: SessionState, scales: Sequence[float]) -> tuple[Sessi
     for iteration in range(rounds):
         few, _ = _round(few, iteration, scales, few.solution.calibration, None)
     lag = state.lag.told_by_few(few.lag)
-    model = lag.corrected(state.model.with_deviations(few.model.deviations))
+    model = lag.corrected(replace(state.model, deviations=few.model.deviations))
     return _with_modes(replace(state, lag=lag, model=model), few.solution.calibration), rounds
 
 
@@ -189,7 +190,7 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
         cables = state.cables.estimated(state.model, fits, state.solution, state.lag)
         state = replace(state, cables=cables, model=cables.corrected(state.model))
         if (initial := cables.deviations(state.model.deviations)) is not None:
-            state = replace(state, model=state.model.with_deviations(initial))
+            state = replace(state, model=replace(state.model, deviations=initial))
             state = _with_calibration(state, fits, state.solution.calibration)
     lag = state.lag.refined(state.model, fits, state.solution.calibration, problem.prior)
     return replace(state, lag=lag, model=lag.corrected(state.model)), fits.at
@@ -233,7 +234,7 @@ def with_other_masks(state: SessionState, masks: Mapping[int, Mapping[str, Packe
     problem, again = state.problem, list(masks)
     frames, stored = list(state.frames), list(state.stored)
     for i in again:
-        frames[i] = replace(frames[i], data=with_masks(frames[i].data, masks[i]))
+        frames[i] = with_data(frames[i], partial(with_masks, masks[i]))
     problem.progress("solving again", len(masks))
     for i, of_frame in zip(again, problem.run(gather_task, [frames[i] for i in again]), strict=True):
         stored[i] = of_frame

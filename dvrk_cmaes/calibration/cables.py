@@ -9,7 +9,7 @@ offset by a margin; otherwise nothing is corrected. Each frame is corrected by w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -105,7 +105,7 @@ def observe_errors(
     Pose and slack of the frames are eliminated; ``weights`` (N,) are robust ones. The model's corrections do not count.
     """
     count = len(model.names)
-    bare = model.with_correction(Correction.none(len(model.outer), count))
+    bare = replace(model, correction=Correction.none(len(model.outer), count))
     off = bare.predict(calibration).minus(fits.at)
     outer = bare.outer_loadings(calibration)[:3]
     spread = np.einsum("kni,knj->nij", outer, outer)

@@ -10,12 +10,13 @@ changed.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import SessionOutlines
-from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras, with_changed_views
+from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras, with_changed_views, with_data
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.rig_estimate import ViewDifference, estimate_rig
@@ -97,7 +98,7 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     elif check.camera.applied:
         state = state.noted(remarks=check.camera.contradictions(config))
     if change is not None:
-        frames = [with_changed_cameras(frame, change) for frame in state.frames]
+        frames = [with_data(frame, partial(with_changed_cameras, change)) for frame in state.frames]
         state = replace(state, stored=tuple(problem.run(gather_task, frames)))
     return state, check
 
