@@ -172,7 +172,7 @@ class LiveLoop:
             ahead = (readings.time - frame.time) / NANOSECONDS
             try:
                 if abs(ahead) > LONGEST_GAP:
-                    raise InputError(f"{readings.topic}: readings {ahead:+.1f} s from the images are left out")
+                    raise InputError(f"{readings.topic}: readings {ahead:+z.1f} s from the images are left out")
                 self._tracker.add_readings(readings.time / NANOSECONDS, readings.joints)
             except InputError as error:
                 self.counts.refused += 1
