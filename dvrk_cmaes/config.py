@@ -272,9 +272,9 @@ class TrustConfig:
     Attributes
     ----------
     tip_mm
-        Largest expected error of the jaw tips, mm.
-    least_mode_probability
-        Least probability that the pose is in the right mode.
+        Distance, mm, within which the jaw tips of an ok result probably are of their true positions.
+    least_probability
+        Least probability that they are.
     least_iou
         Least intersection over union of silhouette and mask.
     largest_distal_px
@@ -297,7 +297,7 @@ class TrustConfig:
     """
 
     tip_mm: float = 1.8
-    least_mode_probability: float = field(default=0.97, metadata=_SHARE_OR_ZERO)
+    least_probability: float = field(default=0.82, metadata=_SHARE_OR_ZERO)
     least_iou: float = field(default=0.85, metadata=_SHARE_OR_ZERO)
     largest_distal_px: float = 2.8
     largest_bend_px: float = 3.0

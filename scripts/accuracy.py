@@ -3,6 +3,8 @@
     python scripts/accuracy.py errors SESSION...       errors, scatter over a session, share of doubtful results
     python scripts/accuracy.py calibration SESSION...  share of 90 % intervals that contain the truth
     python scripts/accuracy.py trust SESSION...        expected errors, probabilities of the mode and statuses
+    python scripts/accuracy.py tip-probability SESSION...  stated probabilities of the tips against the truth, and
+                                                       the constants that fit them best
     python scripts/accuracy.py lies SESSION...         share of falsified frames that are doubtful
     python scripts/accuracy.py bound SESSION...        errors and scatter compared with the Cramer-Rao bound
     python scripts/accuracy.py sessions SESSION...     sessions solved together: errors of the base, 95 % intervals
@@ -58,6 +60,7 @@ from measure.accuracy.rig_rotations import rotations_report
 from measure.accuracy.session_lies import measure_session_lies
 from measure.accuracy.sessions import original_trials, session_report, solve
 from measure.accuracy.spread_bound import mask_report
+from measure.accuracy.tip_probability import tip_probability_report
 from measure.accuracy.track import track_report
 from measure.accuracy.trust import trust_report
 from measure.accuracy.worlds import KINDS, worlds_report
@@ -184,6 +187,11 @@ def _trust(given: Measurement, _: argparse.Namespace) -> Report:
     return trust_report(given.instrument, given.runs())
 
 
+def _tip_probability(given: Measurement, _: argparse.Namespace) -> Report:
+    """Report how often the stated probability of the tips is right."""
+    return tip_probability_report(given.instrument, given.runs(), given.config)
+
+
 def _lies(given: Measurement, options: argparse.Namespace) -> Report:
     """Report the share of falsified frames that are doubtful, and what happens to frames with users' mistakes."""
     original, others = given.cases(), load_others(options.others)
@@ -243,6 +251,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "errors": _errors,
     "calibration": _calibration,
     "trust": _trust,
+    "tip-probability": _tip_probability,
     "lies": _lies,
     "bound": _bound,
     "sessions": _sessions,

@@ -86,7 +86,9 @@ def test_two_frames_of_one_time_count_as_one_moment(reports: Path, run: Run) -> 
     times = np.array([frame.time for frame in session.frames], np.float64)
     assert len(set(times.tolist())) < len(times)
     np.linalg.cholesky(LastingSize(0.4, 0.2).correlation(times))
-    done = run("track", reports / "time-twice", "--out", "tracks", "--no-video", "--no-page", "--causal")
+    Path("quick.toml").write_text("[search]\nsamples = 64\nstarts = 1\nevaluations = 20\n")
+    options = ("--no-video", "--no-page", "--causal", "--config", "quick.toml")
+    done = run("track", reports / "time-twice", "--out", "tracks", *options)
     assert "left out, for they have the time of the frame before: 0024" in done.err
     assert [row["frame"] for row in rows("tracks/tracks.csv")] == [f"{k:04d}" for k in (0, 6, 12, 18, 30, 36, 42)]
 
@@ -167,11 +169,11 @@ def test_camera_file_with_the_directive_of_yaml_1_0_is_read(reports: Path) -> No
 
 
 def frames_and_series(folder: Path, later: float = 0.0) -> tuple[list[SessionFrame], ReadingSeries | None]:
-    """Give every eighth frame of a recording with its true pose, and all readings; images are ``later`` by some s."""
+    """Give every twelfth frame of a recording with its true pose, and all readings; images are ``later`` by some s."""
     session, truth = read_session(folder), read_golden(folder / "golden.json")
     covariance = np.diag([2e-4] * 3 + [0.01] * 6) ** 2
     frames = []
-    for files in session.frames[::8]:
+    for files in session.frames[::12]:
         own = truth.frames[files.name]
         joints = {name: own.joints[name] for name in ("wrist_pitch", "wrist_yaw", "jaw")}
         pose = own.camera_from_root

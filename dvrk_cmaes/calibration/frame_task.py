@@ -25,6 +25,7 @@ from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.quality import measure_overlap, measure_views, pooled_quality
 from dvrk_cmaes.pose.search.modes import are_distinct
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body
@@ -271,6 +272,7 @@ def _result_of_fit(
         covariance=covariance,
         expected_error=error,
         mode_probability=None,
+        tip_probability=tip_probability(error.of_tips_mm, config.trust.tip_mm),
         alternatives=_alternatives(own_result, fit, names, readings),
         view_fits=tuple(
             replace(check, quality=of_view.get(check.name, check.quality)) for check in own_result.view_fits

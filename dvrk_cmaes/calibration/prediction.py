@@ -24,6 +24,7 @@ from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView
 
 Float64 = NDArray[np.float64]
@@ -92,6 +93,7 @@ def fit_session_pose(
         at=fit.at,
         covariance=fitted,
         expected_error=error,
+        tip_probability=tip_probability(error.of_tips_mm, config.trust.tip_mm),
         quality=quality,
         reasons=tuple(doubts),
         evaluations=first.evaluations + fit.evaluations + sum(view.renderer.poses for view in views),

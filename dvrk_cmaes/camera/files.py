@@ -17,12 +17,16 @@ from dvrk_cmaes.camera.kalibr import is_camchain, read_camchain
 from dvrk_cmaes.camera.opencv import is_storage, read_storage, read_storage_xml
 from dvrk_cmaes.camera.other_formats import (
     MAT_FILE,
+    colmap_document,
     endovis_document,
     flat_document,
+    is_colmap,
     is_endovis,
     is_flat,
+    is_matrix,
     is_scene,
     matlab_document,
+    matrix_document,
     scene_document,
 )
 from dvrk_cmaes.camera.plain import is_plain, read_plain
@@ -127,7 +131,7 @@ def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "
     """Read the intrinsics that a camera file states, with or without a size; errors as in ``read_camera_file``."""
     where, document = str(path), read_document(path)
     if _is_pair(document):
-        where, document, side = f"{path}: {side}", _unwrapped(document[side]), "left"
+        where, document, side = f"{path}: {side}", _unwrapped(document[side], f"{path}: {side}"), "left"
     for is_kind, read_kind in _KINDS:
         if is_kind(document):
             return read_kind(where, document, rectified=rectified, side=side)
@@ -142,26 +146,35 @@ def read_document(path: str | Path) -> dict[str, Any]:
     text = data.decode("utf-8", errors="replace")
     if is_endovis(text):
         return endovis_document(str(path), text)
+    if is_colmap(text):
+        return colmap_document(str(path), text)
     if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         return read_storage_xml(str(path), parse_xml(Path(path), data))
-    return _unwrapped(read_yaml_mapping(path, expected=_EXPECTED))
+    return _unwrapped(read_yaml_mapping(path, expected=_EXPECTED), str(path))
 
 
 def is_camera(document: Mapping[str, Any]) -> bool:
     """Whether a document has the fields of a camera of any format."""
-    return is_flat(document) or is_scene(document) or any(is_kind(document) for is_kind, _ in _KINDS)
+    return (
+        is_flat(document)
+        or is_matrix(document)
+        or is_scene(document)
+        or any(is_kind(document) for is_kind, _ in _KINDS)
+    )
 
 
-def _unwrapped(document: dict[str, Any]) -> dict[str, Any]:
+def _unwrapped(document: dict[str, Any], where: str = "") -> dict[str, Any]:
     """Return the camera in a document that is nested under a single key; a flat one in the layout of OpenCV's."""
     if is_flat(document):
         return flat_document(document)
+    if is_matrix(document):
+        return matrix_document(where, document)
     if is_scene(document):
         return scene_document(document)
     if any(is_kind(document) for is_kind, _ in _KINDS) or _is_pair(document):
         return document
     inside = [value for value in document.values() if isinstance(value, dict)]
-    found = _unwrapped(inside[0]) if len(inside) == 1 else document
+    found = _unwrapped(inside[0], where) if len(inside) == 1 else document
     return found if is_camera(found) or _is_pair(found) else document
 
 

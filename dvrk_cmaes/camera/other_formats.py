@@ -26,6 +26,19 @@ MAT_FILE = b"MATLAB "
 
 _ENDOVIS = re.compile(r"^\s*([A-Za-z0-9-]+)\s*:\s*([^/\n]*)", re.MULTILINE)
 _FLAT = ("fx", "fy", "cx", "cy")
+_REALSENSE = {"ppx": "cx", "ppy": "cy"}
+_ALSO_ROS = ("camera_matrix", "K")
+_MATRICES = (*_ALSO_ROS, "cameraMatrix", "intrinsic_matrix", "intrinsicMatrix", "mtx")
+_DISTORTIONS = ("dist_coeffs", "distCoeffs", "distortion_coefficients", "distortion", "dist", "D")
+_SIZES = ("image_size", "imageSize", "img_size", "resolution", "size")
+_COLMAP = re.compile(r"^\s*\d+\s+([A-Z][A-Z_]+)\s+(\d+)\s+(\d+)\s+([-+.\deE \t]+)$", re.MULTILINE)
+_COLMAP_MODELS = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+}
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
 _TO_STRUCT = "in MATLAB: s = toStruct(stereoParams); save('stereo.mat', '-struct', 's', '-v7')"
 
@@ -107,21 +120,77 @@ def matlab_document(where: str, data: bytes) -> dict[str, Any]:
 
 
 def is_flat(document: Mapping[str, Any]) -> bool:
-    """Whether a document has the fields fx, fy, cx and cy."""
-    return all(as_number(document.get(name)) is not None for name in _FLAT)
+    """Whether a document has the fields fx, fy, cx and cy, which RealSense calls ppx and ppy."""
+    return all(as_number(document.get(name)) is not None for name in _FLAT) or (
+        all(as_number(document.get(name)) is not None for name in ("fx", "fy", *_REALSENSE)) and "cx" not in document
+    )
 
 
 def flat_document(document: Mapping[str, Any]) -> dict[str, Any]:
     """Convert a document with fx, fy, cx, cy, and where known width, height and k1, k2, p1, p2, k3."""
+    document = {_REALSENSE.get(name, name): value for name, value in document.items()}
     fx, fy, cx, cy = (document[name] for name in _FLAT)
-    coefficients = [document.get(name, 0.0) for name in _COEFFICIENTS]
+    coefficients = document.get("coeffs", [document.get(name, 0.0) for name in _COEFFICIENTS])
     converted = {
         FORMAT: "fx, fy, cx, cy",
         "camera_matrix": {"rows": 3, "cols": 3, "dt": "d", "data": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]},
-        "distortion_coefficients": coefficients if any(map(as_number, coefficients)) else [],
+        "distortion_coefficients": [] if coefficients in ([0.0] * 5, None) else coefficients,
     }
     sizes = {f"image_{name}": document.get(name, document.get(f"image_{name}")) for name in ("width", "height")}
     return converted | {name: value for name, value in sizes.items() if value is not None}
+
+
+def is_matrix(document: Mapping[str, Any]) -> bool:
+    """Whether a document has an intrinsic matrix as three rows, as scripts about OpenCV write it."""
+    name = next((name for name in _MATRICES if name in document), None)
+    if name is None or (name in _ALSO_ROS and any(size in document for size in ("image_width", "width"))):
+        return False
+    rows = document[name]
+    return isinstance(rows, list) and len(rows) == 3 and all(isinstance(row, list) and len(row) == 3 for row in rows)
+
+
+def matrix_document(where: str, document: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert a document with a matrix in rows; of two numbers of its size, the larger one is the width.
+
+    It is the height where the principal point would be outside the image. InputError names a wrong field.
+    """
+    name = next(name for name in _MATRICES if name in document)
+    matrix = take_numbers(where, name, [value for row in document[name] for value in row], 9)
+    lens: Any = next((document[name] for name in _DISTORTIONS if document.get(name) is not None), [])
+    nested = isinstance(lens, list) and all(isinstance(row, list) for row in lens)
+    converted = {
+        FORMAT: "matrix and distortion",
+        "camera_matrix": {"rows": 3, "cols": 3, "dt": "d", "data": matrix},
+        "distortion_coefficients": [value for row in lens for value in row] if nested else lens,
+    }
+    sizes = {f"image_{name}": document.get(name, document.get(f"image_{name}")) for name in ("width", "height")}
+    field = next((field for field in _SIZES if field in document), None)
+    if field is not None:
+        height, width = sorted(take_numbers(where, field, document[field], 2))
+        upright = matrix[2] < width and matrix[5] < height
+        sizes = {"image_width": width if upright else height, "image_height": height if upright else width}
+    return converted | {name: value for name, value in sizes.items() if value is not None}
+
+
+def is_colmap(text: str) -> bool:
+    """Whether a text is COLMAP's cameras.txt."""
+    return _COLMAP.search(text) is not None
+
+
+def colmap_document(where: str, text: str) -> dict[str, Any]:
+    """Convert COLMAP's cameras.txt of one camera, which counts pixels from their corners; InputError for others."""
+    found = _COLMAP.findall(text)
+    if len(found) > 1:
+        raise InputError(f"{where}: expected one camera, got {len(found)}: leave the others out")
+    model, width, height, rest = found[0]
+    if model not in _COLMAP_MODELS:
+        raise InputError(f"{where}: model: expected one of {', '.join(_COLMAP_MODELS)}, got {shown(model)}")
+    names = _COLMAP_MODELS[model]
+    values = dict(zip(names, take_numbers(where, model, rest.split(), len(names)), strict=True))
+    focal = values.get("f")
+    known = {} if focal is None else {"fx": focal, "fy": focal}
+    centre = {"cx": values["cx"] - 0.5, "cy": values["cy"] - 0.5, "width": int(width), "height": int(height)}
+    return flat_document({**values, **known, **centre}) | {FORMAT: f"COLMAP {model}"}
 
 
 def is_scene(document: Mapping[str, Any]) -> bool:

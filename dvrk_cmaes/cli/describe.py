@@ -32,6 +32,9 @@ def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:
         yield Line(f"  {100 * q.steady_share:.0f} % of the contour is off in stretches (shadows, cut highlights)")
     if result.mode_probability is not None:
         yield Line(f"  in the right mode with a probability of {result.mode_probability:.2f}")
+    within = result.config.get("trust", {}).get("tip_mm")
+    if result.tip_probability is not None and within is not None:
+        yield Line(f"  tips within {within:g} mm with a probability of {result.tip_probability:.2f}")
     if result.alternatives:
         yield Line("alternatives", "bold")
     for other in result.alternatives:

@@ -190,6 +190,7 @@ def estimate_views(
         covariance=found.covariance,
         expected_error=found.expected_error,
         mode_probability=found.mode_probability,
+        tip_probability=found.tip_probability,
         alternatives=found.alternatives,
         views=tuple(view.name for view in views) if named else (),
         view_fits=found.views if len(views) > 1 else (),

@@ -116,7 +116,6 @@ def estimate_tools(
             (results[one], results[other]),
             (bodies[one], bodies[other]),
             (seen[one], seen[other]),
-            least_probability=settings.trust.least_mode_probability,
         )
         places[other][one] = OPPOSITE[places[one][other]]
     for name in tools:

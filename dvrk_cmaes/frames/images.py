@@ -257,7 +257,8 @@ def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
     """Read a grey image (H, W) of 8 bits or of 1, or one with equal channels."""
     data, header = _read_file(path, what)
     if header.bits not in (1, 8):  # of one bit, OpenCV makes 0 and 255
-        raise InputError(f"{path}: not 8-bit: expected {what} of 8 bits a pixel, got {header.bits} bits")
+        hint = " (--label any takes them)" if what == "a mask" else ""
+        raise InputError(f"{path}: not 8-bit: expected {what} of 8 bits a pixel, got {header.bits} bits{hint}")
     pixels = decode_image(path, data, what, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 2:
         return pixels
@@ -267,7 +268,7 @@ def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
         hint = ", of labels by --label 1 or '#00ff00'" if what == "a mask" else ""
         raise InputError(f"{path}: expected {what} in grey{hint}, got {kind}")
     if pixels.shape[2] == 4 and pixels[:, :, 3].min() < 255:
-        raise InputError(f"{path}: expected {what} in grey, got an image with transparency")
+        raise InputError(f"{path}: expected {what} in grey, got an image with transparency: save it without")
     return np.ascontiguousarray(grey)
 
 

@@ -40,7 +40,14 @@ from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, ReadAs, frame_readings, read_joint_file
+from dvrk_cmaes.joints.reading import (
+    TIME_TOLERANCE,
+    JointFile,
+    NoneNearError,
+    ReadAs,
+    frame_readings,
+    read_joint_file,
+)
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
@@ -52,6 +59,7 @@ NO_READINGS = "readings: none"
 
 _COUNTED = 3  # frames from which on their numbers may be those of every N-th image
 _MANY = 2  # times as many rows as frames that are the first of them
+_WORD = re.compile(r"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt)s?$", re.IGNORECASE)
 _VIEWS = ("left", "right")
 _CAMERAS = (
     *(f"camera.{suffix}" for suffix in ("yaml", "yml", "xml", "json", "mat", "txt")),
@@ -328,12 +336,16 @@ def _session_frames(
         for of_kind in kinds:
             own.check_all(of_kind.values())
     if video is None and not any(files for kinds in of_views for files in kinds[:2]):
-        raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got none")
+        raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
     files = [
         source if isinstance(source, JointFile) else read_joint_file(own.check(source), known=known, read_as=read_as)
         for source in (() if joints is None else joints or _joint_files(root))
     ]
     own.check_all(root / name for name in ("images.csv", "keypoints.csv", "boxes.csv"))
+    named = set(images).union(*(file.rows for file in files if file.labels == "frame"))
+    for kinds in of_views:
+        kinds[0] = _with_names_of(kinds[0], named)
+    masks = of_views[0][0]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
@@ -366,7 +378,7 @@ def _session_frames(
         try:
             found = frame_readings(files, name, time=time, tolerance=tolerance)
         except InputError as error:
-            frames.append(replace(frame, problem=str(error)))
+            frames.append(replace(frame, problem=str(error), unread=isinstance(error, NoneNearError)))
             continue
         frames.append(replace(frame, readings=found.readings, notes=found.notes))
         farthest = max((d for d in (farthest, found.farthest) if d is not None), default=None)
@@ -374,6 +386,26 @@ def _session_frames(
         raise InputError(str(frames[0].problem))
     notes = (*(_described(files) or (NO_READINGS,)), *remarks, *_interpolation(farthest, tolerance))
     return tuple(frames), tuple(files), image_times, notes
+
+
+def _other_files(folder: Path) -> str:
+    """Say what is in a folder of masks that has none, and what to do."""
+    if not folder.is_dir():
+        return "none"
+    others = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    folders = [path.name for path in others if path.is_dir() and any(image_files(path))]
+    if folders:
+        return f'folders: {listed(folders, 3)} (session.toml says which: masks = "masks/{folders[0]}" of a [[tool]])'
+    kinds = sorted({path.suffix.lower() for path in others if path.suffix})
+    return f"files {', '.join(kinds)}: convert them to PNG" if kinds else "none"
+
+
+def _with_names_of(masks: Mapping[str, Path], named: set[str]) -> Mapping[str, Path]:
+    """Return masks by the names of frames where they have these with a word such as ``_mask`` or ``mask_``."""
+    if not masks or not named.isdisjoint(masks):
+        return masks
+    found = {_WORD.sub("", name): path for name, path in masks.items()}
+    return masks if len(found) < len(masks) or named.isdisjoint(found) else found
 
 
 def _seconds_of(files: Sequence[JointFile], frame: str, image_time: int | None) -> float | None:

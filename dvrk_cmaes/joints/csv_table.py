@@ -1,12 +1,13 @@
 """Reader of joint readings as CSV.
 
-Four formats are read:
+These formats are read:
 
 - joints.csv of a session: columns ``frame`` (text: "0026" is not "26"), ``time`` in seconds, or both, and any joints.
 - a topic written by jhu-dvrk's data_collection: comment lines ``# Topic:`` and ``# Type:``, then the columns
   ``timestamp`` (ns) and a message's fields, ``name.0 ...`` and ``position.0 ...``.
 - a table with a column of times (``time``, ``timestamp``, ``time_ms``) or no labels at all, and columns of joints,
   which may have ROS prefixes. Without a header, the columns are named by the user.
+- tables of other tools, see `other_tables`.
 - a table with the columns ``measured_q1`` to ``measured_q6``, without the jaw. Its columns ``measured_x, y, z`` are a
   point of the arm, not the tip, and are not used.
 """
@@ -20,6 +21,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.csv_file import Rows, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.names import ARM_ORDER, IN_ORDER, joints_by_count, joints_of_arm, without_positions
+from dvrk_cmaes.joints.other_tables import usual
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.joints.times import parse_time, parse_times, time_column
 
@@ -60,7 +62,7 @@ def read_joint_csv(
         match = _COMMENT.match(line)
         if match is not None:
             comments[match[1].lower()] = match[2]
-    header, rows = read_csv_rows(path, expected=EXPECTED, text=body, columns=columns)
+    header, rows = usual(*read_csv_rows(path, expected=EXPECTED, text=body, columns=columns))
     if set(_MEASURED) <= set(header):
         return _measured_table(path, header, rows)
     if "timestamp" in header and ("type" in comments or any(_POSITION.fullmatch(name) for name in header)):

@@ -48,8 +48,8 @@ def check_joint(where: str, name: str, names: Sequence[str]) -> None:
 def joints_of_arm(where: str, stated: Sequence[str], names: Sequence[str], arm: str | None = None) -> dict[str, int]:
     """Return the places of one arm's joints among stated names, which may have ROS prefixes.
 
-    A name may begin with an arm's, such as ``PSM1_``, and with ``outer_`` of older dVRK versions. The joints of other
-    arms are left out. Names without an arm belong to every arm.
+    A name may begin with an arm's, such as ``PSM1_``, and with ``outer_`` of older dVRK versions, and end in
+    ``_joint``. The joints of other arms are left out. Names without an arm belong to every arm.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def joints_of_arm(where: str, stated: Sequence[str], names: Sequence[str], arm: 
 def _split(name: str, names: Sequence[str]) -> tuple[str, str]:
     """Split a ROS name into that of the arm, in capitals and empty if there is none, and that of the joint."""
     match = None if name in names else _PREFIX.match(name)
-    return ("", name) if match is None else ((match[1] or "").upper(), name[match.end() :])
+    return ("", name) if match is None else ((match[1] or "").upper(), name[match.end() :].removesuffix("_joint"))
 
 
 def joints_by_count(where: str, count: int) -> tuple[str, ...]:

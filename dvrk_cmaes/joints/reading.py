@@ -50,6 +50,10 @@ _LARGEST = 1_000_000_000  # bytes; one hour at 1 kHz has half as many
 _LARGEST_YAML = 10_000_000  # bytes; about 25,000 messages, read in a quarter of a minute
 
 
+class NoneNearError(InputError):
+    """No reading is near the time of an image, as where one of the two began earlier."""
+
+
 @dataclass(frozen=True)
 class FrameReadings:
     """Readings of one frame.
@@ -279,7 +283,7 @@ def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tup
         nearest, farther = (int(distance[0]) for distance in timed.distances(at))
         if math.isnan(value):
             away = nearest / NANOSECONDS
-            raise InputError(
+            raise NoneNearError(
                 f"{file.path}: frame {frame}: {timed.joints[0]}: expected readings before and after the image's time "
                 f"{time / NANOSECONDS:.3f} s, within {most / NANOSECONDS:g} s, got the nearest {away:.3f} s away"
             )

@@ -1,13 +1,15 @@
 """Parsing of times to whole nanoseconds, and of the times of a session's images.
 
 A column of times is in seconds, or in the unit at the end of its name (``time_ms``). Times since 1970 in ms, us or ns
-are recognised by their magnitude, which a time in seconds reaches only in 3,000 years.
+are recognised by their magnitude, which a time in seconds reaches only in 3,000 years. A date with a time of day is a
+time, too.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from datetime import datetime
 from decimal import Decimal
 from pathlib import Path
 
@@ -25,6 +27,7 @@ _IN_NAME = re.compile(r".*_(\d{9,10}\.\d{6,9})")
 
 
 _COLUMN = re.compile(r"(time|timestamp|stamp|t)(?:_(s|sec|ms|us|ns|nsec))?", re.IGNORECASE)
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?\d\d)?")
 _FACTORS = {"s": NANOSECONDS, "sec": NANOSECONDS, "ms": 10**6, "us": 10**3, "ns": 1, "nsec": 1}
 _FEW = 10  # times, of which steps tell no unit
 _OF_MILLISECONDS = (5.0, 500.0)  # s; median step of times that may as well be in ms, of 2 to 200 a second
@@ -80,8 +83,22 @@ def parse_time(where: str, cell: object, factor: int | None = None) -> int:
             if abs(time * factor) < _LATEST:
                 return round(time * factor)
     except ArithmeticError:  # not a number, or out of the range of Decimal
-        pass
+        time_of_day = _of_date(str(cell).strip())
+        if time_of_day is not None:
+            return time_of_day
     raise InputError(f"{where}: time: expected a finite number of seconds, got {shown(cell)}")
+
+
+def _of_date(text: str) -> int | None:
+    """Parse a date and a time of day, as 2026-01-01T12:00:00.123Z, to ns since 1970; without a zone it is UTC."""
+    match = _DATE.fullmatch(text)
+    if match is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(f"{match[1]}T{match[2]}{match[4] or '+00:00'}")
+    except ValueError:
+        return None
+    return round(moment.timestamp()) * NANOSECONDS + int(f"{match[3] or '0':0<9}")
 
 
 def time_in_name(name: str) -> int | None:

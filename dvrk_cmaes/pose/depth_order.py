@@ -30,6 +30,7 @@ OPPOSITE: Final[dict[Place, Place]] = {
     "unclear": "unclear",
     "apart": "apart",
 }
+_LEAST_PROBABILITY: Final = 0.97  # of the right mode
 _REACH: Final = 3  # px from both masks, within which they meet
 _MOST: Final = 400  # pixels at which depths are compared
 _SIGMAS: Final = 2.0  # standard deviations of the difference of the depths ...
@@ -40,17 +41,15 @@ def place_of_other(
     results: tuple[Result, Result],
     bodies: tuple[Body, Body],
     views: tuple[Sequence[SeenView], Sequence[SeenView]],
-    *,
-    least_probability: float,
 ) -> Place:
     """Return where the second of two tools is, as seen by the first, in all views of a frame together.
 
     ``results`` and ``bodies`` are those of the tools, ``views`` those of the frame, with the mask of each tool. They
     must meet in at least one view in which both have a mask, and the one be clearly nearer wherever they meet in any
     view. It is unclear where a result has no pose, or one that is in the right mode with a probability of less than
-    ``least_probability``, and where masks of a view differ in size.
+    0.97, and where masks of a view differ in size.
     """
-    if not all(_is_trusted(result, least_probability) for result in results):
+    if not all(_is_trusted(result) for result in results):
         return "unclear"
     first, second = (_Tool.of(result, body) for result, body in zip(results, bodies, strict=True))
     shared = (pair for pair in zip(*views, strict=True) if all(view.given for view in pair))
@@ -60,11 +59,11 @@ def place_of_other(
     return places.pop() if len(places) == 1 else "unclear"
 
 
-def _is_trusted(result: Result, least_probability: float) -> bool:
+def _is_trusted(result: Result) -> bool:
     """Whether a result has a pose with a covariance, which is not likely to be in a wrong mode."""
     if result.camera_from_root is None or result.covariance is None:
         return False
-    return result.mode_probability is None or result.mode_probability >= least_probability
+    return result.mode_probability is None or result.mode_probability >= _LEAST_PROBABILITY
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.mode_probability import mode_weights
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.modes import Candidate, is_twin
+from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
 
@@ -37,6 +38,7 @@ accurate as others; so were those of four hard ones that only the overlap did.
 """
 
 _CLEAR = 4.0  # standard deviations of a rotation
+_CERTAIN_MODE = 0.97  # probability of a mode that is not what makes the tips doubtful
 _MINOR = 0.15  # probability that may be missing from the modes found, before they are not named
 
 
@@ -45,14 +47,14 @@ def judge(
     views: Sequence[FrameView],
     checks: Sequence[ViewCheck],
     expected: ExpectedError,
-    probability: float,
+    of_mode: float,
     readings: Readings,
     trust: TrustConfig,
-) -> tuple[list[str], list[str]]:
+) -> tuple[list[str], list[str], float]:
     """List the reasons, in words, for which the first of all modes is doubtful, and remarks on single views.
 
-    ``checks`` are those of the views, in their order, ``expected`` the expected error and ``probability`` that of the
-    first mode.
+    ``checks`` are those of the views, in their order, ``expected`` the expected error and ``of_mode`` the probability
+    of the first mode. Also returns the probability that the tips are within the limit.
     """
     qualities = [check.quality for check in checks]
     reasons, remarks = doubts_in_views(modes[0].at, views, qualities, expected, trust)
@@ -65,7 +67,12 @@ def judge(
             reasons.append(text)
     evidence = next((view.evidence for view in views if view.evidence.shaft_edges), views[0].evidence)
     instrument = views[0].renderer.body.instrument
-    return reasons + doubts_of_modes(modes, probability, evidence, readings, instrument, trust), remarks
+    squares = float(np.nansum(((modes[0].at.joints - readings.values) / readings.sigma) ** 2))
+    probability = tip_probability(expected.of_tips_mm, trust.tip_mm, of_mode=of_mode, reading_squares=squares)
+    is_near = not doubts_of_tips(expected, trust)
+    if probability < trust.least_probability and (is_near or of_mode < _CERTAIN_MODE):
+        reasons.append(_in_doubt(modes, probability, of_mode, instrument, trust))
+    return reasons + doubts_of_modes(modes, evidence, readings, instrument, trust), remarks, probability
 
 
 def doubts_in_views(
@@ -134,11 +141,15 @@ def _doubts_in_view(
 
 
 def doubts_of_tips(expected: ExpectedError, trust: TrustConfig) -> list[str]:
-    """List the reason, in words, for which the tips are not accurate; empty where they are."""
+    """List the reason, in words, for which the tips of a pose in the right mode are inaccurate; empty if none is."""
     error, limit = expected.of_tips_mm, trust.tip_mm
-    if error <= limit:
+    probability = tip_probability(error, limit)
+    if probability >= trust.least_probability:
         return []
-    return [f"tips not accurate: their expected error is {error:.1f} mm, more than {limit:g} mm"]
+    return [
+        f"tips not accurate: their expected error is {error:.1f} mm, the probability that they are within {limit:g} mm "
+        f"{probability:.2f}"
+    ]
 
 
 def outside_image(points: Float64, camera: Camera) -> Bool:
@@ -178,26 +189,28 @@ def _disagreement(check: ViewCheck, main: str, trust: TrustConfig) -> str | None
 
 def doubts_of_modes(
     modes: Sequence[Fit],
-    probability: float,
     evidence: Evidence,
     readings: Readings,
     instrument: Instrument,
     trust: TrustConfig,
 ) -> list[str]:
-    """List the reasons, in words, for which the first of all modes may not be the true one; empty without any."""
+    """List the reasons, in words, for which the first of all modes contradicts outline or readings."""
     best, reasons = modes[0], []
     better = min(modes, key=lambda mode: mode.outline_score)
     if best.outline_score - better.outline_score > trust.largest_outline_gap:
         reasons.append("readings against outline: a pose farther from the readings explains the mask clearly better")
-    if probability < trust.least_mode_probability:
-        reasons.append(_mode_in_doubt(modes, probability, instrument))
     return reasons + _doubts_of_readings(best, evidence, readings, instrument, trust)
 
 
-def _mode_in_doubt(modes: Sequence[Fit], probability: float, instrument: Instrument) -> str:
-    """Say how probable the first mode is, and which other one is the most probable."""
-    text = f"mode in doubt: the pose is in the right mode with a probability of {probability:.2f}"
-    if len(modes) < 2 or mode_weights(modes)[1:].max() < 1 - probability - _MINOR:
+def _in_doubt(
+    modes: Sequence[Fit], probability: float, of_mode: float, instrument: Instrument, trust: TrustConfig
+) -> str:
+    """Say how probable the tips of the first mode are right, or the mode, and which other one is the most probable."""
+    if of_mode >= _CERTAIN_MODE:
+        within = f"within {trust.tip_mm:g} mm with a probability of {probability:.2f}"
+        return f"tips in doubt: they are {within}, as the joints are far from their readings"
+    text = f"mode in doubt: the pose is in the right mode with a probability of {of_mode:.2f}"
+    if len(modes) < 2 or mode_weights(modes)[1:].max() < 1 - of_mode - _MINOR:
         return f"{text}; the mask says too little"
     other = min(modes[1:], key=lambda mode: mode.score)
     twin = instrument.has_twin and is_twin(instrument, modes[0].at, other.at)

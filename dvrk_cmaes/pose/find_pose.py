@@ -33,11 +33,11 @@ class FoundPose:
     """The pose found in one frame and what supports it.
 
     ``at`` is one pose in the camera of the first view that shows the instrument, with the ``covariance``
-    (6 + J, 6 + J) of its small changes; ``expected_error`` is that of tips and shaft. ``mode_probability`` is that of
-    the pose's mode, None where a session's prediction tells the mode. ``reasons`` say why the pose is doubtful; none if
-    it is not. ``camera_from_base`` (4, 4) is given where a session's calibration took the joints' offsets out of the
-    readings. ``evaluations`` and ``rays`` count the silhouettes evaluated and the rays traced. ``views`` has the fit in
-    each view, and ``notes`` remark on single ones.
+    (6 + J, 6 + J) of its small changes; ``expected_error`` is that of tips and shaft, ``tip_probability`` that of tips
+    within the limit. ``mode_probability`` is that of the pose's mode, None where a session's prediction tells the
+    mode. ``reasons`` say why the pose is doubtful; none if it is not. ``camera_from_base`` (4, 4) is given where a
+    session's calibration took the joints' offsets out of the readings. ``evaluations`` and ``rays`` count the
+    silhouettes evaluated and the rays traced. ``views`` has the fit in each view, and ``notes`` remark on single ones.
     """
 
     at: Posed
@@ -47,6 +47,7 @@ class FoundPose:
     evaluations: int
     rays: int
     expected_error: ExpectedError
+    tip_probability: float
     mode_probability: float | None = None
     alternatives: tuple[Alternative, ...] = ()
     camera_from_base: Float64 | None = None
@@ -90,7 +91,7 @@ def find_pose(
         ViewCheck(view.name, quality, np.degrees(turn), np.degrees(np.degrees(spread)))
         for view, quality, (turn, spread) in zip(views, of_views, of_rig, strict=True)
     )
-    reasons, notes = judge(modes, views, checks, expected, probability, readings, config.trust)
+    reasons, notes, of_tips = judge(modes, views, checks, expected, probability, readings, config.trust)
     return FoundPose(
         at=best.at,
         covariance=covariance,
@@ -100,6 +101,7 @@ def find_pose(
         rays=rays + local.rays + sum(view.renderer.rays for view in views) + confirming,
         expected_error=expected,
         mode_probability=probability,
+        tip_probability=of_tips,
         alternatives=_alternatives(instrument, readings, modes, others),
         views=checks,
         notes=tuple(notes),

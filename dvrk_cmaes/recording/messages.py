@@ -63,7 +63,8 @@ def image_pixels(message: Any, where: str) -> NDArray[np.uint8]:
     width, height, step = int(message.width), int(message.height), int(message.step)
     if message.encoding not in _ENCODINGS:
         names = ", ".join(nearest_first(message.encoding, _ENCODINGS))
-        raise InputError(f"{where}: encoding: expected one of {names}, got {shown(message.encoding)}")
+        got = f"{shown(message.encoding)}: ROS' image_proc or cv_bridge converts it"
+        raise InputError(f"{where}: encoding: expected one of {names}, got {got}")
     channels, conversion = _ENCODINGS[message.encoding]
     _check_size(width, height, where)
     if step < width * channels or len(message.data) < step * height:

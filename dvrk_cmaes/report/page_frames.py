@@ -231,6 +231,8 @@ def _fit(result: Result) -> Iterable[tuple[str, str]]:
         yield "expected error of the shaft's direction, rms", f"{fixed(result.expected_error.shaft_deg, 2)} deg"
     if result.mode_probability is not None:
         yield "probability of the right mode", fixed(result.mode_probability, 2)
+    if result.tip_probability is not None:
+        yield "probability of tips within the limit", fixed(result.tip_probability, 2)
     q = result.quality
     if q is not None:
         yield "overlap (IoU)", fixed(q.iou, 4)

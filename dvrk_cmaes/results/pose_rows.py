@@ -55,6 +55,7 @@ def _row(result: Result, joints: Sequence[str], readings: Sequence[str], tips: i
     yield "std_tips_mm", None if expected is None else round(expected.of_tips_mm, _DIGITS)
     yield "std_shaft_deg", None if expected is None else round(expected.shaft_deg, _DIGITS)
     yield "mode_probability", result.mode_probability
+    yield "tip_probability", result.tip_probability
     yield "iou", None if quality is None else quality.iou
     yield "loss", None if quality is None else quality.loss
     yield "contour_px_median", None if quality is None else quality.contour_px_median

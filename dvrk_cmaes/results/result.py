@@ -84,6 +84,7 @@ class Result:
     covariance : (6 + J, 6 + J), of [tx ty tz rx ry rz] in the root link's axes (m, rad), then of the joints (rad).
     expected_error : of the tips and the shaft's direction, from the covariance.
     mode_probability : that the pose is in the true mode, not in one of the alternatives' or the mirror twin's.
+    tip_probability : that the tips are within the distance ``trust.tip_mm`` of their true positions.
     alternatives : other modes, by decreasing likelihood.
     other_tools : where the frame's other tools are, as seen by this one, by arm; empty where that was not asked.
     seconds : from arrays in memory to the result, 0 if not stated.
@@ -114,6 +115,7 @@ class Result:
     covariance: Float64 | None = None
     expected_error: ExpectedError | None = None
     mode_probability: Number | None = None
+    tip_probability: Number | None = None
     alternatives: tuple[Alternative, ...] = ()
     views: Texts = ()
     view_fits: tuple[ViewCheck, ...] = ()
@@ -348,7 +350,7 @@ class Result:
             "quality": encoded(self.quality),
             "std": std,
             "covariance": covariance,
-            **encoded_fields(self, "mode_probability", "alternatives"),
+            **encoded_fields(self, "mode_probability", "tip_probability", "alternatives"),
             "seconds": round(self.seconds, 4),
             **encoded_fields(self, "evaluations", "rays", "seed", "version"),
             "config": self.config,

@@ -117,7 +117,6 @@ def _place(name: str, first: BatchSummary, second: BatchSummary) -> Place:
         (first.results[name], second.results[name]),
         (prepare(first.setup.instrument), prepare(second.setup.instrument)),
         views,
-        least_probability=first.setup.config.trust.least_mode_probability,
     )
 
 

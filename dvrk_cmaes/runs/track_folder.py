@@ -163,7 +163,8 @@ def track_folder(
     DvrkCmaesError
         Another run is writing there.
     """
-    frames = session.frames[:: settings.every]
+    every = session.frames[:: settings.every]
+    frames = tuple(replace(files, problem=None, unread=False) if files.unread else files for files in every)
     clock = TrackClock.of(session, frames, settings.frames_a_second, use_joints=settings.use_joints)
     joints = body.instrument.joint_names
     commanded = commanded_in([files.readings for files in frames], joints) if settings.use_joints else []

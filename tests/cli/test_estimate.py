@@ -53,7 +53,7 @@ RESULT_FIELDS = [
         "std",
         "covariance",
     ),
-    *("mode_probability", "alternatives"),
+    *("mode_probability", "tip_probability", "alternatives"),
     *("seconds", "evaluations", "rays", "seed", "version", "config"),
 ]
 

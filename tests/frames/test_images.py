@@ -113,9 +113,9 @@ def test_empty_or_full_mask_is_refused(tmp_path: Path) -> None:
 
 def test_mask_of_other_bit_depth_is_refused(tmp_path: Path) -> None:
     path = stored(tmp_path, grey().astype(np.uint16) * 257)
-    assert message(path) == "not 8-bit: expected a mask of 8 bits a pixel, got 16 bits"
+    assert message(path) == "not 8-bit: expected a mask of 8 bits a pixel, got 16 bits (--label any takes them)"
     path.write_bytes(png(8, 2, 2, 0, b"\0\xff\0\0\x0f\0"))
-    assert message(path) == "not 8-bit: expected a mask of 8 bits a pixel, got 2 bits"
+    assert message(path) == "not 8-bit: expected a mask of 8 bits a pixel, got 2 bits (--label any takes them)"
 
 
 def test_mask_of_single_bits_is_read(tmp_path: Path) -> None:
@@ -132,7 +132,9 @@ def test_colour_or_transparent_mask_is_refused(tmp_path: Path) -> None:
         "expected a mask in grey, of labels by --label 1 or '#00ff00', got a colour image"
     )
     clear = np.dstack([np.repeat(grey()[:, :, None], 3, axis=2), grey()])
-    assert message(stored(tmp_path, clear)) == "expected a mask in grey, got an image with transparency"
+    assert (
+        message(stored(tmp_path, clear)) == "expected a mask in grey, got an image with transparency: save it without"
+    )
 
 
 def test_label_of_a_palette_is_its_index(tmp_path: Path) -> None:

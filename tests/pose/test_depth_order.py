@@ -31,7 +31,7 @@ def place(tools: CrossingTools, results: tuple[Result, Result] | None = None, *m
     """Give where the second tool is, as seen by the first."""
     first, second = zip(seen(tools.camera, np.eye(4), tools.masks), *more, strict=True)
     found = (tools.result(0), tools.result(1)) if results is None else results
-    return place_of_other(found, (tools.body, tools.body), (first, second), least_probability=0.8)
+    return place_of_other(found, (tools.body, tools.body), (first, second))
 
 
 def swapped(tools: CrossingTools) -> CrossingTools:

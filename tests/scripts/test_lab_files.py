@@ -5,20 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from helpers.canned_results import canned, write_results
 from helpers.places import SCRIPTS
 from helpers.plain_pictures import plain_pictures
+
+from dvrk_cmaes.results.result import ExpectedError
 
 
 @pytest.fixture(scope="module")
 def material(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(SCRIPTS))
-        from measure.fuzz.families import write_material
         from measure.fuzz.runs import stubbed
 
         folder = tmp_path_factory.mktemp("material")
-        write_material(folder)
+        result = canned(
+            "0000",
+            covariance=np.diag([2e-4] * 3 + [0.01] * 6) ** 2,
+            expected_error=ExpectedError({"mean": 1.1}, {}, 1.1, 0.5),
+        )
+        write_results(folder / "results", result)
         with stubbed(folder), plain_pictures():
             yield
 

@@ -162,6 +162,13 @@ def _tracked(frames: Sequence[str], joints: str) -> Callable[[Path], Sequence[st
     return write
 
 
+def _recorded_before(folder: Path) -> Sequence[str]:
+    """Write a session whose first image is of a time before the readings, which is to be followed."""
+    session = _session(folder, ["0", "1", "2"], _rows([f"{10 + 0.02 * k:.2f}" for k in range(9)], "time"))
+    (session / "images.csv").write_text("frame,time\n0,9.0\n1,10.05\n2,10.1\n")
+    return ["track", "session", "--out", "tracks", "--no-video", "--no-page"]
+
+
 def _masked(pixels: Callable[[Image], Image | str | bytes], name: str, *more: str) -> Callable[[Path], Sequence[str]]:
     """Return a function that writes a mask made of the demo's, of which the pose is estimated."""
 
@@ -389,6 +396,30 @@ _ENDOVIS = (
 _TWO_ARMS = _of_arm("PSM1") + _of_arm("PSM2")
 _BOTH = (*VALUES, *[0.1] * 6)
 
+_CELLS = ",".join(map(str, VALUES))
+_MATRIX = [[70.0, 0, 32], [0, 71.0, 24], [0, 0, 1]]
+
+
+def _masks_of_an_arm(folder: Path) -> Sequence[str]:
+    """Write a session whose masks are in a folder of the arm, which is inspected."""
+    masks = _session(folder, ["0"], _rows([0])) / "masks"
+    (masks / "PSM1").mkdir()
+    (masks / "0.png").rename(masks / "PSM1" / "0.png")
+    return ["inspect", "session"]
+
+
+def _renamed_masks(word: str) -> Callable[[Path], Sequence[str]]:
+    """Return a function that writes a session whose masks have a word in their names, which is inspected."""
+
+    def write(folder: Path) -> Sequence[str]:
+        session = _session(folder, ["0", "1"], _rows([0, 1]))
+        for path in [*(session / "masks").iterdir()]:
+            path.rename(path.with_name(word.replace("N", path.stem)))
+        return ["inspect", "session"]
+
+    return write
+
+
 CASES: Final = (
     # readings of several arms
     LabCase("two arms, mixed", _text("js.yaml", _state(_TWO_ARMS[::-1], _BOTH)), "PSM2, PSM1.*--only", (REFUSED,)),
@@ -464,7 +495,57 @@ CASES: Final = (
         r"times from 0\.000 to 0\.627 s",
     ),
     LabCase("two columns of times", _text("j.csv", "timestamp,stamp,yaw\n1,2,0.1\n"), "one called time", (REFUSED,)),
+    LabCase(
+        "rostopic echo -p",
+        _text(
+            "j.csv",
+            ",".join(["%time", "field.header.seq", *(f"field.name{k}" for k in range(6))])
+            + ","
+            + ",".join(f"field.position{k}" for k in range(6))
+            + f"\n1700000000500000000,1,{','.join(ARM)},{_CELLS}\n",
+        ),
+        r"yaw 5\.73 deg.*wrist_yaw 22\.92 deg.*times from 1700000000\.500",
+    ),
+    LabCase(
+        "PlotJuggler",
+        _text(
+            "j.csv",
+            "__time,"
+            + ",".join(f"/PSM1/measured_js/{joint}/{kind}" for kind in ("position", "velocity") for joint in ARM)
+            + f"\n1700000000.5,{_CELLS},{_CELLS}\n",
+        ),
+        r"yaw 5\.73 deg.*wrist_yaw 22\.92 deg.*times from 1700000000\.500",
+    ),
+    LabCase("dates", _text("j.csv", "time,yaw\n2026-01-01T12:00:00.123456789Z,0.1\n"), r"times from 1767268800\.123"),
+    LabCase("dates without a zone", _text("j.csv", "timestamp,yaw\n2026-01-01 12:00:00.5,0.1\n"), r"1767268800\.500"),
+    LabCase(
+        "degrees, mm", _text("j.csv", "time,yaw_deg,insertion_mm\n0,5.7,120\n"), r"yaw 5\.70 deg.*insertion 120\.00 mm"
+    ),
+    LabCase(
+        "units in brackets",
+        _text("j.csv", "time [ms],yaw [deg],pitch (rad)\n500,5.7,0.1\n"),
+        r"5\.70 .*5\.73.*0\.500 s",
+    ),
+    LabCase("yaw in mm", _text("j.csv", "time,yaw_mm\n0,5.7\n"), "unknown joint", (REFUSED,)),
+    LabCase("seconds and nanoseconds", _text("j.csv", "sec,nanosec,yaw\n1700000000,5000000,0.1\n"), r"1700000000\.005"),
+    LabCase("a comma at the ends", _text("j.csv", "time,yaw,\n0,0.1,\n"), r"yaw 5\.73 deg"),
+    LabCase(
+        "pandas with files",
+        _inspected(
+            ["0001", "0002"], f"Unnamed: 0,filename,{','.join(ARM)}\n0,images/0001.png,{_CELLS}\n1,0002.png,{_CELLS}\n"
+        ),
+        "readings 2",
+    ),
+    LabCase(
+        "names that end in _joint",
+        _text("js.yaml", _state([f"psm1_{j}_joint" for j in ARM], VALUES)),
+        r"wrist_yaw 22\.92",
+    ),
     # names and numbers of frames
+    LabCase("masks N_mask", _renamed_masks("N_mask.png"), "2 frames: 0, 1.*readings 2"),
+    LabCase("masks mask_N", _renamed_masks("mask_N.png"), "2 frames: 0, 1.*readings 2"),
+    LabCase("masks as TIFF", _renamed_masks("N.tif"), "convert them to PNG", (REFUSED,)),
+    LabCase("masks in a folder of the arm", _masks_of_an_arm, r'masks = "masks/PSM1"', (REFUSED,)),
     LabCase(
         "names that do not meet",
         _inspected([f"{k:05d}" for k in range(3)], _rows(range(1000, 1009))),
@@ -495,6 +576,7 @@ CASES: Final = (
         "--fps",
         (REFUSED,),
     ),
+    LabCase("images from before the readings", _recorded_before, "3 frames: "),
     # cameras
     LabCase("%YAML 1.0", _text("c.yaml", "%YAML 1.0\n---\n" + yaml.safe_dump(CAMERA)), "64 x 48 px"),
     LabCase("EndoVis", _text("c.txt", _ENDOVIS), r"EndoVis.*focal lengths 70\.500 and 70\.400"),
@@ -516,6 +598,37 @@ CASES: Final = (
         "millimetres",
         (REFUSED,),
     ),
+    LabCase(
+        "mtx and dist",
+        _text("c.json", json.dumps({"mtx": _MATRIX, "dist": [[-0.1, 0, 0, 0, 0]], "width": 64, "height": 48})),
+        r"64 x 48 px, focal lengths 70\.000 and 71\.000 px.*-0\.1",
+    ),
+    LabCase(
+        "size as OpenCV's and as NumPy's",
+        _text("c.json", json.dumps({"cameraMatrix": _MATRIX, "distCoeffs": [0.0] * 5, "imageSize": [48, 64]})),
+        "64 x 48 px",
+    ),
+    LabCase(
+        "matrix in rows",
+        _text("c.yaml", yaml.safe_dump({"camera_matrix": _MATRIX, "dist_coeffs": [0.0] * 4})),
+        "70.000 and 71",
+    ),
+    LabCase(
+        "RealSense",
+        _text(
+            "c.json",
+            json.dumps(
+                {"width": 64, "height": 48, "fx": 70.0, "fy": 71.0, "ppx": 32.0, "ppy": 24.0, "coeffs": [0.0] * 5}
+            ),
+        ),
+        "64 x 48 px",
+    ),
+    LabCase(
+        "COLMAP",
+        _text("cameras.txt", "# cameras\n1 OPENCV 64 48 70 71 32 24 -0.1 0.01 0 0\n"),
+        r"point 31\.500, 23\.500",
+    ),
+    LabCase("COLMAP, a fisheye", _text("cameras.txt", "1 FOV 64 48 70 71 32 24 0.1\n"), "SIMPLE_PINHOLE", (REFUSED,)),
     LabCase("K of zeros", _text("c.yaml", yaml.safe_dump({**CAMERA, "K": [0.0] * 9})), "K is zero.*rectified"),
     LabCase(
         "model none", _text("c.yaml", yaml.safe_dump({**CAMERA, "D": [], "distortion_model": "none"})), "no distortion"
@@ -525,7 +638,7 @@ CASES: Final = (
     LabCase("eyes in one place", _stereo_session(1e-6), "expected 0.0005 to 0.5 m", (REFUSED,)),
     LabCase("eyes of one frame_id", _eyes_of_one_frame, "stereo: ROS camera_info"),
     # masks
-    LabCase("palette", _masked(_palette, "m.png", "--label", "1"), "tips"),
+    LabCase("palette", _masked(_palette, "m.png", "--label", "1"), "joints, deg"),
     LabCase(
         "palette, no label",
         _masked(lambda m: np.where(m > 127, 1, 0).astype(np.uint8), "m.png"),
@@ -533,15 +646,19 @@ CASES: Final = (
         (REFUSED,),
     ),
     LabCase(
-        "any value", _masked(lambda m: np.where(m > 127, 7, 0).astype(np.uint8), "m.png", "--label", "any"), "tips"
+        "any value",
+        _masked(lambda m: np.where(m > 127, 7, 0).astype(np.uint8), "m.png", "--label", "any"),
+        "joints, deg",
     ),
-    LabCase("colours", _masked(_coloured, "m.png", "--label", "#00ff00"), "tips"),
+    LabCase("colours", _masked(_coloured, "m.png", "--label", "#00ff00"), "joints, deg"),
     LabCase("colours, no label", _masked(_coloured, "m.png"), "--label", (REFUSED,)),
     LabCase("colours, by value", _masked(_coloured, "m.png", "--label", "1"), "#00ff00", (REFUSED,)),
+    LabCase("16 bits", _masked(lambda m: (m > 127).astype(np.uint16) * 65535, "m.png"), "--label any", (REFUSED,)),  # type: ignore[arg-type,return-value]
+    LabCase("transparent", _masked(lambda m: np.dstack([m, m, m, m]), "m.png"), "save it without", (REFUSED,)),
     LabCase("inverted", _masked(lambda m: 255 - m, "m.png"), "inverted.*--label 0", (REFUSED,)),
-    LabCase("COCO's runs", _masked(_runs, "m.json"), "tips"),
-    LabCase("COCO's data set", _masked(_data_set, "m.json", "--label", "needle driver"), "tips"),
-    LabCase("labelme's polygons", _masked(_shapes, "m.json"), "tips"),
+    LabCase("COCO's runs", _masked(_runs, "m.json"), "joints, deg"),
+    LabCase("COCO's data set", _masked(_data_set, "m.json", "--label", "needle driver"), "joints, deg"),
+    LabCase("labelme's polygons", _masked(_shapes, "m.json"), "joints, deg"),
     # recordings
     LabCase(
         "stamps stand still",
@@ -564,6 +681,7 @@ CASES: Final = (
         "6 frames of 6",
     ),
     LabCase("no metadata", _bag(_recorded(), metadata=lambda _: None), "6 frames of 6"),
+    LabCase("mono16", _bag(_recorded(encoding="mono16")), "image_proc", (REFUSED,)),
     LabCase("uyvy", _bag(_recorded(encoding="uyvy")), "6 frames of 6"),
     LabCase("yuyv", _bag(_recorded(encoding="yuyv")), "6 frames of 6"),
     LabCase("K of zeros, in a recording", _bag([_info(k=np.zeros(9)), *_recorded()[1:]]), "6 frames of 6"),
