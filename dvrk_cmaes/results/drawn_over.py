@@ -74,7 +74,7 @@ def drawn_over(
     mask = renderer.at(width, height).masks(camera_from_root, joints)
     thick = max(round(width / 400), 1)
     beyond = 4 * thick  # px, so that no line is drawn where the silhouette leaves the image
-    padded = cv2.copyMakeBorder(mask.astype(np.uint8), *[beyond] * 4, cv2.BORDER_REPLICATE)
+    padded = cv2.copyMakeBorder(mask.astype(np.uint8), beyond, beyond, beyond, beyond, cv2.BORDER_REPLICATE)
     lines, _ = cv2.findContours(padded, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE, offset=(-beyond, -beyond))
     cv2.drawContours(drawn, lines, -1, (0, 0, 0), 3 * thick, cv2.LINE_AA)
     cv2.drawContours(drawn, lines, -1, _COLOURS.get(status, _TIPS), thick, cv2.LINE_AA)
