@@ -188,6 +188,6 @@ def test_toml_is_read_as_printed(folder: Path) -> None:
     (settings,) = (each for each in TOML if each.page == "settings")
     config = updated(EstimateConfig(), tomllib.loads(settings.block.text), where="settings.md")
     assert (config.seed, config.search.samples) == (3, 1024)
-    (session,) = (each for each in TOML if each.page == "formats")
+    (session,) = (each for each in TOML if each.page == "arms")
     (folder / "session.toml").write_text(session.block.text)
     assert [tool.arm for tool in read_session_toml(folder).tools] == ["PSM1", "PSM2"]
