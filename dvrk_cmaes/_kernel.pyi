@@ -76,6 +76,19 @@ class Mesh:
         NDArray[numpy.float64],
         NDArray[numpy.float64],
     ]: ...
+    def compare(
+        self,
+        camera: Camera,
+        target: Target,
+        camera_from_root: NDArray[numpy.float64],
+        root_from_link: NDArray[numpy.float64],
+        by_joint: NDArray[numpy.float64] | None,
+        camera_from_link: NDArray[numpy.float64],
+        lines_per_pixel: int,
+        cauchy: Sequence[float],
+        threads: int,
+        decide: Callable[..., NDArray[numpy.bool_]] | None,
+    ) -> list[Comparison]: ...
 
 def move_points(
     camera: Camera,
@@ -87,27 +100,67 @@ def move_points(
     root_from_link: NDArray[numpy.float64],
     by_joint: NDArray[numpy.float64],
 ) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64]]: ...
-def cauchy_losses(
-    images: Sequence[NDArray[numpy.float32]],
-    target: NDArray[numpy.float32],
-    weight: NDArray[numpy.float32],
-    cauchy: float,
-) -> NDArray[numpy.float64]: ...
-def sample_profiles(
-    images: Sequence[NDArray[numpy.float32]],
-    target: NDArray[numpy.float32],
-    weight: NDArray[numpy.float32],
-    begin: NDArray[numpy.int64],
-    pixels: NDArray[numpy.float64],
-    normals: NDArray[numpy.float64],
-    reach: int,
-) -> tuple[NDArray[numpy.float32], NDArray[numpy.float32]]: ...
+
+class Target:
+    def __init__(
+        self, mask: NDArray[numpy.float32], weight: NDArray[numpy.float32], taps: Sequence[float], reach: int
+    ) -> None: ...
+    @property
+    def image(self) -> NDArray[numpy.float32]: ...
+
+class Comparison:
+    @property
+    def losses(self) -> list[float]: ...
+    @property
+    def outlined(self) -> bool: ...
+    @property
+    def unknowns(self) -> int: ...
+    def with_jacobian(self, stride: int, jacobian: NDArray[numpy.float64]) -> Comparison: ...
+    def coverage(self, width: int) -> NDArray[numpy.float32]: ...
+    @property
+    def link(self) -> NDArray[numpy.int64]: ...
+    @property
+    def pixels(self) -> NDArray[numpy.float64]: ...
+    @property
+    def normals(self) -> NDArray[numpy.float64]: ...
+    @property
+    def points(self) -> NDArray[numpy.float64]: ...
+    @property
+    def jacobian(self) -> NDArray[numpy.float64]: ...
+
 def normal_equations(
-    begin: NDArray[numpy.int64],
-    residual: NDArray[numpy.float32],
-    weight: NDArray[numpy.float32],
-    jacobian: NDArray[numpy.float64],
-    density: NDArray[numpy.float64],
+    compared: Sequence[Comparison],
+    factors: Sequence[float],
+    density: Sequence[float],
     cauchy: float,
     change: NDArray[numpy.float64],
 ) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]: ...
+def fit_lines(
+    points: NDArray[numpy.float64],
+    normals: NDArray[numpy.float64],
+    lines: NDArray[numpy.float64],
+    sigma: float,
+    near: float,
+    facing: float,
+    gap: float,
+    least_sigma: float,
+    reach: float,
+    least_reach: float,
+    normal_median: float,
+    iterations: int,
+    least: int,
+) -> list[tuple[NDArray[numpy.float64], NDArray[numpy.int64], float]]: ...
+def minimise(
+    compared: Sequence[Comparison],
+    factors: Sequence[float],
+    density: Sequence[float],
+    cauchy: float,
+    weight: NDArray[numpy.float64],
+    information: NDArray[numpy.float64],
+    slope: NDArray[numpy.float64],
+    damping: NDArray[numpy.float64] | None,
+    iterations: int,
+    solved: float,
+    least: Sequence[float],
+    farthest: float,
+) -> NDArray[numpy.float64]: ...

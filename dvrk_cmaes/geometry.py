@@ -167,7 +167,7 @@ class Posed:
         """Return the number of candidates, the length of the first axis."""
         return len(self.joints)
 
-    def __getitem__(self, index: int | slice | list[int] | NDArray[np.integer] | None) -> Posed:
+    def __getitem__(self, index: int | slice | list[int] | NDArray[np.integer | np.bool_] | None) -> Posed:
         """Return one or some of the candidates; with None, this one alone as the only candidate."""
         return Posed(self.pose[index], self.joints[index])
 

@@ -22,6 +22,7 @@
     python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
     python scripts/accuracy.py image-sizes SESSION...  drawn masks of 14 sizes of images: errors, tips, times
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
+    python scripts/accuracy.py no-camera SESSION...    focal length and tips of sessions without a camera file
     python scripts/accuracy.py worlds FOLDER           worlds of every kind (scripts/worlds), drawn into FOLDER and
                                                        solved by estimate, calibrate and track
 
@@ -45,7 +46,7 @@ from measure.accuracy.arms import arms_report
 from measure.accuracy.bound import bound_report
 from measure.accuracy.cables import cables_report
 from measure.accuracy.calibration import calibration_report
-from measure.accuracy.camera import measure_camera
+from measure.accuracy.camera import measure_camera, measure_no_camera
 from measure.accuracy.disparity import disparity_report
 from measure.accuracy.errors import error_report, feature_rows, frame_rows
 from measure.accuracy.fleet import fleet_report
@@ -269,6 +270,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "disparity": _disparity,
     "arms": lambda given, _: arms_report(given),
     "camera": lambda given, _: measure_camera(given),
+    "no-camera": lambda given, _: measure_no_camera(given),
     "worlds": _worlds,
     "image-sizes": lambda given, _: image_sizes_report(given),
 }

@@ -70,7 +70,7 @@ def _report(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
             print("  ".join([f"{'case':<22s}", *(column.rjust(6) for column in _COLUMNS)]))
         for case in chosen:
             theirs = _kept(both[1], case, arguments.instrument, arguments.keep)
-            row = compare(_answers(both[0], case, arguments.instrument), theirs)
+            row = compare(answers_of(both[0], case, arguments.instrument), theirs)
             row["accepted"] = accepted(row, arguments.largest_change)
             rows[case.name] = row
             if not arguments.json:
@@ -97,7 +97,7 @@ def _of_processors(arguments: argparse.Namespace, chosen: Sequence[Case]) -> dic
                 if one.lacking:
                     rows[name] = {"not run": one.lacking, "accepted": True}
                     continue
-                row = compare(_answers(checkout, case, arguments.instrument, one.variables), own)
+                row = compare(answers_of(checkout, case, arguments.instrument, one.variables), own)
                 row["accepted"] = not row["verdicts"] and not row["missing"]
                 rows[name] = row
                 if not arguments.json:
@@ -107,22 +107,22 @@ def _of_processors(arguments: argparse.Namespace, chosen: Sequence[Case]) -> dic
 
 def _kept(checkout: Checkout, case: Case, instrument: str, keep: Path | None) -> dict[str, Any]:
     """Return a checkout's answers to a case: those kept for its commit and the same inputs, or else new ones, kept."""
-    commit = None if keep is None else _commit(checkout.folder)
+    commit = None if keep is None else commit_of(checkout.folder)
     if keep is None or commit is None:
-        return _answers(checkout, case, instrument)
+        return answers_of(checkout, case, instrument)
     path = keep / f"{case.name.replace('/', '-').replace(' ', '-')}.json"
     key = {"commit": commit, "case": _digest(case, instrument)}
     if path.is_file():
         kept = json.loads(path.read_text(encoding="utf-8"))
         if kept["key"] == key:
             return dict(kept["answers"])
-    answers = _answers(checkout, case, instrument)
+    answers = answers_of(checkout, case, instrument)
     keep.mkdir(parents=True, exist_ok=True)
     write_text(path, json.dumps({"key": key, "answers": answers}))
     return answers
 
 
-def _commit(checkout: Path) -> str | None:
+def commit_of(checkout: Path) -> str | None:
     """Return the commit of a checkout; None if it is none of git's, or has changes."""
     states = []
     for command in (["rev-parse", "HEAD"], ["status", "--porcelain"]):
@@ -149,7 +149,7 @@ def _commands(case: Case, instrument: str) -> list[list[str]]:
     return [[*command, *options] for command in case.commands]
 
 
-def _answers(
+def answers_of(
     checkout: Checkout, case: Case, instrument: str, variables: Mapping[str, str] | None = None
 ) -> dict[str, Any]:
     """Run a case's commands in a new folder, with environment variables if given.

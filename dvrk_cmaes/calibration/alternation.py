@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,12 @@ from dvrk_cmaes.calibration.frame_reports import (
     report_tasks,
     with_readings,
 )
-from dvrk_cmaes.calibration.frame_task import FitTask, FrameReport, fit_task, gather_task, report_task
+from dvrk_cmaes.calibration.frame_task import FitTask, FrameReport, fit_task, gather_task, report_task, with_data
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import PackedMask, with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations
-from dvrk_cmaes.calibration.session_camera import SessionCamera, covariance_of_camera, untold
+from dvrk_cmaes.calibration.session_camera import SessionCamera, camera_undetermined, covariance_of_camera
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionState
 from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_with_modes
@@ -62,7 +63,9 @@ def initialised(state: SessionState) -> SessionState:
         be refined, and the session does not determine it.
     """
     check_motion(state.model)
-    if state.imaging.change is not None and (reason := untold(state.model)):
+    if state.imaging.change is not None and (reason := camera_undetermined(state.model)):
+        if state.problem.guessed_camera:
+            raise InputError(f"--camera: expected a camera file, which these frames do not replace: {reason}")
         raise InputError(f"--refine-camera: {reason}")
     state, consensus = _on_one_base(_less_lag(state))
     solution, _ = solve_with_modes(state.model, state.modes, consensus.calibration, state.problem.prior)
@@ -163,7 +166,7 @@ def _begun_with_few(state: SessionState, scales: Sequence[float]) -> tuple[Sessi
     for iteration in range(rounds):
         few, _ = _round(few, iteration, scales, few.solution.calibration, None)
     lag = state.lag.told_by_few(few.lag)
-    model = lag.corrected(state.model.with_deviations(few.model.deviations))
+    model = lag.corrected(replace(state.model, deviations=few.model.deviations))
     return _with_modes(replace(state, lag=lag, model=model), few.solution.calibration), rounds
 
 
@@ -187,7 +190,7 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
         cables = state.cables.estimated(state.model, fits, state.solution, state.lag)
         state = replace(state, cables=cables, model=cables.corrected(state.model))
         if (initial := cables.deviations(state.model.deviations)) is not None:
-            state = replace(state, model=state.model.with_deviations(initial))
+            state = replace(state, model=replace(state.model, deviations=initial))
             state = _with_calibration(state, fits, state.solution.calibration)
     lag = state.lag.refined(state.model, fits, state.solution.calibration, problem.prior)
     return replace(state, lag=lag, model=lag.corrected(state.model)), fits.at
@@ -231,7 +234,7 @@ def with_other_masks(state: SessionState, masks: Mapping[int, Mapping[str, Packe
     problem, again = state.problem, list(masks)
     frames, stored = list(state.frames), list(state.stored)
     for i in again:
-        frames[i] = replace(frames[i], data=with_masks(frames[i].data, masks[i]))
+        frames[i] = with_data(frames[i], partial(with_masks, masks[i]))
     problem.progress("solving again", len(masks))
     for i, of_frame in zip(again, problem.run(gather_task, [frames[i] for i in again]), strict=True):
         stored[i] = of_frame

@@ -58,7 +58,7 @@ class CableEstimate:
 
     def corrected(self, model: SessionModel) -> SessionModel:
         """Return the model of the same frames with their corrections."""
-        return model if self.fit is None else model.with_correction(self.fit.correction)
+        return model if self.fit is None else replace(model, correction=self.fit.correction)
 
     def estimated(self, model: SessionModel, fits: FrameFits, solution: Solution, lag: LagEstimate) -> CableEstimate:
         """Fit the cables: ``fits`` and ``solution`` are of the frames of the model, ``lag`` has times and readings."""

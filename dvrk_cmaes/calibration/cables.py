@@ -9,7 +9,7 @@ offset by a margin; otherwise nothing is corrected. Each frame is corrected by w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -105,7 +105,7 @@ def observe_errors(
     Pose and slack of the frames are eliminated; ``weights`` (N,) are robust ones. The model's corrections do not count.
     """
     count = len(model.names)
-    bare = model.with_correction(Correction.none(len(model.outer), count))
+    bare = replace(model, correction=Correction.none(len(model.outer), count))
     off = bare.predict(calibration).minus(fits.at)
     outer = bare.outer_loadings(calibration)[:3]
     spread = np.einsum("kni,knj->nij", outer, outer)
@@ -130,7 +130,7 @@ def fit_cables(session: CableSession, prior: CablePrior) -> tuple[CableFit, Cabl
     fits = [_fit(session, prior, parts) for parts in _MODELS if session.play is not None or not _ORDERED & {*parts}]
     least = fits[0].likelihood
 
-    def most_likely(among: list[_Fit]) -> CableFit:
+    def most_likely(among: list[_TrialFit]) -> CableFit:
         best = max(among, key=lambda fit: fit.likelihood)
         return (best if best.likelihood > least + _MARGIN else among[0]).described(session, least)
 
@@ -138,7 +138,7 @@ def fit_cables(session: CableSession, prior: CablePrior) -> tuple[CableFit, Cabl
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _TrialFit:
     """A model fitted with one choice of noise and wander; ``active`` (C, 2 C + 1) marks its coefficients."""
 
     parts: tuple[Part, ...]
@@ -195,7 +195,7 @@ def _reference(session: CableSession) -> Float64:
     return np.asarray(np.where(read, session.readings, 0.0).sum(axis=0) / np.maximum(read.sum(axis=0), 1))
 
 
-def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _Fit:
+def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _TrialFit:
     """Fit one model with each of the trial noises and wanders, and keep the most likely one."""
     count = len(session.names)
     active = np.zeros((count, 2 * count + 1), np.bool_)
@@ -205,14 +205,14 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _
     mean = np.concatenate([-session.offsets, prior.model.coefficients[active]])
     std = np.concatenate([session.offset_std, prior.spread[active]])
 
-    def tried(pairs: Sequence[tuple[float, float]]) -> list[_Fit]:
+    def tried(pairs: Sequence[tuple[float, float]]) -> list[_TrialFit]:
         """Fit with noises and wanders in their usual sizes."""
         assumed = [
             Assumed(mean, std, wander * prior.model.wander, prior.model.seconds, noise * session.noise)
             for noise, wander in pairs
         ]
         filtered = run_filters(given, assumed)
-        return [_Fit(parts, active, given, *pair) for pair in zip(assumed, filtered, strict=True)]
+        return [_TrialFit(parts, active, given, *pair) for pair in zip(assumed, filtered, strict=True)]
 
     usual = 1.0 if "wander" in parts else 0.0
     trials = dict(zip(_NOISES, tried([(noise, usual) for noise in _NOISES]), strict=True))

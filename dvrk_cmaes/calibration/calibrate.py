@@ -18,7 +18,7 @@ from dvrk_cmaes.calibration.alternation import reported, with_lag_of_modes
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
 from dvrk_cmaes.calibration.imaging import checked_camera
-from dvrk_cmaes.calibration.instrument_test import CandidateFit, untold_instrument
+from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
@@ -127,12 +127,13 @@ def calibrate_with_evidence(
     run: Run[Any, Any] | None,
     progress: Callable[[str, int], None],
     others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
+    guessed_camera: bool = False,
 ) -> tuple[SolvedSession, dict[str, Evidence]]:
     """Do what `calibrate_session` does, and also return what was found in the masks, for drawings.
 
     That is of the first view of each frame that was fitted, by name, without its image. ``others`` are the
     leave-one-out predictions of calibrations of the same frames with other instruments, by name of the instrument, or
-    why they were refused.
+    why they were refused. ``guessed_camera`` tells that the frames' camera is a guess, of which there is no file.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
@@ -150,7 +151,7 @@ def calibrate_with_evidence(
     rotations = rotations_of_session(frame.result for frame in usable)
     if turned := changes_of(rotations):
         usable = [with_changed_views(frame, turned, {}) for frame in usable]
-    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera)
+    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera, guessed_camera)
     state = solve_session(SessionState.of(problem, usable, rotations))
     if settings.session.masks_again:
         state = with_masks_again(state)
@@ -209,7 +210,7 @@ def calibrate_with_evidence(
     )
     without_lag = lag.undetermined if lag.nowhere else ""
     tried = tuple(CandidateFit.of(*one, calibration.leave_one_out) for one in (others or {}).items())
-    if text := untold_instrument(tried, calibration.instrument):
+    if text := undetermined_instrument(tried, calibration.instrument):
         calibration = replace(calibration, untold=(*calibration.untold, text))
     unusual = unusual_insertion(calibration, settings.session)
     remarks = (*calibration.remarks, *([unusual] if unusual else []))

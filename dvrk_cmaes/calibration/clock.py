@@ -110,7 +110,7 @@ class Clock:
         read, spline = self.read_times(delay), smoothed and self.interpolable
         outer = self.series.at(OUTER_JOINTS, read, smoothed=spline)
         joints = self.series.at(model.names, read - delay.joints, smoothed=spline)
-        return model.of_readings(outer, joints, deviations, model.inflation, model.correction)
+        return replace(model, outer=outer, joints=joints, deviations=deviations)
 
     def seconds(self, delay: Delay) -> Float64:
         """Return the times (N,), s, at which the arm was read; images that are only counted are 1 / 30 s apart."""

@@ -45,7 +45,7 @@ _FEW, _PAYS = 100, 2  # number of frames that are enough on the way, and the mul
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ViewAsSeen:
     """How a view is taken to see the instrument: its ``camera``, ``place`` (4, 4), m, and mask's ``margin``, px.
 
     ``size`` is the width of its images in that of the reference camera's.
@@ -58,7 +58,7 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnOutline:
+class OutlineOfView:
     """The N points of the outline of a pose ``at`` in a view, and their displacements ``by_pose`` (N, D), px.
 
     Displacements are times the lengths of the points' normals. ``name`` is that of the view.
@@ -99,11 +99,11 @@ class Constant(ABC):
         return True
 
     @abstractmethod
-    def seen(self, name: str, by: Seen, values: Float64) -> Seen:
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return how a view of some name sees with the values (n,); InputError as `Camera.changed`."""
 
     @abstractmethod
-    def effect(self, outline: DrawnOutline) -> Float64:
+    def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements (N, n) of the outline's points by the unknowns, times their normals' lengths, px."""
 
 
@@ -113,7 +113,7 @@ class OutlineTask:
 
     stored: StoredFrame
     views: tuple[int, ...]
-    seen: tuple[Seen, ...]
+    seen: tuple[ViewAsSeen, ...]
     at: Posed
     constants: tuple[Constant, ...]
 
@@ -146,7 +146,7 @@ def outline_task(body: Body, config: EstimateConfig, task: OutlineTask) -> Quadr
 
     def effects(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
         size = task.seen[number].size
-        drawn_there = DrawnOutline(views[number].name, sized[number], points, by_pose, task.at, size)
+        drawn_there = OutlineOfView(views[number].name, sized[number], points, by_pose, task.at, size)
         return np.column_stack([constant.effect(drawn_there) for constant in task.constants])
 
     return coverage.near_with_lasting(task.at, noises, effects, drawn, as_seen=config.session.shadows)
@@ -189,11 +189,11 @@ class SessionOutlines:
         terms = [next(found) if views else Quadratic.zero(1, size + LASTING) for views in self.views]
         return FrameFits.with_lasting(at, terms, self.common, values)
 
-    def _seen(self, stored: StoredFrame, number: int, values: Constants) -> Seen:
+    def _seen(self, stored: StoredFrame, number: int, values: Constants) -> ViewAsSeen:
         """Return how a view of a frame sees with some values of the constants."""
         view = stored.views[number]
         camera = view.stored.evidence.camera
-        by = Seen(camera, view.view_from_camera, 0.0, camera.width / self.camera.width)
+        by = ViewAsSeen(camera, view.view_from_camera, 0.0, camera.width / self.camera.width)
         for constant in self.constants:
             by = constant.seen(view.name, by, values[constant.name])
         return by

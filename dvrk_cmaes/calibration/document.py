@@ -18,6 +18,7 @@ from dvrk_cmaes.calibration.model import (
     BASE_AXES,
     OUTER_OFFSETS,
     Calibration,
+    Correction,
     Deviations,
     SessionModel,
     offset_deviations,
@@ -305,7 +306,7 @@ class SessionCalibration:
         values = [self.spreads[name] for name in needed]
         slack = np.array([values[-2]] * 3 + [values[-1]] * 3)
         offsets = np.array(list(self.offsets.values()))
-        correction = None
+        correction = Correction.none(*joints.shape)
         if self.cables is not None:
             values[3:-2] = self.cables.alone.noise
             offsets[1:] = self.cables.alone.offset

@@ -7,7 +7,7 @@ tool. The lag between images and readings is estimated in `dvrk_cmaes.calibratio
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +104,7 @@ def check_arm(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: 
     for difference in differences:
         outer = model.outer.copy()
         outer[:, 2] += difference
-        other = find_consensus(model.of_readings(outer, model.joints), modes, offset_std)
+        other = find_consensus(replace(model, outer=outer), modes, offset_std)
         if other.mean_misfit < _IMPROVEMENT * misfit:
             than = "longer" if difference > 0 else "shorter"
             raise InputError(

@@ -218,7 +218,7 @@ def _without_shared(
     the fit. The step is taken from where the fit was drawn last, which is at most a small step away, if its outline
     was found there.
     """
-    has_outlines = all(outline is not None for outline in fit.drawn.outlines)
+    has_outlines = all(one.outlined for one in fit.drawn)
     start, drawn = (fit.drawn_at, fit.drawn) if has_outlines else (fit.at, None)
     lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, as_seen=config.session.shadows)
     outline = without_lasting(lasting, lasting.dimension - (6 + len(start.joints)), preset.size)

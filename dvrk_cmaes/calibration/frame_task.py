@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame
-from dvrk_cmaes.calibration.masks_again import FindMasks
+from dvrk_cmaes.calibration.masks_again import FindMasks, read_data
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
 from dvrk_cmaes.camera.rig import ViewChange, changed_views
 from dvrk_cmaes.config import EstimateConfig
@@ -127,23 +127,27 @@ class FrameReport:
 
 def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> StoredFrame:
     """Read a frame with a pose, gather its evidence, and measure its own estimate."""
-    data = _read(frame.data)
+    data = read_data(frame.data)
     pose, joints = frame.result.camera_from_root, frame.result.joints
     assert pose is not None
     own = Posed(pose, np.array([joints[name] for name in body.instrument.joint_names]))
     return StoredFrame.of(data, own, body, config, frame.keypoints, features=not frame.brief)
 
 
-def with_changed_cameras(frame: SessionFrame, change: Float64) -> SessionFrame:
-    """Return a frame whose cameras are changed, as by `changed`; the shift is in images of the first view."""
-    return replace(frame, data=partial(_read_changed, frame.data, change))
+def with_data(frame: SessionFrame, change: Callable[[FrameData], FrameData]) -> SessionFrame:
+    """Return a frame whose data are changed by a picklable function once they are read."""
+    return replace(frame, data=partial(_changed_data, frame.data, change))
 
 
-def _read_changed(data: FrameData | Callable[[], FrameData], change: Float64) -> FrameData:
-    """Read the data of a frame, as in `SessionFrame`, with changed cameras."""
-    read = _read(data)
-    width = read.camera.width
-    return replace(read, views=tuple(replace(v, camera=changed(v.camera, change, width)) for v in read.views))
+def _changed_data(data: FrameData | Callable[[], FrameData], change: Callable[[FrameData], FrameData]) -> FrameData:
+    """Read the data of a frame, and change them."""
+    return change(read_data(data))
+
+
+def with_changed_cameras(change: Float64, data: FrameData) -> FrameData:
+    """Return data with cameras changed as by `changed`; the shift is in images of the first view."""
+    width = data.camera.width
+    return replace(data, views=tuple(replace(v, camera=changed(v.camera, change, width)) for v in data.views))
 
 
 def with_changed_views(
@@ -163,19 +167,13 @@ def with_changed_views(
             place = places.get(check.name, np.eye(4))
             rotation = rotation - np.degrees(changes[check.name].rotation_at(place, pose[:3, 3]))
         checks.append(replace(check, rotation_deg=rotation))
-    data = partial(_read_changed_views, frame.data, changes)
-    return replace(frame, data=data, result=replace(frame.result, view_fits=tuple(checks)))
+    turned = replace(frame, result=replace(frame.result, view_fits=tuple(checks)))
+    return with_data(turned, partial(_with_views, changes))
 
 
-def _read_changed_views(data: FrameData | Callable[[], FrameData], changes: Mapping[str, ViewChange]) -> FrameData:
-    """Read the data of a frame, as in `SessionFrame`, with changed views."""
-    read = _read(data)
-    return replace(read, views=changed_views(read.views, changes))
-
-
-def _read(data: FrameData | Callable[[], FrameData]) -> FrameData:
-    """Read the data of a frame, as in `SessionFrame`."""
-    return data if isinstance(data, FrameData) else data()
+def _with_views(changes: Mapping[str, ViewChange], data: FrameData) -> FrameData:
+    """Return data with changed views."""
+    return replace(data, views=changed_views(data.views, changes))
 
 
 def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, float]) -> Readings:

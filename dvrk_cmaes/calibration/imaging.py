@@ -10,12 +10,13 @@ changed.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import SessionOutlines
-from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras, with_changed_views
+from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras, with_changed_views, with_data
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.rig_estimate import ViewDifference, estimate_rig
@@ -57,7 +58,7 @@ def with_rig(state: SessionState, calibration: Calibration, at: Posed) -> Change
         estimate = estimate_rig(state.model, calibration, problem.prior, at, outlines, state.imaging.rig)
     except InputError as error:
         return state.noted(undetermined=[f"rig: {error}"]), calibration, None
-    state = replace(state, imaging=replace(state.imaging, rig=estimate.views)).noted(undetermined=estimate.untold)
+    state = replace(state, imaging=replace(state.imaging, rig=estimate.views)).noted(undetermined=estimate.undetermined)
     if not estimate.moved:
         return state, calibration, None
     frames = [
@@ -92,10 +93,12 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     check = check_camera(*of_all, _outlines(state), applied=change)
     if check.camera is None:
         state = state.noted(undetermined=[check.undetermined])
+    elif problem.guessed_camera:
+        state = state.noted(remarks=[check.camera.describe_found(state.stored[0].camera)])
     elif check.camera.applied:
         state = state.noted(remarks=check.camera.contradictions(config))
     if change is not None:
-        frames = [with_changed_cameras(frame, change) for frame in state.frames]
+        frames = [with_data(frame, partial(with_changed_cameras, change)) for frame in state.frames]
         state = replace(state, stored=tuple(problem.run(gather_task, frames)))
     return state, check
 

@@ -93,7 +93,7 @@ def better_instrument(candidates: Sequence[CandidateFit], own_iou: float) -> str
     return f"these frames fit {best.instrument} better (leave-one-out {best.iou:.2f} against {own_iou:.2f})"
 
 
-def untold_instrument(candidates: Sequence[CandidateFit], own: str) -> str:
+def undetermined_instrument(candidates: Sequence[CandidateFit], own: str) -> str:
     """Say from which other instruments the session's own cannot be told; empty if it can.
 
     Parameters

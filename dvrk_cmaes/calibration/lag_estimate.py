@@ -19,7 +19,7 @@ from dvrk_cmaes.joints.series import ReadingSeries
 
 Float64 = NDArray[np.float64]
 
-_UNTOLD = 2.0  # frames, least standard deviation of a lag that is not determined, and ...
+_UNDETERMINED = 2.0  # frames, least standard deviation of a lag that is not determined, and ...
 _UNKNOWN = 3.0  # ... largest
 
 
@@ -164,7 +164,7 @@ class LagEstimate:
 
         They are in the root's axes and of the joints, m and rad; zero where the readings cannot be interpolated, or a
         frame has none there. A lag that the frames do not determine has the standard deviation that the curve tells,
-        but at least `_UNTOLD` frames.
+        but at least `_UNDETERMINED` frames.
         """
         none = np.zeros((len(model.outer), 6 + len(model.names)))
         if self.clock is None or not self.clock.interpolable:
@@ -172,21 +172,21 @@ class LagEstimate:
         unit, interval = self.clock.series.unit, self.clock.series.interval
         told = None if self.lag is None else (self.lag.std_seconds if unit == "s" else self.lag.std_frames)
         delay = self._delay(self.clock)
-        step = self._untold_std(interval) if told is None else max(told, self._least_std(interval, delay.value))
+        step = self._undetermined_std(interval) if told is None else max(told, self._least_std(interval, delay.value))
         ends = [self.clock.model_at(model, replace(delay, value=delay.value + by)) for by in (step, -step)]
         later, earlier = (end.predict(calibration) for end in ends)
         change = later.minus(earlier) / 2
         return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
 
-    def _untold_std(self, interval: float) -> float:
+    def _undetermined_std(self, interval: float) -> float:
         """Return the standard deviation of a lag that is not determined, where frames are an ``interval`` apart."""
         if self.curve is None or len(self.curve.lags) < 3:
-            return _UNTOLD * interval
+            return _UNDETERMINED * interval
         told = self.curve.root_mean_square(len(self.clock.times) if self.clock else 0, _UNKNOWN * interval)
-        return max(_UNTOLD * interval, told)
+        return max(_UNDETERMINED * interval, told)
 
     def _least_std(self, interval: float, value: float) -> float:
-        """Return the least standard deviation that the curve leaves a lag of some ``value``, as `_untold_std`."""
+        """Return the least standard deviation that the curve leaves a lag of some ``value``, as `_undetermined_std`."""
         if self.curve is None:
             return 0.0
         frames = len(self.clock.times) if self.clock else 0

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,7 +161,7 @@ class PredictedTask:
 
 def again_task(body: Body, config: EstimateConfig, task: AgainTask) -> FoundAgain:
     """Find the masks of one frame again."""
-    data = task.data if isinstance(task.data, FrameData) else task.data()
+    data = read_data(task.data)
     given = [view for view in data.views if view.given]
     width, silhouettes = data.camera.width, {}
     for view in given:
@@ -185,15 +184,15 @@ def predicted_task(body: Body, config: EstimateConfig, task: PredictedTask) -> l
     return [(quality.iou, quality.contour_px_median) for quality in pooled]
 
 
-def with_masks(data: FrameData | Callable[[], FrameData], masks: Mapping[str, PackedMask]) -> Callable[[], FrameData]:
-    """Return a function that reads the data of a frame with other masks of some views."""
-    return partial(_read_with_masks, data, masks)
+def with_masks(masks: Mapping[str, PackedMask], data: FrameData) -> FrameData:
+    """Return data of a frame with other masks of some views."""
+    views = (replace(v, mask=masks[v.name].restored()) if v.name in masks else v for v in data.views)
+    return replace(data, views=tuple(views))
 
 
-def _read_with_masks(data: FrameData | Callable[[], FrameData], masks: Mapping[str, PackedMask]) -> FrameData:
-    read = data if isinstance(data, FrameData) else data()
-    views = (replace(v, mask=masks[v.name].restored()) if v.name in masks else v for v in read.views)
-    return replace(read, views=tuple(views))
+def read_data(data: FrameData | Callable[[], FrameData]) -> FrameData:
+    """Return the data of a frame, or what the function that reads them returns."""
+    return data if isinstance(data, FrameData) else data()
 
 
 def _overlap(first: Bool, second: Bool) -> float:

@@ -8,7 +8,7 @@ the root's pose, the slack, for errors that no joint explains (lens distortion, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +108,7 @@ class Correction:
         return Correction(self.values[index], self.variances[index])
 
 
+@dataclass(frozen=True, eq=False)
 class SessionModel:
     """Model that predicts the poses and joints of N frames from their readings and a calibration.
 
@@ -117,7 +118,7 @@ class SessionModel:
         Readings of the outer joints, rad and m.
     joints : (N, J)
         Readings of the instrument's joints, rad; NaN where there is none.
-    joint_names
+    names
         Names of the instrument's joints.
     deviations
         Standard deviations of the errors that vary from frame to frame.
@@ -129,69 +130,30 @@ class SessionModel:
         What the cables are known to add to the readings of roll and of the instrument's joints; by default nothing.
     """
 
-    def __init__(
-        self,
-        outer: Float64,
-        joints: Float64,
-        joint_names: Sequence[str],
-        deviations: Deviations,
-        *,
-        arm: Arm = "classic",
-        roll_offset: float = ROLL_OFFSET,
-        inflation: Float64 | None = None,
-        correction: Correction | None = None,
-    ) -> None:
-        self.correction = Correction.none(*joints.shape) if correction is None else correction
-        self.inflation = np.ones((len(outer), 1 + len(joint_names))) if inflation is None else inflation
-        self.outer = outer
-        self.joints = joints
-        self.names = tuple(joint_names)
-        self.deviations = deviations
-        self._arm: Arm = arm
-        self._roll_offset = roll_offset
-        self._has_reading = ~np.isnan(joints)
-        self._last: tuple[bytes, Float64, Float64] | None = None
+    outer: Float64
+    joints: Float64
+    names: tuple[str, ...]
+    deviations: Deviations
+    arm: Arm = "classic"
+    roll_offset: float = ROLL_OFFSET
+    inflation: Float64 = field(default_factory=lambda: np.ones((0, 0)))
+    correction: Correction = field(default_factory=lambda: Correction.none(0, 0))
+    _last: dict[bytes, tuple[Float64, Float64]] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        if not self.inflation.size:
+            object.__setattr__(self, "inflation", np.ones((len(self.outer), 1 + len(self.names))))
+        if not self.correction.values.size:
+            object.__setattr__(self, "correction", Correction.none(*self.joints.shape))
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the 8 + J components of a step of the calibration."""
         return (*BASE_AXES, *OUTER_OFFSETS, *self.names)
 
-    def with_deviations(self, deviations: Deviations) -> SessionModel:
-        """Return a model of the same readings with other standard deviations."""
-        return self.of_readings(self.outer, self.joints, deviations, self.inflation, self.correction)
-
-    def with_correction(self, correction: Correction) -> SessionModel:
-        """Return a model of the same readings with another correction."""
-        return self.of_readings(self.outer, self.joints, inflation=self.inflation, correction=correction)
-
-    def with_inflation(self, inflation: Float64) -> SessionModel:
-        """Return a model of the same readings with other factors (N, 1 + J) on the standard deviations."""
-        return self.of_readings(self.outer, self.joints, inflation=inflation, correction=self.correction)
-
-    def of_readings(
-        self,
-        outer: Float64,
-        joints: Float64,
-        deviations: Deviations | None = None,
-        inflation: Float64 | None = None,
-        correction: Correction | None = None,
-    ) -> SessionModel:
-        """Return a model of other readings, (N, 4) and (N, J), of the same arm and instrument.
-
-        ``deviations`` are by default those of this model, ``inflation`` (N, 1 + J) is by default 1, and nothing is
-        corrected.
-        """
-        return SessionModel(
-            outer,
-            joints,
-            self.names,
-            self.deviations if deviations is None else deviations,
-            arm=self._arm,
-            roll_offset=self._roll_offset,
-            inflation=inflation,
-            correction=correction,
-        )
+    @property
+    def _has_reading(self) -> NDArray[np.bool_]:
+        return ~np.isnan(self.joints)
 
     def base_from_root(self, offsets: Float64) -> Float64:
         """Compute the forward kinematics (N, 4, 4) of the corrected readings and offsets (2 + J,)."""
@@ -203,13 +165,13 @@ class SessionModel:
         Those of the last offsets are kept, since one step of an estimation needs them several times.
         """
         key = offsets[:2].tobytes()
-        if self._last is None or self._last[0] != key:
+        if key not in self._last:
             outer = self.outer.copy()
             outer[:, 2] += offsets[0]
             outer[:, 3] += offsets[1] + self.correction.values[:, 0]
-            kinematics = base_from_root_and_jacobian(outer, self._arm, roll_offset=self._roll_offset)
-            self._last = (key, *kinematics)
-        return self._last[1:]
+            self._last.clear()
+            self._last[key] = base_from_root_and_jacobian(outer, self.arm, roll_offset=self.roll_offset)
+        return self._last[key]
 
     def predict(self, calibration: Calibration) -> Posed:
         """Predict the root's pose in the camera and the joints of each of the N frames.
@@ -268,9 +230,10 @@ class SessionModel:
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> SessionModel:
         """Return the model of the frames at some indices."""
-        return self.of_readings(
-            self.outer[index],
-            self.joints[index],
+        return replace(
+            self,
+            outer=self.outer[index],
+            joints=self.joints[index],
             inflation=self.inflation[index],
             correction=self.correction.subset(index),
         )

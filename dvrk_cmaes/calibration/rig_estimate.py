@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.constants import Constant, DrawnOutline, Linearised, Seen, SessionOutlines, linearise
+from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.session_rig import LEAST_STD, ViewRotation, ViewScale, is_turned
 from dvrk_cmaes.calibration.solve import Solution, marginalise, solve, solve_unchanged
@@ -59,7 +59,7 @@ class ViewDifference(Constant):
         """Standard deviations (6,) of what the frames of a session have in common."""
         return np.array([*np.deg2rad(LEAST_STD), *_LEAST_SCALE_STD.values(), 0.0])
 
-    def seen(self, name: str, by: Seen, values: Float64) -> Seen:
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return the view, if it is this one, with the lens, the place and the mask that the unknowns say."""
         if name != self.name:
             return by
@@ -68,7 +68,7 @@ class ViewDifference(Constant):
         in_file = turned_place(by.place, -self.turned)
         return replace(by, camera=camera, place=change.place(in_file), margin=by.margin + float(values[5]))
 
-    def effect(self, outline: DrawnOutline) -> Float64:
+    def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of an outline's points in the view, if it is this one."""
         if outline.name != self.name:
             return np.zeros((len(outline.by_pose), len(self.std)))
@@ -83,13 +83,13 @@ class ViewDifference(Constant):
 class RigEstimate:
     """What a session tells of the further views of its rig.
 
-    ``views`` states it, ``untold`` describes what is not told; ``changes`` are those by name with which the calibration
-    holds, against the views of the frames, and ``at`` the poses of the N frames with them. ``moved`` is whether they
-    are others than before.
+    ``views`` states it, ``undetermined`` describes what is not told; ``changes`` are those by name with which the
+    calibration holds, against the views of the frames, and ``at`` the poses of the N frames with them. ``moved`` is
+    whether they are others than before.
     """
 
     views: tuple[ViewRotation, ...]
-    untold: tuple[str, ...]
+    undetermined: tuple[str, ...]
     changes: Mapping[str, ViewChange]
     calibration: Calibration
     at: Posed
@@ -113,11 +113,11 @@ def estimate_rig(
     names = [one.name for one in further]
     there = linearise(model, calibration, prior, at, outlines, solve_unchanged, names, passes=_PASSES)
     scales = _scales(there.solution, names)
-    untold = tuple(text for each in stated for text in _untold(each, scales))
+    undetermined = tuple(text for each in stated for text in _undetermined(each, scales))
     solution, free = _with_clear_scales(there, scales, names)
     views = {each.view: _with_scales(each, scales) for each in stated}
     if not any(scale is not None and scale.applied for scale in scales.values()):
-        return RigEstimate(tuple(views.values()), untold, {}, calibration, at, moved=False)
+        return RigEstimate(tuple(views.values()), undetermined, {}, calibration, at, moved=False)
     turned: dict[str, tuple[Float64, Float64, bool]] = {}
     for name in names:
         own = solution.calibration.place(name)
@@ -135,7 +135,7 @@ def estimate_rig(
         changes[one.name] = replace(view.change, rotation=view.change.rotation - one.turned)
     at = there.fits.at.moved(marginalise(there.model, there.fits, solution.calibration).own)
     alone = replace(solution.calibration, constants={})
-    return RigEstimate(tuple(views.values()), untold, changes, alone, at, moved=True)
+    return RigEstimate(tuple(views.values()), undetermined, changes, alone, at, moved=True)
 
 
 def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str]) -> tuple[Solution, NDArray[np.bool_]]:
@@ -189,8 +189,8 @@ def _with_scales(stated: ViewRotation, scales: _Scales) -> ViewRotation:
     return replace(stated, baseline=baseline, focal_length=focal_length)
 
 
-def _untold(stated: ViewRotation, scales: _Scales) -> list[str]:
+def _undetermined(stated: ViewRotation, scales: _Scales) -> list[str]:
     """Describe what of a view's baseline and focal length is not told."""
-    untold = [name for name, unknown in _SCALES.items() if scales.get((stated.view, unknown), stated) is None]
+    undetermined = [name for name, unknown in _SCALES.items() if scales.get((stated.view, unknown), stated) is None]
     wide = "its standard deviation is as wide as expected beforehand"
-    return [f"{name} of the {stated.view} eye: {wide}" for name in untold]
+    return [f"{name} of the {stated.view} eye: {wide}" for name in undetermined]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import (
     Constant,
-    DrawnOutline,
-    Seen,
+    OutlineOfView,
     SessionOutlines,
+    ViewAsSeen,
     inverse_information,
     linearise,
 )
@@ -74,11 +74,11 @@ class CameraChange(Constant):
         """Whether the outlines are not likely to have left the image."""
         return bool((np.abs(values) < _PLAUSIBLE * _WEAK_STD).all())
 
-    def seen(self, name: str, by: Seen, values: Float64) -> Seen:
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view with the changed camera."""
         return replace(by, camera=changed(by.camera, values * [1.0, by.size, by.size]))
 
-    def effect(self, outline: DrawnOutline) -> Float64:
+    def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of an outline's points by the change."""
         return of_camera(outline.view, outline.points) * [1.0, outline.size, outline.size]
 
@@ -163,6 +163,34 @@ class SessionCamera(Document):
             f"point {right:+z.0f} px right (std {std_right:.0f}), {down:+z.0f} px down (std {std_down:.0f})"
         )
 
+    def of_the_camera_found(self) -> SessionCamera:
+        """Return what is known of the camera that was found, where that takes the place of a camera's file."""
+        return replace(
+            self,
+            focal_scale=1.0,
+            std_focal_scale=self.std_focal_scale / self.focal_scale,
+            principal_point_px=(0.0, 0.0),
+            contradicts=False,
+        )
+
+    def describe_found(self, guess: Camera) -> str:
+        """Describe the camera that was found without a file, and what would tell it better.
+
+        Parameters
+        ----------
+        guess
+            The camera that was guessed, for images of any size.
+        """
+        found, size = self.corrected(guess), guess.width / self.width
+        std = found.fx * self.std_focal_scale / self.focal_scale
+        across, down = (size * each for each in self.std_principal_point_px)
+        return (
+            f"no camera file: these frames tell a focal length of {found.fx:.0f} px (std {std:.0f}) and a principal "
+            f"point at {found.cx:.0f}, {found.cy:.0f} px (std {across:.0f}, {down:.0f}), without lens distortion. A "
+            "checkerboard in some 20 pictures tells all of these better (camera_calibration of ROS), a longer "
+            "recording in which insertion moves by some centimetres the focal length"
+        )
+
     def contradictions(self, config: SessionConfig) -> list[str]:
         """Describe what of the camera file the frames contradict, with likely causes; empty if they do not.
 
@@ -221,7 +249,7 @@ def covariance_of_camera(change: SessionCamera | None, at: Posed, camera: Camera
     return covariance
 
 
-def untold(model: SessionModel) -> str | None:
+def camera_undetermined(model: SessionModel) -> str | None:
     """Say why a session cannot tell its camera; None if it can."""
     return _lacking(model, _MANY_FRAMES, "tell")
 

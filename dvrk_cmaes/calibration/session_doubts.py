@@ -45,10 +45,12 @@ _CAUSES_OF_INSERTION = (
 class FrameLimits:
     """Limits on how far a frame may be from what its session expects: a row of the table of frames.
 
-    overlap_loss : below the session's median intersection over union. largest_px, contour_factor : 95 % of the contour
-    are within the larger one of the first, px, and of the second times the session's median.
+    what : the frames that it belongs to, in words. overlap_loss : below the session's median intersection over union.
+    largest_px, contour_factor : 95 % of the contour are within the larger one of the first, px, and of the second times
+    the session's median.
     """
 
+    what: str
     overlap_loss: float
     largest_px: float
     contour_factor: float
@@ -76,13 +78,16 @@ class FrameLimits:
             )
         if misfit > config.largest_misfit:
             reasons.append(
-                f"disagrees with the session: the mask is {misfit**0.5:.1f} times the expected error from what the "
+                f"disagrees with the {self.what}: the mask is {misfit**0.5:.1f} times the expected error from what the "
                 "calibration and the readings expect"
             )
         return reasons
 
 
-OF_FRAMES: Final = {"alone": FrameLimits(0.03, 3.5, 1.5), "followed": FrameLimits(0.15, 9.0, 3.0)}
+OF_FRAMES: Final = {
+    "alone": FrameLimits("session", 0.03, 3.5, 1.5),
+    "followed": FrameLimits("recording", 0.15, 9.0, 3.0),
+}
 """The table of frames: a frame by itself, and one whose pose its neighbours support, too."""
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.constants import Constant, DrawnOutline, Seen, SessionOutlines, linearise
+from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
@@ -45,11 +45,11 @@ class MaskMargin(Constant):
         """Standard deviation (1,), px, by which margins of parts of one recording differ."""
         return np.array([_LEAST_STD])
 
-    def seen(self, name: str, by: Seen, values: Float64) -> Seen:
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view whose mask has the margin."""
         return replace(by, margin=by.margin + float(values[0]))
 
-    def effect(self, outline: DrawnOutline) -> Float64:
+    def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of an outline's points by the margin."""
         return of_margin(outline.points)[:, None]
 

@@ -42,7 +42,8 @@ class SessionProblem:
     ``series`` are the readings as functions of time, with the frames' times; None if the lag is not to be estimated.
     ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
-    ``refine_camera`` is whether the change of the camera that the frames fit is used. ``gathered`` keeps the frames'
+    ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
+    frames' camera is a guess, of which there is no file. ``gathered`` keeps the frames'
     evidence by name, for all solutions.
     """
 
@@ -53,6 +54,7 @@ class SessionProblem:
     run: Run[Any, Any]
     progress: Callable[[str, int], None] = lambda stage, count: None
     refine_camera: bool = False
+    guessed_camera: bool = False
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
     @property

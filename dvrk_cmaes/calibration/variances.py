@@ -11,6 +11,8 @@ from these: the standard deviation of that joint is inflated in that frame only.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -107,4 +109,4 @@ def estimate_variances(
     standardised = np.concatenate([frames.deviation[:, 5:6] / outer[3], frames.deviation[:, 6:] / joints], axis=1)
     most = np.array([_MAX_ROLL_INFLATION] + [_MAX_JOINT_INFLATION] * len(joints))
     inflation = np.clip(np.abs(standardised) / config.tail, 1.0, most)
-    return model.with_deviations(estimated).with_inflation(inflation)
+    return replace(model, deviations=estimated, inflation=inflation)

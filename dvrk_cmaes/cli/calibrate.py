@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CAMERA,
+    DEFAULT_GUESSED_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_READING,
@@ -20,9 +20,9 @@ from dvrk_cmaes.cli.options import (
     MOST_WORKERS,
     OUTPUT,
     WORKERS,
-    CameraOptions,
     Flag,
     FollowLinksOption,
+    GuessedCameraOptions,
     InstrumentOptions,
     MethodOptions,
     ReadingOptions,
@@ -43,6 +43,7 @@ _DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_LISTED = 10
 _REFUSED = "session: "  # begins what is said of a session that cannot be solved
 _LEAST_KEYFRAMES = 3
+_FIRST_FRAMES = 30  # at most, from which a camera without a file is found first
 
 
 def calibrate(
@@ -61,7 +62,7 @@ def calibrate(
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     reading: ReadingOptions = DEFAULT_READING,
     follow_links: FollowLinksOption = False,
-    camera: CameraOptions = DEFAULT_CAMERA,
+    camera: GuessedCameraOptions = DEFAULT_GUESSED_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -118,7 +119,7 @@ def calibrate(
     follow_links
         Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
-        Camera to use instead of the session's own.
+        Camera to use instead of the session's own. Without any, it is found as by --refine-camera.
     instrument
         The instrument, and the arm that carries it.
     method
@@ -156,8 +157,11 @@ def calibrate(
                 )
             check_output_folder(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,))
             check_same_session(target / name, arms[name].session)
-        for name, arm in arms.items():
+        for name, read in arms.items():
             others: dict[str, Predictions | str] = {}
+            arm = read if results is not None else _with_found_camera(read, workers=workers, settings=settings)
+            if arm is None:
+                return _INTERRUPTED
             for path in _candidates(instrument_candidates):
                 tool = session_tools(
                     session, replace(instrument, instrument=str(path)), only, follow_links=follow_links
@@ -219,6 +223,29 @@ def _candidates(folder: Path | None) -> list[Path]:
     if not found:
         raise InputError(f"--instrument-candidates: expected a folder with URDFs of instruments, got {folder}")
     return found
+
+
+def _with_found_camera(arm: ArmInSession, *, workers: int | None, settings: EstimateConfig) -> ArmInSession | None:
+    """Return a session whose camera is guessed with the camera that some of its frames tell; None if interrupted.
+
+    The frames are estimated again with that: with a guess that is far off, their poses disagree.
+    """
+    from tempfile import TemporaryDirectory
+
+    from dvrk_cmaes.camera import Rig
+
+    if not arm.session.guessed:
+        return arm
+    frames = arm.session.frames
+    few = replace(arm, session=replace(arm.session, frames=frames[:: -(-len(frames) // _FIRST_FRAMES)]))
+    print(f"dvrk-cmaes: finding the camera with {len(few.session.frames)} frames", file=sys.stderr, flush=True)
+    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
+        out = Path(folder) / "session"
+        solved = _calibrate_arm(few, out, None, refine_camera=True, workers=workers, settings=settings, others={})
+    if solved is None:
+        return None
+    rig = Rig(tuple(view.restored() for view in solved.calibration.views))
+    return replace(arm, session=replace(arm.session, rig=rig))
 
 
 def _predicted_with(
@@ -298,7 +325,7 @@ def _calibrate_arm(
             target,
             alone=results,
             arm=arm.kinematics,
-            refine_camera=refine_camera,
+            refine_camera=refine_camera or session.guessed,
             config=settings,
             segment=segment,
             workers=count,

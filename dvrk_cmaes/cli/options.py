@@ -15,6 +15,7 @@ from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile
+    from dvrk_cmaes.camera.guess import CameraGuess
     from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.frame import FrameFiles
@@ -95,6 +96,11 @@ class CameraOptions:
 
         return PictureFit(None if self.crop is None else parse_crop("--crop", self.crop), self.stretch)
 
+    @property
+    def guess(self) -> CameraGuess | None:
+        """The camera to use where there is no file; None where a file is needed."""
+        return None
+
     def read(self, frame: FrameFiles | None = None) -> CameraFile:
         """Read the camera file for a ``frame``, which has its size where the file does not state it."""
         from dvrk_cmaes.camera.files import read_camera_file
@@ -154,11 +160,36 @@ class CameraOptions:
             fit=self.fit if self.crop or self.stretch else said.fit,
             masks=tool.masks or (labels if labels.is_dir() and not (folder / "masks").exists() else None),
             video=video,
+            guess=self.guess,
             follow_links=follow_links,
         )
         if entries is None or not entries.tools:
             return session
         return frames_of_tool(session, entries, tool.arm, follow_links=follow_links)
+
+
+@Parameter(name="*", group=CAMERA)
+@dataclass(frozen=True, kw_only=True)
+class GuessedCameraOptions(CameraOptions):
+    """Options of a camera that may be without a file.
+
+    Parameters
+    ----------
+    focal
+        There is no camera file, and the focal length is about this, px. The camera is then found from the frames, as it
+        is where a session has no camera file and none is given.
+    """
+
+    focal: float | None = None
+
+    @property
+    def guess(self) -> CameraGuess | None:
+        """The camera to use where there is no file; InputError if there is one, too."""
+        from dvrk_cmaes.camera.guess import CameraGuess
+
+        if self.focal is not None and self.camera is not None:
+            raise InputError("--focal: expected either this or --camera, got both")
+        return CameraGuess(self.focal) if self.camera is None else None
 
 
 @Parameter(name="*", group=CAMERA)
@@ -374,6 +405,7 @@ class MethodOptions:
 
 
 DEFAULT_CAMERA = CameraOptions()
+DEFAULT_GUESSED_CAMERA = GuessedCameraOptions()
 DEFAULT_READING = ReadingOptions()
 
 

@@ -144,7 +144,7 @@ def segment(
         outcomes = []
         for frame, path in images.items():
             try:
-                outcomes.append(_segment(frame, path, settings, hints, threads, beside))
+                outcomes.append(segment_file(frame, path, settings, hints, threads, beside))
             except DvrkCmaesError as error:
                 if single:
                     raise
@@ -168,7 +168,9 @@ def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:
     return views
 
 
-def _segment(frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path) -> ImageOutcome:
+def segment_file(
+    frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path
+) -> ImageOutcome:
     """Segment one image and write score, overlay and, as the last file, the mask."""
     from time import perf_counter
 

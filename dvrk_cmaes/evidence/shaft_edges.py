@@ -9,15 +9,16 @@ touches the shaft along the edge.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import cross
 
 Float64 = NDArray[np.float64]
@@ -37,7 +38,7 @@ _HYPOTHESES = 450  # lines through two contour points
 _VOTERS = 400  # contour points that define lines and vote for them, about
 _KEPT_LINES = 28  # distinct lines with the most votes
 _LEAST_LENGTH = 0.7  # of an edge, in widths of the shaft
-_LARGEST_ANGLE = np.deg2rad(35.0)  # between the two edges in the image
+_OPPOSITE = -np.cos(np.deg2rad(35.0))  # largest cosine between the normals of the two edges in the image
 _DEPTHS = (0.02, 0.5)  # m, least and largest depth of the middle of the visible shaft
 
 
@@ -150,46 +151,6 @@ def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
     return np.asarray(lines[kept])
 
 
-def _on_line(contour: Contour, line: Float64, reach: float) -> NDArray[np.intp]:
-    """Find the contour points within ``reach`` px of a line, on its longest stretch without a large gap."""
-    near = (np.abs(contour.ideal @ line[:2] + line[2]) < reach) & (contour.normals @ line[:2] > _FACING)
-    (index,) = near.nonzero()
-    if len(index) < 2:
-        return np.asarray(index)
-    position = contour.ideal[index] @ np.array([-line[1], line[0]])
-    order = position.argsort(kind="stable")
-    along = position[order]
-    (gaps,) = (along[1:] - along[:-1] > _LARGEST_GAP).nonzero()
-    if not len(gaps):
-        return np.asarray(index[order])
-    starts = np.concatenate([[0], gaps + 1, [len(order)]])
-    longest = int(np.diff(starts).argmax())
-    return np.asarray(index[order[starts[longest] : starts[longest + 1]]])
-
-
-def _fit_line(contour: Contour, line: Float64, iterations: int = 3) -> tuple[Float64, NDArray[np.intp], float]:
-    """Fit a line robustly to the contour points near it: the line, its points, their standard deviation in px."""
-    index = _on_line(contour, line, 2.5 * _NEAR_LINE)
-    sigma = _NEAR_LINE
-    for _ in range(iterations):
-        points = contour.ideal[index]
-        away = points @ line[:2] + line[2]
-        weight = np.maximum(1 - (away / (3 * sigma)) ** 2, 0) ** 2  # Tukey
-        if len(index) < _LEAST_POINTS or weight.sum() < 0.5 * _LEAST_POINTS:
-            break
-        mean = weight @ points / weight.sum()
-        centred = points - mean
-        (a, b), (_, c) = ((centred * weight[:, None]).T @ centred).tolist()
-        direction = math.atan2(2 * b, a - c) / 2  # of the principal axis of the points' scatter
-        normal = np.array([-math.sin(direction), math.cos(direction)])
-        normal *= np.sign(normal @ line[:2])
-        line = np.array([*normal, -normal @ mean])
-        deviation = NORMAL_MEDIAN * median(np.abs(points @ normal + line[2]))
-        sigma = min(max(deviation, 0.3), _NEAR_LINE)
-        index = _on_line(contour, line, max(3 * sigma, 1.5))
-    return line, index, sigma
-
-
 def _to_planes(lines: Float64, camera: Camera) -> Float64:
     """Convert lines (n, 3) in undistorted pixels to unit plane normals (n, 3) in normalised coordinates."""
     planes = lines @ camera.matrix
@@ -211,14 +172,28 @@ class _Edge:
     votes: float
 
     @staticmethod
-    def fit(contour: Contour, line: Float64) -> _Edge | None:
-        """Fit a line to the contour near a first guess; None if too few contour points lie on it."""
-        line, index, sigma = _fit_line(contour, line)
-        if len(index) < _LEAST_POINTS:
-            return None
-        points = contour.ideal[index]
-        position = points @ np.array([-line[1], line[0]])
-        outermost = points[[int(position.argmin()), int(position.argmax())]]
+    def fitted(contour: Contour, lines: Float64) -> list[_Edge]:
+        """Fit lines to the contour near first guesses (n, 3), and leave out those with too few contour points."""
+        found = _kernel.fit_lines(
+            contour.ideal,
+            contour.normals,
+            lines,
+            sigma=_NEAR_LINE,
+            near=2.5,
+            facing=_FACING,
+            gap=_LARGEST_GAP,
+            least_sigma=0.3,
+            reach=3.0,
+            least_reach=1.5,
+            normal_median=NORMAL_MEDIAN,
+            iterations=3,
+            least=_LEAST_POINTS,
+        )
+        return [_Edge._of(contour, *one) for one in found if len(one[1]) >= _LEAST_POINTS]
+
+    @staticmethod
+    def _of(contour: Contour, line: Float64, index: NDArray[np.int64], sigma: float) -> _Edge:
+        outermost = contour.ideal[index[[0, -1]]]
         ends = outermost - (outermost @ line[:2] + line[2])[:, None] * line[:2]
         return _Edge(line, index, sigma, ends, _votes(contour, line, index))
 
@@ -235,17 +210,10 @@ def find_shaft_edges(
     if len(contour.ideal) < 40:
         return "the mask has too little contour inside the image"
     rng = np.random.default_rng(seed)
-    fitted = [_Edge.fit(contour, line) for line in _candidate_lines(contour, rng)]
-    edges = sorted((edge for edge in fitted if edge is not None), key=lambda edge: -edge.votes)
-    pairs = [
-        (_pair_support(edges[j], edges[i], mask.shape), edges[j], edges[i])
-        for i in range(len(edges))
-        for j in range(i)
-        if edges[i].line[:2] @ edges[j].line[:2] < -np.cos(_LARGEST_ANGLE)
-    ]
+    edges = sorted(_Edge.fitted(contour, _candidate_lines(contour, rng)), key=lambda edge: -edge.votes)
     chosen: list[ShaftEdges] = []
     best = 0.0
-    for support, first, second in sorted(pairs, key=lambda pair: -pair[0]):
+    for support, first, second in _pairs(edges, mask.shape):
         if support <= 0.4 * best or support <= 0 or len(chosen) == most:
             break
         ends = np.stack([first.ends, second.ends])
@@ -265,20 +233,30 @@ def find_shaft_edges(
     return tuple(chosen) if chosen else "no two straight stretches of the contour could bound the shaft"
 
 
-def _pair_support(first: _Edge, second: _Edge, shape: tuple[int, ...]) -> float:
-    """Compute the support of two edges as those of the shaft; 0 if they do not lie side by side."""
-    direction = np.array([-first.line[1], first.line[0]])
-    a, b = first.ends @ direction, (second.ends @ direction)[::-1]  # the edges run in opposite directions
-    overlap = min(a[1], b[1]) - max(a[0], b[0])
-    middle = (first.ends.sum(axis=0) + second.ends.sum(axis=0)) / 4
-    width = -(first.line[:2] @ middle + first.line[2] + second.line[:2] @ middle + second.line[2])
-    if width < 6 or overlap < -0.5 * width or min(a[1] - a[0], b[1] - b[0]) < _LEAST_LENGTH * width:
-        return 0.0
+def _pairs(edges: Sequence[_Edge], shape: tuple[int, ...]) -> list[tuple[float, _Edge, _Edge]]:
+    """Return the pairs of edges that may be the shaft's, with their support, the best first; 0 if not side by side."""
+    if len(edges) < 2:
+        return []
+    lines, ends = np.stack([edge.line for edge in edges]), np.stack([edge.ends for edge in edges])
+    votes = np.array([edge.votes for edge in edges])
+    second, first = np.nonzero(np.tri(len(edges), k=-1, dtype=np.bool_) & (lines[:, :2] @ lines[:, :2].T < _OPPOSITE))
+    one, other = lines[first], lines[second]
+    direction = np.stack([-one[:, 1], one[:, 0]], axis=1)
+    a = np.einsum("ned,nd->ne", ends[first], direction)
+    b = np.einsum("ned,nd->ne", ends[second], direction)[:, ::-1]  # the edges run in opposite directions
+    overlap = np.minimum(a[:, 1], b[:, 1]) - np.maximum(a[:, 0], b[:, 0])
+    middle = (ends[first].sum(axis=1) + ends[second].sum(axis=1)) / 4
+    width = -(((one + other)[:, :2] * middle).sum(axis=1) + one[:, 2] + other[:, 2])
+    shorter_edge = np.minimum(a[:, 1] - a[:, 0], b[:, 1] - b[:, 0])
+    beside = (width >= 6) & (overlap >= -0.5 * width) & (shorter_edge >= _LEAST_LENGTH * width)
     # The shaft enters at the image border, so edges that end there have a larger weight.
     limit = np.array([shape[1] - 1, shape[0] - 1])
-    at_border = sum(float(np.minimum(edge.ends, limit - edge.ends).min()) < _AT_BORDER for edge in (first, second))
-    shorter, longer = sorted((first.votes, second.votes))
-    return float((1.0 + 0.5 * at_border) * (2 * shorter + 0.5 * (longer - shorter)))
+    at_border = np.minimum(ends, limit - ends).min(axis=(1, 2)) < _AT_BORDER
+    shorter, longer = np.sort([votes[first], votes[second]], axis=0)
+    weight = 1.0 + 0.5 * at_border[first] + 0.5 * at_border[second]
+    support = np.where(beside, weight * (2 * shorter + 0.5 * (longer - shorter)), 0.0)
+    order = np.argsort(-support, kind="stable")
+    return [(float(support[k]), edges[first[k]], edges[second[k]]) for k in order]
 
 
 def _bounds_cylinder(mask: NDArray[np.bool_], camera: Camera, radius: float, first: _Edge, second: _Edge) -> bool:

@@ -24,6 +24,7 @@ from pathlib import Path
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.files import CameraFile, Side, read_camera_file
+from dvrk_cmaes.camera.guess import CameraGuess
 from dvrk_cmaes.camera.rig_files import RigFile, read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
@@ -75,7 +76,8 @@ class Session:
 
     ``truth`` holds the known poses, if any. ``notes`` describe the recognised formats of folder, camera and readings.
     ``rig`` has both cameras of a stereo session, or the only one; ``camera`` is its first. ``joint_files`` are the
-    files of readings, ``image_times`` the times of the images by frame, ns, None if unknown.
+    files of readings, ``image_times`` the times of the images by frame, ns, None if unknown. ``guessed`` tells that
+    there is no camera file, and the camera is a guess.
     """
 
     folder: Path
@@ -85,6 +87,7 @@ class Session:
     notes: tuple[str, ...] = ()
     joint_files: tuple[JointFile, ...] = ()
     image_times: Mapping[str, int | None] = field(default_factory=dict)
+    guessed: bool = False
 
     @property
     def camera(self) -> Camera:
@@ -231,12 +234,14 @@ def read_session_as(
     masks: Path | None = None,
     video: SessionVideo | None = None,
     tolerance: int = TIME_TOLERANCE,
+    guess: CameraGuess | None = None,
     follow_links: bool = False,
 ) -> Session:
     """Read a session as `read_session`, of files that do not tell all of it.
 
     ``joints`` may be files that were read already, or None to use no readings; ``read_as`` tells how the others are
-    read, and ``fit`` how the pictures fit the camera file.
+    read, and ``fit`` how the pictures fit the camera file. ``guess`` is the camera to use where there is no file, or in
+    any case if it has a focal length; by default there must be a file.
     """
     check_type("folder", folder, PATH, "the path of a session folder")
     root = Path(folder)
@@ -258,15 +263,25 @@ def read_session_as(
         raise InputError(
             f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
         )
-    if camera is None and not stereo and not (root / "camera.yaml").exists() and notes[0] != "a session folder":
+    without_file = camera is None and not stereo and not os.path.lexists(_camera_file(root))
+    guessed = guess is not None and (guess.focal_px is not None or without_file)
+    if guessed and stereo:
+        raise InputError(
+            f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
+        )
+    without = camera is None and not stereo and not (root / "camera.yaml").exists() and not guessed
+    if without and notes[0] != "a session folder":
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
     lens: CameraFile | RigFile
     if stereo:
         lens = fit.lens(_read_eyes(own, root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
     else:
-        path = own.check(camera or _camera_file(root))
-        lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
+        if guess is not None and guessed:
+            lens = guess.file(frame_size(frames[0]))
+        else:
+            path = own.check(camera or _camera_file(root))
+            lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
         frames = frames if video is None else video.fitted(frames, lens.camera)
         lens = fit.lens(lens, frames[0])
     golden = own.check(root / "golden.json")
@@ -278,6 +293,7 @@ def read_session_as(
         notes=(*notes, f"camera: {lens.kind}", *lens.notes, *own.notes),
         joint_files=readings,
         image_times=times,
+        guessed=guessed,
     )
 
 

@@ -22,7 +22,7 @@ BY_HANDLE: Final = {os.open, os.mkdir, os.rename, os.stat, os.unlink} <= os.supp
 
 # errors that do not depend on the path; EFBIG: the limit on the size of files (ulimit -f)
 _MACHINE_AT_FAULT: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
-_EXCHANGE: Final = 2  # of renameat2(2)
+RENAME_EXCHANGE: Final = 2  # of renameat2(2)
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _NO_LINK |= getattr(os, "O_NONBLOCK", 0)  # a pipe is not waited for
 
@@ -130,7 +130,7 @@ class Folder:
         if library is None or not hasattr(library, "renameat2"):
             return False
         names = os.fsencode(first), os.fsencode(second)
-        return bool(library.renameat2(self._handle, names[0], self._handle, names[1], _EXCHANGE) == 0)
+        return bool(library.renameat2(self._handle, names[0], self._handle, names[1], RENAME_EXCHANGE) == 0)
 
     def link(self, name: str, to: Folder) -> None:
         """Give a file a second name, in another folder; it is copied where the file system has none."""

@@ -1,15 +1,19 @@
 // The Python module dvrk_cmaes._kernel. Shapes and indices are checked here, once; the headers rely on them.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <exception>
 #include <initializer_list>
+#include <memory>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -19,12 +23,13 @@
 
 #include "camera.hpp"
 #include "chain.hpp"
+#include "comparison.hpp"
 #include "lines.hpp"
 #include "mesh.hpp"
 #include "moving.hpp"
 #include "outline.hpp"
-#include "profiles.hpp"
 #include "silhouette.hpp"
+#include "straight.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -85,6 +90,7 @@ struct Workspace {
   Outline outline;
   Lines rows, columns;
   std::vector<std::int32_t> change;
+  Blurred image;
 };
 
 // Call `work(workspace, i)` for i from 0 to count - 1 in threads. Each index writes to places of its own, so results do
@@ -256,6 +262,14 @@ struct Drawing {
     each_pose(poses(), poses() * mesh.edges.size() < kFewEdges ? 1 : threads, draw);
   }
 
+  // Find the points where the outline crosses rows and columns, sorted by link.
+  void find_points(Workspace& at, std::size_t pose, std::vector<OutlinePoint>& points) const {
+    find_lines(at.columns, at.outline, Grid::columns(camera), pose);
+    add_points(at.rows, at.outline, camera, points);
+    add_points(at.columns, at.outline, camera, points);
+    std::stable_sort(points.begin(), points.end(), [](const auto& a, const auto& b) { return a.link < b.link; });
+  }
+
   void find_lines(Lines& lines, const Outline& outline, const Grid& grid, std::size_t pose) const {
     lines.find(outline.pieces, grid);
     if (!decide) {
@@ -328,11 +342,7 @@ Outlines outlines(const Mesh& mesh, const Camera& camera, const Given<double>& l
   std::vector<std::vector<OutlinePoint>> of_poses(poses);
   drawing.each([&](Workspace& at, std::size_t pose) {
     if (image) fill_coverage(at.rows, image->data() + pixels * pose, at.change);
-    drawing.find_lines(at.columns, at.outline, Grid::columns(camera), pose);
-    std::vector<OutlinePoint>& points = of_poses[pose];
-    add_points(at.rows, at.outline, camera, points);
-    add_points(at.columns, at.outline, camera, points);
-    std::stable_sort(points.begin(), points.end(), [](const auto& a, const auto& b) { return a.link < b.link; });
+    drawing.find_points(at, pose, of_poses[pose]);
   });
   Made<std::int64_t> begin = zeros<std::int64_t>({poses + 1});
   for (std::size_t i = 0; i < poses; ++i) begin.data()[i + 1] = begin.data()[i] + std::int64_t(of_poses[i].size());
@@ -397,78 +407,208 @@ std::tuple<Made<double>, Made<double>, Made<double>> move_points(
   return {depth, pixel, jacobian};
 }
 
-Made<double> cauchy_losses(const std::vector<Given<float>>& images, const Given<float>& target,
-                           const Given<float>& weight, double cauchy) {
-  check_shape("target", target, {kAny, kAny});
-  const long height = static_cast<long>(target.shape(0)), width = static_cast<long>(target.shape(1));
+Target make_target(const Given<float>& mask, const Given<float>& weight, const std::vector<float>& taps, int reach) {
+  check_shape("mask", mask, {kAny, kAny});
+  const long height = static_cast<long>(mask.shape(0)), width = static_cast<long>(mask.shape(1));
   check_shape("weight", weight, {height, width});
-  for (const Given<float>& image : images) check_shape("images", image, {height, width});
-  Made<double> out = zeros<double>({images.size()});
-  const nb::gil_scoped_release released;
-  for (std::size_t i = 0; i < images.size(); ++i) {
-    out.data()[i] = cauchy_loss(images[i].data(), target.data(), weight.data(), target.size(), cauchy);
+  if (mask.size() == 0 || width > (1 << 14) || height > (1 << 14)) {
+    throw std::invalid_argument("mask: expected at least one pixel, and at most 16384 in a row or column");
+  }
+  for (std::size_t i = 0; i < mask.size(); ++i) {
+    if (!std::isfinite(mask.data()[i])) throw std::invalid_argument("mask: expected finite numbers");
+  }
+  if (taps.empty() || taps.size() > 1000) throw std::invalid_argument("taps: expected 1 to 1000 of them");
+  if (reach < 1 || reach > 1000) throw std::invalid_argument("reach: expected 1 to 1000 px");
+  Target target;
+  target.taps = taps, target.reach = reach;
+  target.weight.assign(weight.data(), weight.data() + weight.size());
+  target.weighted = std::any_of(target.weight.begin(), target.weight.end(), [](float one) { return one != 1.0f; });
+  target.mask.begin(int(width), int(height), taps);
+  for (long row = 0; row < height; ++row) {
+    const float* values = mask.data() + width * row;
+    for (int i = 0; i < width; ++i) {
+      if (i == 0 || values[i] != values[i - 1]) target.mask.runs.push_back({i, values[i]});
+    }
+    target.mask.end_row();
+  }
+  target.mask.blur();
+  return target;
+}
+
+using Compared = std::vector<std::shared_ptr<Comparison>>;
+
+Compared compare(const Mesh& mesh, const Camera& camera, const Target& target, const Given<double>& camera_from_root,
+                 const Given<double>& root_from_link, const std::optional<Given<double>>& by_joint,
+                 const Given<double>& camera_from_link, int lines_per_pixel, const std::vector<double>& cauchy,
+                 std::size_t threads, const Decision& decide) {
+  const Drawing drawing{mesh, camera, camera_from_link, lines_per_pixel, threads, decide, kBend};
+  drawing.check();
+  const long c = static_cast<long>(drawing.poses()), l = mesh.link_count();
+  check_shape("camera_from_root", camera_from_root, {c, 4, 4});
+  check_shape("root_from_link", root_from_link, {c, l, 4, 4});
+  if (by_joint) check_shape("by_joint", *by_joint, {c, kAny, l, 4, 4});
+  if (target.mask.width() != camera.width || target.mask.height() != camera.height) {
+    throw std::invalid_argument("target: expected the size of the camera's images");
+  }
+  for (double width : cauchy) {
+    if (!(width > 0.0)) throw std::invalid_argument("cauchy: expected positive numbers");
+  }
+  const int joints = by_joint ? int(by_joint->shape(1)) : 0;
+  Compared found(c);
+  drawing.each([&](Workspace& at, std::size_t pose) {
+    found[pose] = std::make_shared<Comparison>();
+    Comparison& one = *found[pose];
+    at.image.begin(camera.width, camera.height, target.taps);
+    at.image.cover(at.rows);
+    at.image.blur();
+    for (double width : cauchy) one.losses.push_back(cauchy_loss(at.image, target, width));
+    one.runs = at.image.runs, one.first = at.image.first;
+    if (!by_joint) return;
+    drawing.find_points(at, pose, one.points);
+    const Placed placed{camera_from_root.data() + 16 * pose, root_from_link.data() + 16 * l * pose,
+                        by_joint->data() + 16 * l * joints * pose, int(l), joints};
+    add_samples(at.image, target, camera, placed, one);
+    one.outlined = true;
+  });
+  return found;
+}
+
+// Numbers of each point of an outline, (N, length).
+template <class T, class Values>
+Made<T> of_points(const Comparison& at, std::size_t length, const Values& values) {
+  Made<T> out = length ? zeros<T>({at.points.size(), length}) : zeros<T>({at.points.size()});
+  const std::size_t each = std::max<std::size_t>(length, 1);
+  for (std::size_t i = 0; i < at.points.size(); ++i) std::copy_n(values(i), each, out.data() + each * i);
+  return out;
+}
+
+Made<float> coverage_of(const Comparison& at, int width) {
+  const std::size_t height = at.first.size() - 1;
+  if (width < 1) throw std::invalid_argument("width: expected that of the images");
+  Made<float> out = zeros<float>({height, std::size_t(width)});
+  for (std::size_t row = 0; row < height; ++row) {
+    for (Index i = at.first[row]; i < at.first[row + 1]; ++i) {
+      const int end = i + 1 < at.first[row + 1] ? at.runs[i + 1].begin : width;
+      if (end > width || at.runs[i].begin >= width) throw std::invalid_argument("width: expected that of the images");
+      std::fill(out.data() + width * row + at.runs[i].begin, out.data() + width * row + end, at.runs[i].value);
+    }
   }
   return out;
 }
 
-std::tuple<Made<float>, Made<float>> sample_profiles(const std::vector<Given<float>>& images,
-                                                     const Given<float>& target, const Given<float>& weight,
-                                                     const Given<std::int64_t>& begin, const Given<double>& pixels,
-                                                     const Given<double>& normals, int reach) {
-  check_shape("pixels", pixels, {kAny, 2});
-  const std::size_t count = pixels.shape(0), poses = checked_poses(begin, count);
-  check_shape("normals", normals, {static_cast<long>(count), 2});
-  check_shape("target", target, {kAny, kAny});
-  const long height = static_cast<long>(target.shape(0)), width = static_cast<long>(target.shape(1));
-  check_shape("weight", weight, {height, width});
-  if (width == 0 || height == 0) throw std::invalid_argument("target: expected at least one pixel");
-  if (images.size() != poses) throw std::invalid_argument("images: expected one of each pose");
-  for (const Given<float>& image : images) check_shape("images", image, {height, width});
-  check_positive("reach", reach);
-  const std::size_t samples = 2 * std::size_t(reach) + 1;
-  Made<float> residual = zeros<float>({count, samples}), share = zeros<float>({count, samples});
-  const nb::gil_scoped_release released;
-  for (std::size_t pose = 0; pose < poses; ++pose) {
-    const float* image = images[pose].data();
-    for (std::int64_t i = begin.data()[pose]; i < begin.data()[pose + 1]; ++i) {
-      const double *at = pixels.data() + 2 * i, *normal = normals.data() + 2 * i;
-      const double length = std::sqrt(normal[0] * normal[0] + normal[1] * normal[1]);
-      for (std::size_t k = 0; k < samples; ++k) {
-        const double off = (double(k) - reach) / length;
-        const double u = at[0] + off * normal[0], v = at[1] + off * normal[1];
-        residual.data()[samples * i + k] =
-            sample(image, int(width), int(height), u, v) - sample(target.data(), int(width), int(height), u, v);
-        share.data()[samples * i + k] = float(length) * sample(weight.data(), int(width), int(height), u, v);
-      }
+// The same comparison with only every `stride`-th point, which stands for those beside it, and other Jacobians (N', D').
+std::shared_ptr<Comparison> with_jacobian(const Comparison& at, int stride, const Given<double>& jacobian) {
+  check_positive("stride", stride);
+  const std::size_t step = stride, count = (at.points.size() + step - 1) / step;
+  check_shape("jacobian", jacobian, {static_cast<long>(count), kAny});
+  auto other = std::make_shared<Comparison>();
+  other->losses = at.losses, other->outlined = at.outlined, other->samples = at.samples;
+  other->runs = at.runs, other->first = at.first;
+  other->unknowns = static_cast<int>(jacobian.shape(1));
+  other->jacobian.assign(jacobian.data(), jacobian.data() + jacobian.size());
+  for (std::size_t i = 0; i < at.points.size(); i += step) {
+    OutlinePoint point = at.points[i];
+    for (double& part : point.normal) part *= stride;
+    other->points.push_back(point);
+    for (std::size_t k = at.samples * i; k < at.samples * (i + 1); ++k) {
+      other->difference.push_back(at.difference[k]), other->share.push_back(float(stride) * at.share[k]);
     }
   }
-  return {residual, share};
+  return other;
 }
 
-std::tuple<Made<double>, Made<double>> all_normal_equations(
-    const Given<std::int64_t>& begin, const Given<float>& residual, const Given<float>& weight,
-    const Given<double>& jacobian, const Given<double>& density, double cauchy, const Given<double>& change) {
-  check_shape("residual", residual, {kAny, kAny});
-  const std::size_t count = residual.shape(0), samples = residual.shape(1), poses = checked_poses(begin, count);
-  const long n = static_cast<long>(count), k = static_cast<long>(samples);
-  check_shape("weight", weight, {n, k}), check_shape("jacobian", jacobian, {n, kAny});
-  check_shape("density", density, {k});
-  const std::size_t unknowns = jacobian.shape(1);
-  check_shape("change", change, {static_cast<long>(poses), static_cast<long>(unknowns)});
-  Made<double> information = zeros<double>({poses, unknowns, unknowns}), slope = zeros<double>({poses, unknowns});
+// Refuse what are not comparisons, with outlines, of `count` poses in as many views as there are factors.
+void check_compared(const Compared& compared, const std::vector<double>& factors, const std::vector<double>& density,
+                    std::size_t count, std::size_t unknowns) {
+  if (factors.empty() || compared.size() != factors.size() * count) {
+    throw std::invalid_argument("compared: expected as many of each pose as factors");
+  }
+  for (const auto& one : compared) {
+    if (!one || !one->outlined || one->unknowns != int(unknowns)) {
+      throw std::invalid_argument("compared: expected comparisons with derivatives by as many unknowns as changes");
+    }
+    if (one->samples != int(density.size())) throw std::invalid_argument("density: expected one of each sample");
+  }
+}
+
+std::tuple<Made<double>, Made<double>> normal_equations(const Compared& compared, const std::vector<double>& factors,
+                                                        const std::vector<double>& density, double cauchy,
+                                                        const Given<double>& change) {
+  check_shape("change", change, {kAny, kAny});
+  const std::size_t count = change.shape(0), D = change.shape(1), views = factors.size();
+  check_compared(compared, factors, density, count, D);
+  Made<double> information = zeros<double>({count, D, D}), slope = zeros<double>({count, D});
   const nb::gil_scoped_release released;
-  for (std::size_t pose = 0; pose < poses; ++pose) {
-    const std::int64_t from = begin.data()[pose];
-    const Profiles profiles{residual.data() + samples * from,
-                            weight.data() + samples * from,
-                            jacobian.data() + unknowns * from,
-                            std::size_t(begin.data()[pose + 1] - from),
-                            int(samples),
-                            int(unknowns)};
-    normal_equations(profiles, density.data(), cauchy, change.data() + unknowns * pose,
-                     information.data() + unknowns * unknowns * pose, slope.data() + unknowns * pose);
+  for (std::size_t pose = 0; pose < count; ++pose) {
+    double* const square = information.data() + D * D * pose;
+    for (std::size_t view = 0; view < views; ++view) {
+      add_normal_equations(*compared[views * pose + view], density, cauchy, factors[view], change.data() + D * pose, square,
+                           slope.data() + D * pose);
+    }
+    for (std::size_t a = 0; a < D; ++a) {
+      for (std::size_t b = 0; b < a; ++b) square[D * b + a] = square[D * a + b];
+    }
   }
   return {information, slope};
+}
+
+Made<double> minimise_all(const Compared& compared, const std::vector<double>& factors,
+                          const std::vector<double>& density, double cauchy, const Given<double>& weight,
+                          const Given<double>& information, const Given<double>& slope,
+                          const std::optional<Given<double>>& damping, int iterations, double solved,
+                          const std::array<double, 2>& least, double farthest) {
+  check_shape("slope", slope, {kAny, kAny});
+  const long count = static_cast<long>(slope.shape(0)), unknowns = static_cast<long>(slope.shape(1));
+  check_shape("weight", weight, {count}), check_shape("information", information, {count, unknowns, unknowns});
+  if (damping) check_shape("damping", *damping, {count});
+  if (!compared.empty()) check_compared(compared, factors, density, count, unknowns);
+  const std::size_t D = unknowns, views = compared.empty() ? 0 : factors.size();
+  Made<double> out = zeros<double>({std::size_t(count), D});
+  const nb::gil_scoped_release released;
+  const Minimisation how{iterations, solved, least[0], least[1], farthest};
+  for (long pose = 0; pose < count; ++pose) {
+    const auto each_view = [&](const auto& use) {
+      for (std::size_t view = 0; view < views; ++view) use(*compared[views * pose + view], view);
+    };
+    std::vector<double> change(D, 0.0);
+    minimise(how, information.data() + D * D * pose, slope.data() + D * pose, damping ? damping->data()[pose] : -1.0,
+             [&](const double* at, double* square, double* line) {
+               each_view([&](const Comparison& one, std::size_t view) {
+                 const double factor = weight.data()[pose] * factors[view];
+                 add_normal_equations(one, density, cauchy, factor, at, square, line);
+               });
+             },
+             change);
+    double largest = 0.0;
+    each_view([&](const Comparison& one, std::size_t) {
+      largest = std::max(largest, largest_displacement(one, change.data()));
+    });
+    const double share = std::min(1.0, farthest / std::max(largest, 1e-12));
+    for (std::size_t d = 0; d < D; ++d) out.data()[D * pose + d] = share * change[d];
+  }
+  return out;
+}
+
+std::vector<std::tuple<Made<double>, Made<std::int64_t>, double>> fit_lines(
+    const Given<double>& points, const Given<double>& normals, const Given<double>& lines, double sigma, double near,
+    double facing, double gap, double least_sigma, double reach, double least_reach, double normal_median,
+    int iterations, int least) {
+  check_shape("points", points, {kAny, 2}), check_shape("normals", normals, {static_cast<long>(points.shape(0)), 2});
+  check_shape("lines", lines, {kAny, 3});
+  for (const Given<double>* one : {&points, &normals, &lines}) check_finite("contour and lines", one->data(), one->size());
+  const ContourPoints contour{points.data(), normals.data(), points.shape(0)};
+  const LineFit how{sigma, near, facing, gap, least_sigma, reach, least_reach, normal_median, iterations, least};
+  std::vector<std::tuple<Made<double>, Made<std::int64_t>, double>> found;
+  for (std::size_t i = 0; i < lines.shape(0); ++i) {
+    const double* line = lines.data() + 3 * i;
+    const FittedLine fitted = fit_line(contour, {line[0], line[1], line[2]}, how);
+    Made<double> out = zeros<double>({3});
+    Made<std::int64_t> index = zeros<std::int64_t>({fitted.points.size()});
+    std::copy(fitted.line.begin(), fitted.line.end(), out.data());
+    std::copy(fitted.points.begin(), fitted.points.end(), index.data());
+    found.emplace_back(out, index, fitted.sigma);
+  }
+  return found;
 }
 
 }  // namespace
@@ -520,17 +660,61 @@ NB_MODULE(_kernel, module) {
       .def("outlines", &outlines, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "with_coverage"_a, "threads"_a,
            "decide"_a.none(),
            "Find N points on the outlines of C poses: coverage (C, H, W) or None, offsets (C + 1,) of the poses' points, "
-           "links (N,), pixels (N, 2), normals (N, 2), points (N, 3) in the links' frames.");
+           "links (N,), pixels (N, 2), normals (N, 2), points (N, 3) in the links' frames.")
+      .def("compare", &compare, "camera"_a, "target"_a, "camera_from_root"_a, "root_from_link"_a, "by_joint"_a.none(),
+           "camera_from_link"_a, "lines_per_pixel"_a, "cauchy"_a, "threads"_a, "decide"_a.none(),
+           "Compare C silhouettes with a target: losses by widths, and outlines if derivatives by joints are given.");
 
   module.def("move_points", &move_points, "camera"_a, "begin"_a, "link"_a, "points"_a, "directions"_a,
              "camera_from_root"_a, "root_from_link"_a, "by_joint"_a,
              "Project N points of C poses: depths (N,), pixels (N, 2), Jacobians (N, 6 + J) along directions (N, 2).");
-  module.def("cauchy_losses", &cauchy_losses, "images"_a, "target"_a, "weight"_a, "cauchy"_a,
-             "Compute the Cauchy losses (C,) of the differences of C images from a target (H, W).");
-  module.def("sample_profiles", &sample_profiles, "images"_a, "target"_a, "weight"_a, "begin"_a, "pixels"_a,
-             "normals"_a, "reach"_a,
-             "Sample C images less a target, and weights times lengths of the normals, along N normals: (N, K) each.");
-  module.def("normal_equations", &all_normal_equations, "begin"_a, "residual"_a, "weight"_a, "jacobian"_a, "density"_a,
-             "cauchy"_a, "change"_a,
-             "Compute information (C, D, D) and slope (C, D) of half the robust loss after small changes (C, D).");
+  nb::class_<Target>(module, "Target", "A mask, blurred, with which silhouettes are compared.")
+      .def("__init__",
+           [](Target* self, const Given<float>& mask, const Given<float>& weight, const std::vector<float>& taps,
+              int reach) { new (self) Target(make_target(mask, weight, taps, reach)); },
+           "mask"_a, "weight"_a, "taps"_a, "reach"_a,
+           "Take mask and weights (H, W), the blur's filter from its middle outwards, and px along normals to sample.")
+      .def_prop_ro("image", [](const Target& target) {
+        const std::size_t width = target.mask.width(), height = target.mask.height();
+        Made<float> out = zeros<float>({height, width});
+        for (std::size_t row = 0; row < height; ++row) {
+          std::copy_n(target.mask.row(int(row)), width, out.data() + width * row);
+        }
+        return out;
+      }, nb::rv_policy::move, "The blurred mask (H, W).");
+
+  nb::class_<Comparison>(module, "Comparison", "A silhouette compared with a mask.")
+      .def_ro("losses", &Comparison::losses, "The Cauchy loss of each width that was asked for.")
+      .def_ro("outlined", &Comparison::outlined, "Whether the N points of the outline were asked for.")
+      .def_ro("unknowns", &Comparison::unknowns, "Number D of the unknowns by which the points move.")
+      .def("with_jacobian", &with_jacobian, "stride"_a, "jacobian"_a,
+           "Return the same of every stride-th point, with other Jacobians (N', D').")
+      .def("coverage", &coverage_of, "width"_a, "Return the covered fraction of each pixel before the blur, (H, W).")
+      .def_prop_ro("link", [](const Comparison& at) {
+        return of_points<std::int64_t>(at, 0, [&](std::size_t i) { return &at.points[i].link; });
+      }, nb::rv_policy::move, "Number of the link of each point, (N,).")
+      .def_prop_ro("pixels", [](const Comparison& at) {
+        return of_points<double>(at, 2, [&](std::size_t i) { return at.points[i].pixel.data(); });
+      }, nb::rv_policy::move, "The points (N, 2), px.")
+      .def_prop_ro("normals", [](const Comparison& at) {
+        return of_points<double>(at, 2, [&](std::size_t i) { return at.points[i].normal.data(); });
+      }, nb::rv_policy::move, "Normals (N, 2), as long as the piece of outline that a point stands for, px.")
+      .def_prop_ro("points", [](const Comparison& at) {
+        return of_points<double>(at, 3, [&](std::size_t i) { return at.points[i].point.data(); });
+      }, nb::rv_policy::move, "The points (N, 3) in the links' frames, m.")
+      .def_prop_ro("jacobian", [](const Comparison& at) {
+        return of_points<double>(at, at.unknowns, [&](std::size_t i) { return at.jacobian.data() + at.unknowns * i; });
+      }, nb::rv_policy::move, "Derivatives (N, D) of the displacements along the unit normals, px.");
+
+  module.def("normal_equations", &normal_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "change"_a,
+             "Compute information (C, D, D) and slope (C, D) of half the robust loss of C poses in V views, each with its "
+             "factor, after small changes (C, D).");
+  module.def("fit_lines", &fit_lines, "points"_a, "normals"_a, "lines"_a, "sigma"_a, "near"_a, "facing"_a, "gap"_a,
+             "least_sigma"_a, "reach"_a, "least_reach"_a, "normal_median"_a, "iterations"_a, "least"_a,
+             "Fit lines (M, 3) to the contour points (N, 2) near them, robustly: each line (3,), the numbers of its points "
+             "in their order along it, and their standard deviation, px.");
+  module.def("minimise", &minimise_all, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "weight"_a, "information"_a,
+             "slope"_a, "damping"_a.none(), "iterations"_a, "solved"_a, "least"_a, "farthest"_a,
+             "Find the changes (C, D) that minimise weights (C,) times half the robust losses plus quadratic terms, by at "
+             "most so many steps each, up to one whose square is below a number. No point moves farther than so many px.");
 }

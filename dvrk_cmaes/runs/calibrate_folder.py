@@ -114,6 +114,7 @@ def calibrate_folder(
             series=session.reading_series(),
             arm=arm,
             refine_camera=refine_camera,
+            guessed_camera=session.guessed,
             config=config,
             run=run,
             progress=progress,
@@ -124,7 +125,13 @@ def calibrate_folder(
         files |= _with_masks_again(solved, session, masks, {name: files[name] for name in solved.found_masks})
         corrected = Rig(solved.calibration.corrected_views(session.rig.views))
         views = tuple(ViewDocument.of(view) for view in corrected.views)
-        solved = replace(solved, calibration=replace(solved.calibration, views=views))
+        calibration = replace(solved.calibration, views=views)
+        if (
+            session.guessed and calibration.camera is not None
+        ):  # the camera that was found is the session's from here on
+            calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
+            session = replace(session, rig=corrected)
+        solved = replace(solved, calibration=calibration)
         tasks = [
             DrawTask(files[name], session.rig, corrected, solved.results[name], left_out, evidence[name])
             for name, left_out in solved.leave_one_out.items()

@@ -37,12 +37,12 @@ def starting_frame(
     count = min(_TRIED, len(frames))
     for number in sorted({round(k * len(frames) / count) for k in range(count)}):
         files = frames[number] if use_joints else frames[number].changed(readings={})
-        if files.problem is None and files.has_image and _is_explained(files, rig, body, arm, config):
+        if files.problem is None and files.has_image and is_explained(files, rig, body, arm, config):
             return number
     return 0
 
 
-def _is_explained(files: FrameFiles, rig: Rig, body: Body, arm: Arm, config: EstimateConfig) -> bool:
+def is_explained(files: FrameFiles, rig: Rig, body: Body, arm: Arm, config: EstimateConfig) -> bool:
     """Whether the pose that an image yields by itself explains the mask that was found in it."""
     data = read_frame_image(files, rig)
     try:

@@ -75,7 +75,7 @@ class Processes:
     """
 
     def __init__(self, start: Callable[[], object], workers: int, *, here: bool = False) -> None:
-        self._processes = [_Process(start) for _ in range(workers)]
+        self._processes = [WorkerConnection(start) for _ in range(workers)]
         self._start_here: Callable[[], object] | None = start if here else None
 
     def __enter__(self) -> Processes:
@@ -221,7 +221,7 @@ def _each(call: Callable[[T], R], tasks: Sequence[T]) -> list[R]:
 
 
 def _drive(
-    process: _Process,
+    process: WorkerConnection,
     source: _Source[T],
     pace: _Pace,
     call: Callable[[T], R],
@@ -241,7 +241,7 @@ def _drive(
 
 
 def _done(
-    process: _Process,
+    process: WorkerConnection,
     call: Callable[[T], R],
     tasks: Sequence[T],
     time_limit: float | None,
@@ -264,7 +264,7 @@ def _done(
 
 
 def _tried(
-    process: _Process,
+    process: WorkerConnection,
     call: Callable[[T], R],
     task: T,
     time_limit: float | None,
@@ -286,7 +286,7 @@ def _tried(
     return WorkerDied(f"its process died {tries} times: out of memory, or a crash in a native library")
 
 
-class _Process:
+class WorkerConnection:
     """A worker process that is started when it is needed, and again after it has died."""
 
     def __init__(self, start: Callable[[], object]) -> None:

@@ -16,7 +16,8 @@ _lock = threading.RLock()
 
 
 @lru_cache(maxsize=8)
-def _body(instrument: Instrument) -> Body:
+def body_of_instrument(instrument: Instrument) -> Body:
+    """Return the body of a loaded instrument; cached. The caller has the lock."""
     return Body.prepare(instrument)
 
 
@@ -67,4 +68,4 @@ def prepare(instrument: Instrument | Body | str | Path) -> Body:
             if name not in _named:
                 _named[name] = load_instrument(name)
             instrument = _named[name]
-        return _body(instrument)
+        return body_of_instrument(instrument)

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.arguments import check_type, checked_array, described
 from dvrk_cmaes.silhouette.decimate import decimate
@@ -281,6 +282,55 @@ class Renderer:
         drawn = self._outlines(camera_from_root, joints, lines_per_pixel, with_coverage=True)
         coverage = _joined([image for image, _ in drawn if image is not None])
         return coverage, [outline for _, outlines in drawn for outline in outlines]
+
+    def compare(
+        self,
+        at: Posed,
+        target: _kernel.Target,
+        cauchy: Sequence[float],
+        *,
+        lines_per_pixel: int = 2,
+        outlines: bool = True,
+    ) -> list[_kernel.Comparison]:
+        """Compare the coverage of C poses with a blurred mask, and find their outlines if these are asked for.
+
+        Parameters
+        ----------
+        at
+            The poses in the camera.
+        target
+            The mask, of the size of the camera's images.
+        cauchy
+            Widths of the robust losses of the differences.
+        lines_per_pixel
+            Lines of the image along which edges are found, for each row of pixels.
+        outlines
+            Whether to find the outlines, on all these lines and on the columns, and how they move with pose and joints.
+        """
+        _check_poses(self.body.instrument.joint_names, at.pose, at.joints)
+        instrument, camera, by_joint = self.body.instrument, kernel_camera(self.camera), None
+        if outlines:
+            root_from_link, by_joint = instrument.forward_with_derivatives(at.joints)
+        else:
+            root_from_link = instrument.forward(at.joints)
+        links, found = at.pose[:, None] @ root_from_link, []
+        for begin in range(0, len(links), _DRAWN):
+            part = slice(begin, begin + _DRAWN)
+            found += self.body.mesh.compare(
+                camera,
+                target,
+                np.ascontiguousarray(at.pose[part]),
+                root_from_link[part],
+                None if by_joint is None else by_joint[part],
+                links[part],
+                lines_per_pixel,
+                cauchy,
+                self.threads,
+                self._rays(links[part], lines_per_pixel),
+            )
+            worked(len(links[part]) * self.camera.height)
+        self._count(poses=len(links))
+        return found
 
     def masks(self, camera_from_root: Float64, joints: Joints) -> NDArray[np.bool_]:
         """Render masks of C poses: whether each pixel's centre is covered, (C, H, W).

@@ -48,10 +48,10 @@ class LinkScenes:
         """The scenes, which are built once."""
         with self._building:
             if not self._built:
-                self._built = [self._scene_of(link) for link in self._links]
+                self._built = [self.scene_of(link) for link in self._links]
         return self._built
 
-    def _scene_of(self, link: Link) -> Any:
+    def scene_of(self, link: Link) -> Any:
         """Build the scene of a link."""
         scene = self._scene_type()
         self._mesh_type(scene, link.vertices.astype(np.float32), link.faces)  # twice as quick as by triangles' corners

@@ -29,7 +29,7 @@ from dvrk_cmaes.track.quick_fit import QuickFit, judged, quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, JudgedFrame
 from dvrk_cmaes.track.sight import Seen, Sight
-from dvrk_cmaes.track.window import OVERLAP_LOSS, Told, WindowImage, result_of, solve_window, status_of
+from dvrk_cmaes.track.window import LIMITS, Told, WindowImage, result_of, solve_window, status_of
 
 Float64 = NDArray[np.float64]
 
@@ -157,7 +157,7 @@ class CalibratedFollowing:
             disagrees = status == "lost" or told.misfit > self._config.session.largest_misfit
             told_by_readings = reading.has_outer and not reading.still
             self._astray = self._astray + in_view if disagrees and told_by_readings else 0
-            explained = not disagrees and quality.quality.iou >= self.calibration.iou - OVERLAP_LOSS
+            explained = not disagrees and quality.quality.iou >= self.calibration.iou - LIMITS.overlap_loss
             self._unexplained = 0 if explained else self._unexplained + in_view
         if not reading.has_outer:
             reasons.append(NO_READINGS)

@@ -88,7 +88,7 @@ def quick_fit(
     at, steps = _starts(expected, before, outline)
     fit = min(refine(coverage, terms, at, steps), key=lambda each: each.score)
     (drawn,) = coverage.draw(Posed.stacked([fit.at]))
-    silhouettes = [view.silhouette(image) for view, image in zip(sized, drawn.images, strict=True)]
+    silhouettes = [view.silhouette(image) for view, image in zip(sized, drawn, strict=True)]
     own = OwnEstimate.drawn_as(views, fit.at, silhouettes)
     lasting = coverage.near_with_lasting(fit.at, own.noises, drawn=drawn, stride=_STRIDE, as_seen=True)
     told = without_lasting(lasting, lasting.dimension - len(expected.information), SINGLE_SIZE)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
-from dvrk_cmaes.calibration.session_doubts import resting_on
+from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
@@ -34,11 +34,9 @@ Float64 = NDArray[np.float64]
 CORRELATED_FRAMES = 3.0
 """Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 
-OVERLAP_LOSS = 0.15
-"""Loss of overlap from that of the keyframes, from which on a mask is not explained."""
+LIMITS = OF_FRAMES["followed"]
+"""How far an image may be from what its calibration expects."""
 
-# Neighbours support the pose, so these limits are wider than those of a single frame.
-_CONTOUR_FACTOR, _LARGEST_PX = 3.0, 9.0
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
 
@@ -158,18 +156,7 @@ def status_of(
     quality = judged.quality
     if quality.iou < _LEAST_OVERLAP:
         return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]
-    reasons = list(judged.reasons)
-    largest_px = max(_LARGEST_PX, _CONTOUR_FACTOR * calibration.contour_px_95)
-    if quality.iou < calibration.iou - OVERLAP_LOSS or quality.contour_px_95 > largest_px:
-        reasons.append(
-            f"mask not explained: IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour, of "
-            f"keyframes {calibration.iou:.3f} and {calibration.contour_px_95:.1f} px"
-        )
-    if misfit > config.session.largest_misfit:
-        reasons.append(
-            f"disagrees with the recording: the mask is {misfit**0.5:.1f} times the expected error from what the "
-            "calibration and the readings expect"
-        )
+    reasons = [*judged.reasons, *LIMITS.doubts(quality, misfit, calibration, config.session)]
     return "doubtful" if reasons else "ok", reasons
 
 

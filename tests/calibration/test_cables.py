@@ -144,7 +144,7 @@ def test_observed_errors_are_the_difference_of_fits_and_readings() -> None:
     world = make_world(8, noise=0.0)
     rng = np.random.default_rng(0)
     fits = world.fits(rng, scale=1e-3)
-    raised = world.model.of_readings(world.model.outer, world.model.joints - np.array([0.1, 0.0, -0.2]))
+    raised = replace(world.model, outer=world.model.outer, joints=world.model.joints - np.array([0.1, 0.0, -0.2]))
     information, vector = observe_errors(raised, fits, world.truth, np.ones(8))
     found = np.linalg.solve(information, vector[..., None])[..., 0]
     np.testing.assert_allclose(found[:, 1:], np.tile([0.1, 0.0, -0.2], (8, 1)), atol=2e-3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, OFFSETS, SEEN, make_world
@@ -75,7 +77,7 @@ def test_frame_without_wrist_readings_agrees_by_pose() -> None:
     modes = world.modes(np.random.default_rng(0))
     joints = world.model.joints.copy()
     joints[2:4] = np.nan
-    found = find_consensus(world.model.of_readings(world.model.outer, joints), modes, EXPECTED_OFFSETS)
+    found = find_consensus(replace(world.model, outer=world.model.outer, joints=joints), modes, EXPECTED_OFFSETS)
     assert found.agree.all()
     assert np.isfinite(found.calibration.offsets).all()
 

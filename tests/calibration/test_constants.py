@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
 
-from dvrk_cmaes.calibration.constants import Constant, DrawnOutline, Seen
+from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, ViewAsSeen
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.rig_estimate import ViewDifference
 from dvrk_cmaes.calibration.session_camera import CameraChange
@@ -55,23 +55,23 @@ def test_effect_is_the_derivative_of_what_is_seen(case: str, bundled_body: Body)
 
     def sized(values: np.ndarray) -> SizedView:
         """Give the right view as it is seen with some values."""
-        seen = constant.seen(one.name, Seen(SMALL, one.view_from_camera, 0.0, 1.0), values)
+        seen = constant.seen(one.name, ViewAsSeen(SMALL, one.view_from_camera, 0.0, 1.0), values)
         view = replace(one.restored(bundled_body), view_from_camera=seen.place)
         return SizedView(view, blur=1.2, margin=seen.margin).with_camera(seen.camera)
 
     here = sized(np.zeros(len(steps)))
-    ((_, points),) = here.draw(poses, 2, outlines=True)
-    assert points is not None
+    (points,) = here.outlines(poses)
     corner = np.array([SMALL.cx - here.camera.cx, SMALL.cy - here.camera.cy])
     (by_pose,) = here.jacobians([points], poses)
-    effect = constant.effect(DrawnOutline(one.name, here, points, by_pose, at, 1.0))
+    effect = constant.effect(OutlineOfView(one.name, here, points, by_pose, at, 1.0))
     from_centre = (points.pixels + corner - [SMALL.cx, SMALL.cy]) / 100
     expected = np.column_stack([np.ones(len(effect)), from_centre]).T @ effect
     for index, step in enumerate(steps):
         change = np.zeros(len(steps))
         change[index] = step
         views = sized(change), sized(-change)
-        gained = [view.draw(poses, 2, outlines=False)[0][0] - view.target for view in views]
+        drawn = [view.draw(poses, 2, [0.5], outlines=False)[0] for view in views]
+        gained = [one.coverage(view.camera.width) - view.target.image for one, view in zip(drawn, views, strict=True)]
         found = (moments(gained[0], corner) - moments(gained[1], corner)) / (2 * step)
         np.testing.assert_allclose(found, expected[:, index], atol=0.1 * np.linalg.norm(expected[:, index]))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, SEEN, World, make_world
@@ -102,7 +104,7 @@ def test_right_arm_passes() -> None:
 
 def test_readings_without_motion_are_refused() -> None:
     world = make_world(6)
-    still = world.model.of_readings(np.tile(world.model.outer[:1], (6, 1)), world.model.joints)
+    still = replace(world.model, outer=np.tile(world.model.outer[:1], (6, 1)), joints=world.model.joints)
     with pytest.raises(InputError) as caught:
         check_motion(still)
     assert str(caught.value) == (

@@ -8,7 +8,7 @@ import pytest
 from helpers.page_calibrations import calibration, solved
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.instrument_test import CandidateFit, better_instrument, untold_instrument
+from dvrk_cmaes.calibration.instrument_test import CandidateFit, better_instrument, undetermined_instrument
 from dvrk_cmaes.calibration.session_doubts import doubts_of
 
 NAMES = ("0000", "0001", "0002", "0003")
@@ -26,7 +26,7 @@ def test_instrument_that_predicts_left_out_frames_better_is_a_doubt() -> None:
     one = replace(calibration(solved(NAMES), iou=0.9, leave_one_out=OWN), instruments=(fit,))
     (text,) = doubts_of(one)
     assert text == "these frames fit 400093 better (leave-one-out 0.93 against 0.78)"
-    assert untold_instrument([fit], "lnd") == ""
+    assert undetermined_instrument([fit], "lnd") == ""
 
 
 def test_worse_or_refused_instrument_is_told() -> None:
@@ -34,14 +34,14 @@ def test_worse_or_refused_instrument_is_told() -> None:
     refused = CandidateFit.of("400194", "expected at least 3 frames that agree", OWN)
     assert worse.is_worse
     assert refused.is_worse
-    assert better_instrument([worse, refused], 0.775) == untold_instrument([worse, refused], "400093") == ""
+    assert better_instrument([worse, refused], 0.775) == undetermined_instrument([worse, refused], "400093") == ""
 
 
 @pytest.mark.parametrize(("better", "scatter"), [(0.02, 0.001), (0.05, 0.1), (-0.05, 0.1)])
 def test_instruments_that_predict_alike_are_not_told(better: float, scatter: float) -> None:
     alike = CandidateFit.of("400194", by_other(better, scatter), OWN)
     assert better_instrument([alike], 0.775) == ""
-    assert untold_instrument([alike], "400093") == "instrument: not told: 400093 or 400194"
+    assert undetermined_instrument([alike], "400093") == "instrument: not told: 400093 or 400194"
 
 
 def test_tried_instruments_are_read_back() -> None:

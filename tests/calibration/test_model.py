@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.session_worlds import BASE, NAMES, OFFSETS, make_world
@@ -50,7 +52,7 @@ def test_covariance_agrees_with_simulation() -> None:
     spreads = one.model.deviations
     outer = one.model.outer + rng.standard_normal((count, 4)) * spreads.outer
     joints = one.model.joints + rng.standard_normal((count, 3)) * spreads.joints
-    off = one.model.of_readings(outer, joints).predict(one.truth).minus(one.model.predict(one.truth))
+    off = replace(one.model, outer=outer, joints=joints).predict(one.truth).minus(one.model.predict(one.truth))
     stated = one.model.covariance(one.truth)[0]
     slack = np.diag([*spreads.slack**2, 0, 0, 0])
     scale = np.sqrt(np.diag(stated))
@@ -62,7 +64,7 @@ def test_joint_without_reading_has_wide_variance() -> None:
     world = make_world(2)
     joints = world.model.joints.copy()
     joints[1, 2] = np.nan
-    model = world.model.of_readings(world.model.outer, joints)
+    model = replace(world.model, outer=world.model.outer, joints=joints)
     assert model.predict(world.truth).joints[1, 2] == pytest.approx(OFFSETS[4])
     spread = np.sqrt(model.covariance(world.truth)[:, 8, 8])
     assert spread[0] == pytest.approx(np.deg2rad(SessionConfig().jaw_deg))
@@ -98,7 +100,7 @@ def test_inflation_widens_covariance_of_its_frame_only() -> None:
     world = make_world(2)
     inflation = np.ones((2, 4))
     inflation[1] = [10, 1, 2, 1]
-    plain, wide = (m.covariance(world.truth) for m in (world.model, world.model.with_inflation(inflation)))
+    plain, wide = (m.covariance(world.truth) for m in (world.model, replace(world.model, inflation=inflation)))
     np.testing.assert_array_equal(plain[0], wide[0])
     spreads = world.model.deviations
     assert wide[1, 5, 5] - plain[1, 5, 5] == pytest.approx(99 * spreads.outer[3] ** 2)
@@ -109,7 +111,7 @@ def test_correction_moves_the_prediction_and_widens_its_covariance() -> None:
     world = make_world(2)
     values, variances = np.zeros((2, 4)), np.zeros((2, 4))
     values[1], variances[1] = [0.1, 0.02, 0.03, 0.04], np.square([0.05, 0.06, 0.07, 0.08])
-    corrected = world.model.with_correction(Correction(values, variances))
+    corrected = replace(world.model, correction=Correction(values, variances))
     change = corrected.predict(world.truth).minus(world.model.predict(world.truth))
     np.testing.assert_allclose(change[:, 5:], values, atol=1e-9)
     plain, wide = (np.einsum("nii->ni", m.covariance(world.truth)) for m in (world.model, corrected))
@@ -118,7 +120,7 @@ def test_correction_moves_the_prediction_and_widens_its_covariance() -> None:
 
 def test_subset_predicts_same_poses() -> None:
     world = make_world(5)
-    some = world.model.with_inflation(np.full((5, 4), 1.5)).subset([1, 3])
+    some = replace(world.model, inflation=np.full((5, 4), 1.5)).subset([1, 3])
     np.testing.assert_array_equal(some.predict(world.truth).pose, world.model.predict(world.truth).pose[[1, 3]])
     np.testing.assert_array_equal(some.inflation, np.full((2, 4), 1.5))
 

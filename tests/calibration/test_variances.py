@@ -30,7 +30,7 @@ def strayed(world: World, joint: int, degrees: np.ndarray) -> World:
     """Add errors, one a frame, deg, to a joint's readings; the true poses stay."""
     joints = world.model.joints.copy()
     joints[:, joint] += np.deg2rad(degrees)
-    return replace(world, model=world.model.of_readings(world.model.outer, joints))
+    return replace(world, model=replace(world.model, outer=world.model.outer, joints=joints))
 
 
 def test_standard_deviations_of_session_are_found() -> None:
@@ -98,7 +98,7 @@ def test_large_slip_of_roll_is_tolerated() -> None:
     fits = world.fits(np.random.default_rng(0))
     outer = world.model.outer.copy()
     outer[5, 3] += np.deg2rad(45)
-    slipped = replace(world, model=world.model.of_readings(outer, world.model.joints))
+    slipped = replace(world, model=replace(world.model, outer=outer, joints=world.model.joints))
     model = learnt(slipped, fits)
     off = model.inflation[5, 0] * CONFIG.tail * model.deviations.outer[3]
     assert np.degrees(off) == pytest.approx(45, abs=10)

@@ -275,6 +275,36 @@ def test_refined_camera_is_written_and_stated(command: Command, bundled_body: Bo
     assert written.fx == pytest.approx(SMALL.fx, rel=0.03)
 
 
+def test_camera_without_a_file_is_found(command: Command, bundled_body: Body, tmp_path: Path) -> None:
+    """The guess has a focal length 6 % too short; frames are estimated again with what the first solution tells."""
+    write_folder(tmp_path / "session", make_frames_in_memory(bundled_body, 10, level="clean")[2])
+    (tmp_path / "session" / "camera.yaml").unlink()
+    ran = command("calibrate", tmp_path / "session", "--out", tmp_path / "out", *QUICKLY)
+    assert "finding the camera with 10 frames" in ran.err
+    assert ran.code in (0, 3)
+    assert "no camera file: these frames tell a focal length of " in ran.err
+    assert "checkerboard in some 20 pictures tells all of these better" in ran.err.replace("\n", " ")
+    written = read_camera_file(tmp_path / "out" / "camera.yaml").camera
+    calibration = read_calibration(tmp_path / "out" / "session.json")
+    assert calibration.camera is not None
+    assert abs(np.log(written.fx / SMALL.fx)) < 3 * calibration.camera.std_focal_scale
+    assert calibration.corrected(written) == written  # it is the session's own from here on
+    again = ("--session", tmp_path / "out", "--camera", tmp_path / "out" / "camera.yaml", "--frames", "0000")
+    assert command("batch", tmp_path / "session", *again, "--out", tmp_path / "again", *QUICKLY).code in (0, 3)
+    one = read_results(tmp_path / "again").frames["0000"]
+    assert one.source == "session"
+
+
+def test_camera_is_not_guessed_beside_a_file_or_from_few_frames(command: Command, place: Path, tmp_path: Path) -> None:
+    options = ("--results", place / "results", "--out", tmp_path / "out", *QUICKLY)
+    both = ("--focal", "500", "--camera", place / "session" / "camera.yaml")
+    assert refusal(command, "session", *both, *options) == "--focal: expected either this or --camera, got both"
+    text = refusal(command, "session", "--focal", "5", *options)
+    assert text == "--focal: expected a focal length of 96 to 1920 px, 0.3 to 6 widths of the images, got 5"
+    text = refusal(command, "session", "--focal", "500", *options)
+    assert text.startswith("--camera: expected a camera file, which these frames do not replace: camera: 5 frames; ")
+
+
 def test_folder_without_candidates_is_refused(command: Command, tmp_path: Path) -> None:
     folder = ("session", "--results", "results", "--out", "few", "--instrument-candidates", tmp_path)
     ran = command("calibrate", *folder, *QUICKLY)

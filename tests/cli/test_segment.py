@@ -123,7 +123,7 @@ def test_interrupted_run_leaves_the_earlier_masks(
     assert run_command(capsys, "segment", folder, "--out", out).code in (0, 3)
     before = {path: path.read_bytes() for path in out.rglob("*.*") if path.name != ".lock"}
     done = []
-    segment_one = cli_segment._segment
+    segment_one = cli_segment.segment_file
 
     def interrupted(frame: str, *rest: Any) -> Any:
         if done:
@@ -131,7 +131,7 @@ def test_interrupted_run_leaves_the_earlier_masks(
         done.append(frame)
         return segment_one(frame, *rest)
 
-    monkeypatch.setattr(cli_segment, "_segment", interrupted)
+    monkeypatch.setattr(cli_segment, "segment_file", interrupted)
     run_command(capsys, "segment", folder, "--out", out, "--point", "30,110")
     assert done == ["0001"]
     assert {path: path.read_bytes() for path in out.rglob("*.*") if path.name != ".lock"} == before

@@ -72,7 +72,7 @@ def _instruments_measured_once(patch: pytest.MonkeyPatch) -> None:
 
 
 def _instruments_prepared_once(patch: pytest.MonkeyPatch) -> None:
-    prepare_body = prepare._body
+    prepare_body = prepare.body_of_instrument
     known: dict[str, Body] = {}
 
     def prepared(instrument: Instrument) -> Body:
@@ -83,4 +83,4 @@ def _instruments_prepared_once(patch: pytest.MonkeyPatch) -> None:
             known[key] = prepare_body(instrument)
         return known[key]
 
-    patch.setattr(prepare, "_body", prepared)
+    patch.setattr(prepare, "body_of_instrument", prepared)

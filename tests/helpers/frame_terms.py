@@ -70,4 +70,4 @@ class Terms:
         return refine(coverage, self.others, Posed.stacked(starts), Steps.of(self.config, self.shrink))
 
     def assessed(self, at: Posed) -> Fit:
-        return assess(self.coverage, self.others, at)
+        return assess(self.coverage, self.others, at[None])[0]

@@ -15,7 +15,7 @@ import pytest
 
 from dvrk_cmaes.runs import processes
 
-_REAL = processes._Process
+_REAL = processes.WorkerConnection
 _ONE_AT_A_TIME = threading.Lock()
 
 
@@ -55,5 +55,5 @@ def real_processes() -> AbstractContextManager[None]:
 @contextmanager
 def _with(process: type) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(processes, "_Process", process)
+        patch.setattr(processes, "WorkerConnection", process)
         yield

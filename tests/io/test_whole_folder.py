@@ -110,7 +110,7 @@ def test_file_that_is_added_in_the_last_moment_is_kept(out: Path, monkeypatch: p
 @pytest.mark.parametrize("link", [True, False])
 def test_own_folder_is_replaced(out: Path, monkeypatch: pytest.MonkeyPatch, in_one_step: bool, link: bool) -> None:
     if not in_one_step:
-        monkeypatch.setattr(handles, "_EXCHANGE", -1)  # no such flag
+        monkeypatch.setattr(handles, "RENAME_EXCHANGE", -1)  # no such flag
     if link:
         os.symlink(out, out.parent / "link")
     write(out.parent / "link" if link else out, "second")

@@ -36,15 +36,49 @@ def points(**changed: Any) -> Any:
     return _kernel.move_points(CAMERA, **(given | changed))
 
 
-def profiles(**changed: Any) -> Any:
-    given = {"begin": BEGIN, "pixels": PIXELS, "normals": PIXELS, "reach": 4, "images": [IMAGE], "target": IMAGE}
-    return _kernel.sample_profiles(**(given | {"weight": IMAGE} | changed))
+def target(**changed: Any) -> _kernel.Target:
+    given = {"mask": IMAGE, "weight": IMAGE + 1, "taps": [0.5, 0.25], "reach": 4}
+    return _kernel.Target(**(given | changed))
+
+
+def comparison(**changed: Any) -> _kernel.Comparison:
+    given = {
+        "target": target(),
+        "camera_from_root": LINKS[:, 0],
+        "root_from_link": np.eye(4)[None, None],
+        "by_joint": np.zeros((1, 3, 1, 4, 4)),
+        "camera_from_link": LINKS,
+        "lines_per_pixel": 2,
+        "cauchy": [1.0],
+        "threads": 1,
+        "decide": None,
+    }
+    return plate().compare(CAMERA, **(given | changed))[0]
+
+
+def plate() -> _kernel.Mesh:
+    return _kernel.Mesh([(VERTICES - [0, 0, 0.05], FACES)])
 
 
 def equations(**changed: Any) -> Any:
-    samples = np.zeros((2, 9), dtype=np.float32)
-    given = {"residual": samples, "weight": samples, "jacobian": np.zeros((2, 9)), "density": np.ones(9)}
-    return _kernel.normal_equations(**(given | {"begin": BEGIN, "cauchy": 1.0, "change": np.zeros((1, 9))} | changed))
+    given = {"compared": [comparison()], "factors": [1.0], "density": [1.0] * 9, "cauchy": 1.0}
+    return _kernel.normal_equations(**(given | {"change": np.zeros((1, 9))} | changed))
+
+
+def minimum(**changed: Any) -> np.ndarray:
+    given = {"compared": [comparison()], "factors": [1.0], "density": [1.0] * 9, "cauchy": 1.0, "weight": np.ones(1)}
+    given |= {"information": np.eye(9)[None], "slope": np.zeros((1, 9)), "damping": None, "iterations": 2}
+    return _kernel.minimise(**(given | {"solved": 0.0, "least": (0.0, 0.0), "farthest": 3.0} | changed))
+
+
+def straight(**changed: Any) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    """Fit a line to points along v = 3 + u / 10, of which some are outliers."""
+    along = np.arange(40.0)
+    points = np.column_stack([along, 3 + along / 10 + 2.5 * (np.arange(40) % 8 == 0)])
+    normals = np.tile(np.array([-0.1, 1]) / np.hypot(0.1, 1), (40, 1))
+    given = {"points": points, "normals": normals, "lines": np.array([[0.0, 1.0, -5.0]]), "sigma": 1.2, "near": 2.5}
+    given |= {"facing": 0.93, "gap": 40.0, "least_sigma": 0.3, "reach": 3.0, "least_reach": 1.5, "normal_median": 1.48}
+    return _kernel.fit_lines(**(given | {"iterations": 3, "least": 12} | changed))
 
 
 def chain(**changed: Any) -> _kernel.Chain:
@@ -110,20 +144,70 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "offsets that fall": (lambda: points(begin=np.array([0, 3, 2])), "begin: expected ascending offsets"),
     "no offsets": (lambda: points(begin=BEGIN[:0]), "begin: expected ascending offsets"),
     "directions of other points": (lambda: points(directions=PIXELS[:1]), r"directions: expected an array \(2, 2\)"),
-    "an image too few": (lambda: profiles(images=[]), "images: expected one of each pose"),
-    "an image of another size": (lambda: profiles(images=[IMAGE.T.copy()]), r"images: expected an array \(6, 8\)"),
-    "a weight of another size": (lambda: profiles(weight=IMAGE[1:]), r"weight: expected an array \(6, 8\)"),
-    "a target without pixels": (
-        lambda: profiles(images=[IMAGE[:0]], target=IMAGE[:0], weight=IMAGE[:0]),
-        "target: expected at least one pixel",
+    "a mask without pixels": (lambda: target(mask=IMAGE[:0], weight=IMAGE[:0]), "mask: expected at least one pixel"),
+    "a weight of another size": (lambda: target(weight=IMAGE[1:]), r"weight: expected an array \(6, 8\)"),
+    "a mask that is not finite": (lambda: target(mask=IMAGE * np.nan), "mask: expected finite numbers"),
+    "no taps": (lambda: target(taps=[]), "taps: expected 1 to 1000 of them"),
+    "no reach": (lambda: target(reach=0), "reach: expected 1 to 1000 px"),
+    "a target of another size": (
+        lambda: comparison(target=target(mask=IMAGE.T.copy(), weight=IMAGE.T.copy())),
+        "target: expected the size of the camera's images",
     ),
-    "no reach": (lambda: profiles(reach=0), "reach: expected a positive number"),
-    "a change of other unknowns": (lambda: equations(change=np.zeros((1, 8))), r"change: expected an array \(1, 9\)"),
-    "a density of other samples": (lambda: equations(density=np.ones(8)), r"density: expected an array \(9\)"),
-    "losses of another size": (
-        lambda: _kernel.cauchy_losses([IMAGE[1:]], IMAGE, IMAGE, 1.0),
-        r"images: expected an array \(6, 8\)",
+    "roots of other poses": (
+        lambda: comparison(camera_from_root=LINKS[:0, 0]),
+        r"camera_from_root: expected an array \(1, 4, 4\)",
     ),
+    "links of other poses": (
+        lambda: comparison(root_from_link=np.zeros((1, 2, 4, 4))),
+        r"root_from_link: expected an array \(1, 1, 4, 4\)",
+    ),
+    "derivatives of other links": (
+        lambda: comparison(by_joint=np.zeros((1, 3, 2, 4, 4))),
+        r"by_joint: expected an array \(1, N, 1, 4, 4\)",
+    ),
+    "a loss without width": (lambda: comparison(cauchy=[0.0]), "cauchy: expected positive numbers"),
+    "no comparison": (lambda: equations(compared=[None]), "compared: expected comparisons with derivatives"),
+    "a comparison without outline": (
+        lambda: equations(compared=[comparison(by_joint=None)]),
+        "compared: expected comparisons with derivatives",
+    ),
+    "views without factors": (lambda: equations(factors=[]), "compared: expected as many of each pose as factors"),
+    "a view too few": (lambda: equations(factors=[1.0, 1.0]), "compared: expected as many of each pose as factors"),
+    "a change of other unknowns": (
+        lambda: equations(change=np.zeros((1, 8))),
+        "compared: expected comparisons with derivatives by as many unknowns as changes",
+    ),
+    "a change too few": (
+        lambda: equations(change=np.zeros((0, 9))),
+        "compared: expected as many of each pose as factors",
+    ),
+    "a density of other samples": (lambda: equations(density=[1.0] * 8), "density: expected one of each sample"),
+    "a minimum with a pose too few": (
+        lambda: minimum(compared=[comparison()] * 2),
+        "compared: expected as many of each pose as factors",
+    ),
+    "a minimum of other information": (
+        lambda: minimum(information=np.zeros((1, 8, 8))),
+        r"information: expected an array \(1, 9, 9\)",
+    ),
+    "a minimum of other weights": (lambda: minimum(weight=np.ones(2)), r"weight: expected an array \(1\)"),
+    "a minimum of other damping": (lambda: minimum(damping=np.ones(2)), r"damping: expected an array \(1\)"),
+    "normals of other points": (
+        lambda: straight(normals=np.zeros((1, 2))),
+        r"normals: expected an array \(40, 2\), got \(1, 2\)",
+    ),
+    "a line of two numbers": (lambda: straight(lines=np.zeros((1, 2))), r"lines: expected an array \(N, 3\)"),
+    "a contour that is not finite": (
+        lambda: straight(points=np.full((40, 2), np.nan)),
+        "contour and lines: expected finite numbers",
+    ),
+    "a Jacobian of other points": (
+        lambda: comparison().with_jacobian(1, np.zeros((1, 9))),
+        "jacobian: expected an array",
+    ),
+    "no stride": (lambda: comparison().with_jacobian(0, np.zeros((1, 9))), "stride: expected a positive number"),
+    "coverage of no width": (lambda: comparison().coverage(0), "width: expected that of the images"),
+    "coverage of another width": (lambda: comparison().coverage(3), "width: expected that of the images"),
 }
 
 
@@ -143,15 +227,6 @@ def test_what_is_no_array_of_numbers_is_refused(array: Any) -> None:
 @pytest.mark.parametrize("array", [LINKS.astype(np.float32), np.asfortranarray(LINKS), LINKS[..., ::-1][..., ::-1]])
 def test_arrays_of_other_numbers_or_layouts_are_copied(array: np.ndarray) -> None:
     np.testing.assert_array_equal(mesh().masks(CAMERA, array, 1, None), mesh().masks(CAMERA, LINKS, 1, None))
-
-
-def test_samples_beyond_the_image_are_those_of_its_border() -> None:
-    image = np.arange(48, dtype=np.float32).reshape(6, 8)
-    far = np.array([[-50.0, -50.0], [50.0, 50.0], [np.nan, 0.0], [1e300, -1e300]])
-    residual, _ = profiles(
-        images=[image], begin=np.array([0, 4]), pixels=far, normals=np.tile([1.0, 0.0], (4, 1)), weight=IMAGE
-    )
-    np.testing.assert_array_equal(residual[:2], np.repeat([[0.0], [47.0]], 9, axis=1))
 
 
 def test_the_decision_between_crossings_is_taken() -> None:
@@ -194,3 +269,41 @@ def test_sine_and_cosine_are_exact_to_the_last_digits() -> None:
     assert slopes is not None
     np.testing.assert_allclose(poses[:, 0, 0, :2], np.column_stack([np.sin(angles), np.cos(angles)]), atol=3e-16)
     np.testing.assert_allclose(slopes[:, 0, 0, 0, :2], np.column_stack([np.cos(angles), -np.sin(angles)]), atol=3e-16)
+
+
+def test_a_minimum_is_that_of_linear_equations() -> None:
+    rng = np.random.default_rng(1)
+    root = rng.standard_normal((4, 9, 9))
+    information, slope = root @ root.swapaxes(1, 2), rng.standard_normal((4, 9))
+    found = minimum(compared=[], weight=np.ones(4), information=information, slope=slope, iterations=1)
+    np.testing.assert_allclose(found, -np.linalg.solve(information, slope[:, :, None])[:, :, 0], rtol=1e-6)
+
+
+def test_a_minimum_moves_no_point_too_far() -> None:
+    one = comparison()
+    slope = np.full((1, 9), 1e6)
+    free, held = (minimum(slope=slope, farthest=far, iterations=1) for far in (np.inf, 0.5))
+    np.testing.assert_allclose(held / free, np.full((1, 9), (held / free)[0, 0]))
+    assert np.abs(one.jacobian @ held[0]).max() == pytest.approx(0.5)
+
+
+def test_a_line_is_fitted_to_the_majority_of_the_points_near_it() -> None:
+    ((line, index, sigma),) = straight()
+    np.testing.assert_allclose(line, np.array([-0.1, 1, -3]) / np.hypot(0.1, 1), atol=0.02)
+    assert sigma == pytest.approx(0.3)
+    np.testing.assert_array_equal(np.sort(index), [k for k in range(40) if k % 8])
+
+
+def test_a_line_has_the_longest_stretch_without_a_gap() -> None:
+    ((_, index, _),) = straight(gap=1.5, iterations=0, near=1e3)
+    assert len(index) == 40
+    points = np.column_stack([np.r_[0.0:10.0, 30.0:60.0], np.zeros(40)])
+    ((_, index, _),) = straight(points=points, normals=np.tile([0.0, 1.0], (40, 1)), lines=np.eye(3)[1:2], gap=5.0)
+    np.testing.assert_array_equal(np.sort(index), np.arange(10, 40))
+
+
+def test_too_few_points_leave_a_line_as_it_is() -> None:
+    given = np.array([[0.0, 1.0, -50.0]])
+    ((line, index, _),) = straight(lines=given)
+    np.testing.assert_array_equal(line, given[0])
+    assert len(index) == 0

@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.pose.refine.gauss_newton import minimise
-from dvrk_cmaes.pose.terms.profiles import Profiles
+from dvrk_cmaes.pose.terms.profiles import Profiles, density
+from dvrk_cmaes.pose.terms.sized_view import REACH, blur_filter
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.silhouette import OutlinePoints
 
 
-def edge(offset: float) -> np.ndarray:
-    """Give a blurred half plane, covered left of a vertical edge ``offset`` px right of column 20."""
-    from scipy.special import ndtr
-
-    return np.tile(ndtr((20 + offset - np.arange(41)) / 1.2), (30, 1)).astype(np.float32)
+def edge(offset: float, rows: int = 30) -> np.ndarray:
+    """Give a half plane, covered left of a vertical edge ``offset`` px right of column 20."""
+    return np.tile(np.clip(20.5 + offset - np.arange(41), 0, 1), (rows, 1)).astype(np.float32)
 
 
-def profiles(target: np.ndarray, rows: np.ndarray | None = None, cauchy: float = 0.5) -> Profiles:
+def profiles(target: np.ndarray, cauchy: float = 0.5) -> Profiles:
     """Give profiles of a vertical outline at column 20 whose points move right by the only unknown, px."""
-    row = np.arange(30.0) if rows is None else rows
-    pixels = np.column_stack([np.full(len(row), 20.0), row])
-    normals = np.tile([1.0, 0.0], (len(row), 1))
-    none = np.zeros(len(row), dtype=np.intp)
-    outline = OutlinePoints(none, pixels, normals, np.zeros((len(row), 3)))
-    jacobian = np.ones((len(row), 1))
-    return Profiles.sampled([edge(0)], target, np.ones_like(target), [outline], [jacobian], 1.2, cauchy)
+    rows = len(target)
+    corners = np.array([[-200.0, -200], [20, -200], [20, 200], [-200, 200]]) - [20, (rows - 1) / 2]
+    plate = np.column_stack([corners, np.full(4, 100.0)]) / 1000
+    mesh = _kernel.Mesh([(plate, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))])
+    camera = _kernel.Camera(41, rows, 100.0, 100.0, 20.0, (rows - 1) / 2, "plumb_bob", (), np.inf)
+    mask = _kernel.Target(target, np.ones_like(target), blur_filter(1.2), REACH)
+    here, no_joints = np.eye(4)[None], np.zeros((1, 0, 1, 4, 4))
+    (drawn,) = mesh.compare(camera, mask, here, here[None], no_joints, here[None], 1, [cauchy], 1, None)
+    assert len(drawn.pixels) == rows
+    return Profiles([(drawn.with_jacobian(1, np.ones((rows, 1))),)], [1.0], density(1.2), cauchy)
 
 
 FREE = Quadratic.zero(1, 1)
@@ -65,7 +69,8 @@ def test_what_nothing_tells_stays_without_damping() -> None:
 
 
 def test_outlines_of_different_length_are_solved_together() -> None:
-    long, short = profiles(edge(0.3)), profiles(edge(-0.2), np.arange(10.0))
-    together = minimise(Profiles.joined([long, short]), np.ones(2), Quadratic.zero(2, 1), np.zeros(2), 20)
+    long, short = profiles(edge(0.3)), profiles(edge(-0.2, 10))
+    both = replace(long, drawn=[*long.drawn, *short.drawn])
+    together = minimise(both, np.ones(2), Quadratic.zero(2, 1), np.zeros(2), 20)
     alone = [minimise(each, ONE, FREE, np.zeros(1), 20)[0, 0] for each in (long, short)]
     np.testing.assert_allclose(together[:, 0], alone, atol=1e-3)

@@ -55,7 +55,7 @@ def test_recording_is_followed_in_both_directions_from_an_image_that_is_explaine
         asked.append(files.name)
         return files.name == f"{CLEAR:04d}"
 
-    monkeypatch.setattr(image_start, "_is_explained", is_explained)
+    monkeypatch.setattr(image_start, "is_explained", is_explained)
     said: list[str] = []
     used, _ = used_session(read_session(session), "images")
     track_folder(used, tmp_path, world.body, SETTINGS, video=False, page=False, notice=said.append)

@@ -31,7 +31,7 @@ from helpers.worker_tasks import (
 )
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.runs.processes import Processes, WorkerDied, _Process, run_in_processes
+from dvrk_cmaes.runs.processes import Processes, WorkerConnection, WorkerDied, run_in_processes
 from dvrk_cmaes.runs.worker_process import ProcessDiedError, WorkerProcess
 
 
@@ -160,18 +160,18 @@ def test_processes_that_were_begun_and_not_used_end() -> None:
 
 def test_a_process_that_ends_while_it_is_begun_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread that begins it notices first that it was killed, and waits for its end, which takes a while."""
-    end = _Process.end
+    end = WorkerConnection.end
 
     def noticed_first(process: WorkerProcess, *_: object, **__: object) -> None:
         raise ProcessDiedError
 
-    def end_late(process: _Process) -> None:
+    def end_late(process: WorkerConnection) -> None:
         end(process)
         time.sleep(0.02)
 
     monkeypatch.setattr(WorkerProcess, "call", noticed_first)
     monkeypatch.setattr(WorkerProcess, "kill", lambda process: None)  # it ends with its pipe
-    monkeypatch.setattr(_Process, "end", end_late)
+    monkeypatch.setattr(WorkerConnection, "end", end_late)
     with Processes(prepare_nothing, 1) as processes:
         processes.begin()
         while not multiprocessing.active_children():

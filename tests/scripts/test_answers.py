@@ -225,8 +225,8 @@ def test_answers_are_kept_for_a_commit_and_its_inputs(tmp_path: Path, monkeypatc
     from measure.answers.cases import Case
 
     runs: list[str] = []
-    monkeypatch.setattr(answers, "_commit", lambda folder: "c8c8a2f")
-    monkeypatch.setattr(answers, "_answers", lambda checkout, case, instrument: runs.append(case.name) or {"a": [1]})
+    monkeypatch.setattr(answers, "commit_of", lambda folder: "c8c8a2f")
+    monkeypatch.setattr(answers, "answers_of", lambda checkout, case, instrument: runs.append(case.name) or {"a": [1]})
 
     def write(folder: Path, text: str = "1") -> None:
         folder.mkdir()
@@ -240,7 +240,7 @@ def test_answers_are_kept_for_a_commit_and_its_inputs(tmp_path: Path, monkeypatc
     other_inputs = Case("made/easy", lambda folder: write(folder, "2"), (("batch",),))
     answers._kept(checkout, other_inputs, "lnd", tmp_path / "kept")
     assert len(runs) == 2
-    monkeypatch.setattr(answers, "_commit", lambda folder: None)
+    monkeypatch.setattr(answers, "commit_of", lambda folder: None)
     answers._kept(checkout, other_inputs, "lnd", tmp_path / "kept")
     assert len(runs) == 3
 
@@ -261,7 +261,7 @@ def test_answers_on_other_processors_may_differ_in_digits_but_not_in_verdicts(
     monkeypatch.setattr(answers, "processors", lambda: others)
     monkeypatch.setattr(
         answers,
-        "_answers",
+        "answers_of",
         lambda _, case, instrument, variables=None: {"a.json": given[(variables or {}).get("CPU", "")]},
     )
     done = run_here("answers", "--processors", "--only", "demo", "--json")

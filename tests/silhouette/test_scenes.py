@@ -14,13 +14,13 @@ from dvrk_cmaes.silhouette.scenes import LinkScenes
 
 def test_scenes_are_built_once_by_all_threads(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
     built: list[Any] = []
-    of_link = LinkScenes._scene_of
+    of_link = LinkScenes.scene_of
 
     def counted(self: LinkScenes, link: Any) -> Any:
         built.append(link.name)
         return of_link(self, link)
 
-    monkeypatch.setattr(LinkScenes, "_scene_of", counted)
+    monkeypatch.setattr(LinkScenes, "scene_of", counted)
     scenes = LinkScenes(bundled_body.instrument)
     assert len(scenes) == len(bundled_body.instrument.links)
     assert not built

@@ -135,7 +135,7 @@ class LocalSearch:
 
     def _assess(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
         """Score modes without refining them."""
-        return [assess(coverage, self._terms, mode.at) for mode in modes]
+        return assess(coverage, self._terms, Posed.stacked([mode.at for mode in modes])) if modes else []
 
     def _twin(self, mode: Candidate) -> Candidate:
         return Candidate(twin_of(self._instrument, mode.at), mode.score)
@@ -210,7 +210,7 @@ class LocalSearch:
     def _with_correlated_noise(self, coverage: Coverage, mode: Fit) -> Fit:
         """Return a mode where generalised least squares put it; where it was, if that is clearly worse by its score."""
         (fit,) = refine(CorrelatedContour(coverage.views), self._terms, Posed.stacked([mode.at]), _OF_CONTOUR)
-        is_as_good = assess(coverage, self._terms, fit.at).score < mode.score + _AS_GOOD
+        is_as_good = assess(coverage, self._terms, fit.at[None])[0].score < mode.score + _AS_GOOD
         return replace(mode, at=fit.at) if is_as_good else mode
 
     def _last(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
@@ -239,6 +239,6 @@ class LocalSearch:
             at, count = refine_direct(
                 config.refine.method, loss, mode.at, scale, config.refine.evaluations, config.seed
             )
-            fits.append(assess(coverage, self._terms, at))
+            fits += assess(coverage, self._terms, at[None])
             self._direct_silhouettes += count
         return fits

@@ -8,26 +8,30 @@ is iteratively reweighted least squares, whose short steps would otherwise each 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final, Generic, Literal, TypeVar
+from dataclasses import dataclass, fields
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.search.modes import Candidate
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.profiles import Profiles
 from dvrk_cmaes.pose.terms.term import Approximation, Quadratic, Term, sum_of_costs, sum_of_locals
 
+Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
-A = TypeVar("A", bound=Approximation)
+Indices = NDArray[np.intp]
 
 _DAMPING = (1e-4, 1e-2, 10.0)  # least, first and largest of the Levenberg-Marquardt steps
 _DAMPING_STEP = 8.0  # factor on the damping by which it grows or falls
 _SMALL_GAIN = 0.1  # of the tolerance
 _AT_HALF_SIZE, _AT_SMALLER_SIZE = 4.0, 10.0  # factors on the tolerance where a refinement at a larger size follows
+_LARGEST_SHIFT = 3.0  # px; beyond it an outline has left the samples of the approximation
 _SOLVED = 0.01  # length of a step, in standard deviations per parameter, below which an approximation's minimum is met
 _LEAST_DAMPING: Final = 1e-9, 1e-12  # of steps that are not damped: of each diagonal element, and of the largest one
 
@@ -80,51 +84,34 @@ class Steps:
         return Steps(most, max(config.inner_steps // 3, 1), tolerance, "long", continued=continued)
 
 
-@dataclass(frozen=True, eq=False)
-class _Part(Generic[A]):
-    """The approximation near one of several poses: ``group`` is that near all of them, ``index`` the pose's place."""
-
-    group: A
-    index: int
-
-    @staticmethod
-    def joined(parts: Sequence[_Part[A]]) -> A:
-        """Return the approximation near several poses together; of one group, nothing is copied pose by pose."""
-        groups = list({id(part.group): part.group for part in parts}.values())
-        if len(groups) == 1:
-            chosen = [part.index for part in parts]
-            whole = len(chosen) == groups[0].count and chosen == list(range(len(chosen)))
-            return groups[0] if whole else groups[0].select(chosen)
-        return type(groups[0]).joined([part.group.select([part.index]) for part in parts])
-
-
 @dataclass(eq=False)
-class _State:
-    """State of the refinement of one pose: what was drawn there, and the last approximation that was computed.
+class _States:
+    """The state of each of C poses that are refined together.
 
-    ``others`` is the sum of squares of the other terms, ``weight`` the factor on that of the outline. ``drawn_at`` is
-    where the state was drawn last: elsewhere after a step that was not tested.
+    at : the poses. drawn : what was drawn of each, at the pose in ``drawn_at``, which is another one after a step that
+    was not tested (``stale``). outline : the score of what was drawn. others : sum of squares of the other terms.
+    weight : factor on that of the outline. information : that of the sum, about each pose. moved : whether the pose has
+    moved on since its approximation was computed, of which ``quadratic`` are the other terms. ``finished`` poses stay.
     """
 
     at: Posed
-    drawn: Any
-    others: float
-    weight: float = 1.0
-    near: _Part[Any] = field(init=False)
-    quadratic: _Part[Quadratic] = field(init=False)
-    information: Float64 = field(init=False)
-    damping: float = _DAMPING[1]
-    moved: bool = True
-    finished: bool = False
-    drawn_at: Posed = field(init=False)
+    drawn: list[Any]
+    others: Float64
+    information: Float64
+    quadratic: Quadratic
 
     def __post_init__(self) -> None:
-        self.drawn_at = self.at
+        count = len(self.at)
+        self.drawn_at = self.at[np.arange(count)]
+        self.outline, self.weight = np.zeros(count), np.ones(count)
+        self.damping = np.full(count, _DAMPING[1])
+        self.moved, self.stale, self.finished = np.ones(count, bool), np.zeros(count, bool), np.zeros(count, bool)
 
-    @property
-    def stale(self) -> bool:
-        """Whether the state moved on from where it was drawn."""
-        return self.at is not self.drawn_at
+    @staticmethod
+    def put(at: Posed, index: Indices, those: Posed) -> None:
+        """Replace some of several poses."""
+        for each in fields(at):
+            getattr(at, each.name)[index] = getattr(those, each.name)
 
 
 def refine(
@@ -137,9 +124,9 @@ def refine(
     return _Refinement(outline, tuple(terms), steps).run(starts, selection)
 
 
-def assess(outline: OutlineTerm[Any], terms: Sequence[Term], at: Posed) -> Fit:
-    """Score one pose without refining it."""
-    return refine(outline, terms, type(at).stacked([at]), Steps(0))[0]
+def assess(outline: OutlineTerm[Any], terms: Sequence[Term], at: Posed) -> list[Fit]:
+    """Score C poses without refining them."""
+    return refine(outline, terms, at, Steps(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,108 +139,106 @@ class _Refinement:
 
     def run(self, starts: Posed, selection: Selection) -> list[Fit]:
         """Refine C starts."""
-        begun = zip(self.outline.draw(starts), sum_of_costs(self.terms, starts).tolist(), strict=True)
-        states = [_State(starts[k], drawn, others) for k, (drawn, others) in enumerate(begun)]
-        self._approximate(states)
-        kept = float(len(states))
+        drawn, count = self.outline.draw(starts), len(starts)
+        dimension = self.outline.near(drawn[:1], starts[:1]).dimension
+        nothing = Quadratic.zero(count, dimension)
+        every = np.arange(count)
+        states = _States(starts[every], drawn, sum_of_costs(self.terms, starts), nothing.information.copy(), nothing)
+        states.outline[:] = [self.outline.score_of(one) for one in drawn]
+        self._approximate(states, every)
+        kept = float(count)
         for left in reversed(range(self.steps.iterations)):
-            outline_scores = [self.outline.score_of(state.drawn) for state in states]
-            scores = [alone + 0.5 * state.others for alone, state in zip(outline_scores, states, strict=True)]
-            chosen = [states[i] for i in selection.continuing(scores, outline_scores, kept)]
-            active = [state for state in chosen if not state.finished]
-            if not active:
+            chosen = selection.continuing(states.outline + 0.5 * states.others, states.outline, kept)
+            active = np.array([k for k in chosen if not states.finished[k]], dtype=np.intp)
+            if not len(active):
                 break
-            self._approximate([state for state in active if state.moved])
-            self._advance(active, last=left == 0 and not self.steps.continued)
+            self._approximate(states, active[states.moved[active]])
+            self._advance(states, active[~states.finished[active]], last=left == 0 and not self.steps.continued)
             kept *= selection.share
-        return [self._fit(state) for state in states]
+        alone = [self.outline.score_of(one, final=True) for one in states.drawn]
+        scores = (alone + 0.5 * states.others).tolist()
+        return [
+            Fit(states.at[k], scores[k], alone[k], states.information[k], states.drawn[k], states.drawn_at[k])
+            for k in range(count)
+        ]
 
-    def _approximate(self, states: Sequence[_State]) -> None:
-        """Compute the approximation of the terms, and the information about the changes of states at their poses."""
-        if not states:
+    def _draw(self, states: _States, index: Indices, at: Posed, drawn: Sequence[Any]) -> None:
+        """Note what was drawn of some states, at the poses where they are."""
+        _States.put(states.drawn_at, index, at)
+        for k, one in zip(index, drawn, strict=True):
+            states.drawn[k], states.outline[k], states.stale[k] = one, self.outline.score_of(one), False
+
+    def _approximate(self, states: _States, index: Indices) -> None:
+        """Compute the information about the changes of some states at their poses, and draw those that are stale."""
+        if not len(index):
             return
-        stale = [state for state in states if state.stale]
-        for state, drawn in zip(stale, self.outline.draw(_poses(stale)) if stale else (), strict=True):
-            state.drawn, state.drawn_at = drawn, state.at
-        at = _poses(states)
-        near = self.outline.near([state.drawn for state in states], at)
-        others = sum_of_locals(self.terms, at).padded(near.dimension)
-        information, _ = near.normal_equations(np.zeros((len(states), near.dimension)))
-        for k, state in enumerate(states):
-            state.weight = self.outline.weight_of(state.drawn)
-            state.near, state.quadratic = _Part(near, k), _Part(others, k)
-            state.information = state.weight * information[k] + others.information[k]
-            state.moved = False
-            # where the outline tells nothing, nothing holds back a step that is not tested
-            state.finished |= self.steps.tested == "none" and not information[k].any()
+        stale = index[states.stale[index]]
+        if len(stale):
+            self._draw(states, stale, states.at[stale], self.outline.draw(states.at[stale]))
+        near, others = self._near(states, index), sum_of_locals(self.terms, states.at[index])
+        others = others.padded(near.dimension)
+        information, _ = near.normal_equations(np.zeros((len(index), near.dimension)))
+        states.weight[index] = [self.outline.weight_of(states.drawn[k]) for k in index]
+        states.quadratic.information[index], states.quadratic.slope[index] = others.information, others.slope
+        states.information[index] = states.weight[index, None, None] * information + others.information
+        states.moved[index] = False
+        if self.steps.tested == "none":  # where the outline tells nothing, nothing holds back a step
+            states.finished[index] |= ~information.any(axis=(1, 2))
 
-    def _advance(self, active: Sequence[_State], *, last: bool) -> None:
-        """Take one step from each state; one that is tested is kept if it lowers the sum of squares.
+    def _near(self, states: _States, index: Indices) -> Approximation:
+        """Return the approximation of the outline's term near some states."""
+        return self.outline.near([states.drawn[k] for k in index], states.at[index])
+
+    def _advance(self, states: _States, index: Indices, *, last: bool) -> None:
+        """Take one step from some states; one that is tested is kept if it lowers the sum of squares.
 
         After the ``last`` no derivatives are needed.
         """
-        states = [state for state in active if not state.finished]
-        if not states:
+        if not len(index):
             return
-        changes = self._changes(states)
-        at = _poses(states).moved(changes)
+        changes = self._changes(states, index)
+        at = states.at[index].moved(changes)
         if self.steps.tested == "none":
             for term in self.terms:
                 at = term.allowed(at)
-        others = sum_of_costs(self.terms, at).tolist()
-        small = [self._is_small(state, change) for state, change in zip(states, changes, strict=True)]
-        tested = []
-        for k, state in enumerate(states):
-            if self.steps.tested == "all" or (self.steps.tested == "long" and not small[k]):
-                tested.append(k)
-            else:
-                state.at, state.others, state.finished = at[k], others[k], small[k]
-                state.moved = True
-        if not tested:
-            return
-        for k, drawn in zip(tested, self.outline.draw(at[tested], derivatives=not last), strict=True):
-            self._test(states[k], at[k], drawn, others[k], small=small[k])
+        others = sum_of_costs(self.terms, at)
+        square = np.einsum("ci,cij,cj->c", changes, states.information[index], changes)
+        small = square < self.steps.tolerance**2 * changes.shape[1]
+        tested = np.full(len(index), self.steps.tested == "all") | (~small if self.steps.tested == "long" else False)
+        taken = index[~tested]
+        _States.put(states.at, taken, at[~tested])
+        states.others[taken], states.finished[taken] = others[~tested], small[~tested]
+        states.moved[taken] = states.stale[taken] = True
+        if tested.any():
+            self._test(states, index[tested], at[tested], others[tested], small[tested], last=last)
 
-    def _test(self, state: _State, at: Posed, drawn: Any, others: float, *, small: bool) -> None:
-        """Move a state to a trial pose if that lowers the sum of squares; otherwise increase its damping."""
-        loss = self.outline.cost_of(drawn)
-        gain = state.weight * (self.outline.cost_of(state.drawn) - loss) + state.others - others
-        if gain <= 0:
-            state.damping *= _DAMPING_STEP
-            state.finished = small or state.damping > _DAMPING[2]
-            return
-        state.finished = small or gain < _SMALL_GAIN * self.steps.tolerance
-        state.at = state.drawn_at = at
-        state.drawn, state.others, state.moved = drawn, others, True
-        state.damping = max(state.damping / _DAMPING_STEP, _DAMPING[0])
+    def _test(self, states: _States, index: Indices, at: Posed, others: Float64, small: Bool, *, last: bool) -> None:
+        """Move states to trial poses where that lowers the sum of squares; otherwise increase their damping."""
+        drawn = self.outline.draw(at, derivatives=not last)
+        fall = [
+            self.outline.cost_of(states.drawn[k]) - self.outline.cost_of(one)
+            for k, one in zip(index, drawn, strict=True)
+        ]
+        gain = states.weight[index] * fall + states.others[index] - others
+        better = gain > 0
+        worse, moved = index[~better], index[better]
+        states.damping[worse] *= _DAMPING_STEP
+        states.finished[worse] = small[~better] | (states.damping[worse] > _DAMPING[2])
+        states.finished[moved] = (small | (gain < _SMALL_GAIN * self.steps.tolerance))[better]
+        _States.put(states.at, moved, at[better])
+        self._draw(states, moved, at[better], [one for one, is_better in zip(drawn, better, strict=True) if is_better])
+        states.others[moved], states.moved[moved] = others[better], True
+        states.damping[moved] = np.maximum(states.damping[moved] / _DAMPING_STEP, _DAMPING[0])
 
-    def _is_small(self, state: _State, change: Float64) -> bool:
-        """Return whether a change (D,) of a state is shorter than the tolerance."""
-        return bool(change @ state.information @ change < self.steps.tolerance**2 * len(change))
-
-    def _changes(self, states: Sequence[_State]) -> Float64:
+    def _changes(self, states: _States, index: Indices) -> Float64:
         """Return the changes (C, D) of C states that minimise the approximations of their terms."""
-        near = _Part.joined([state.near for state in states])
-        others = _Part.joined([state.quadratic for state in states])
-        weight = np.array([state.weight for state in states])
-        damping = None if self.steps.tested == "none" else np.array([state.damping for state in states])
-        changes = minimise(near, weight, others, damping, self.steps.inner)
+        others = states.quadratic.select(index)
+        damping = None if self.steps.tested == "none" else states.damping[index]
+        changes = minimise(self._near(states, index), states.weight[index], others, damping, self.steps.inner)
         if self.steps.largest < np.inf:
-            information = np.stack([state.information for state in states])
-            sizes = np.sqrt(np.einsum("ci,cij,cj->c", changes, information, changes))
+            sizes = np.sqrt(np.einsum("ci,cij,cj->c", changes, states.information[index], changes))
             changes = changes * np.minimum(1.0, self.steps.largest / np.maximum(sizes, 1e-12))[:, None]
         return changes
-
-    def _fit(self, state: _State) -> Fit:
-        """Return the refined pose of a state with its score."""
-        alone = self.outline.score_of(state.drawn, final=True)
-        score = alone + 0.5 * state.others
-        return Fit(state.at, score, alone, state.information, state.drawn, state.drawn_at)
-
-
-def _poses(states: Sequence[_State]) -> Posed:
-    """Return the poses of C states together."""
-    return type(states[0].at).stacked([state.at for state in states])
 
 
 def minimise(
@@ -264,26 +249,25 @@ def minimise(
     ``damping`` (C,) times the diagonal of the information at no change keeps the changes small (Levenberg-Marquardt).
     Without, only as little is added as makes it invertible: nothing may tell a hidden joint.
     """
-    count, dimension = others.slope.shape
-    change, held = np.zeros((count, dimension)), None
-    for _ in range(iterations):
-        information, slope = near.normal_equations(change)
-        full = weight[:, None, None] * information + others.information
-        if held is None:
-            held = _held_back(np.diagonal(full, axis1=1, axis2=2), damping)
-        full = full + held[:, :, None] * np.eye(dimension)
-        slope = weight[:, None] * slope + others.slope
-        slope = slope + np.einsum("cij,cj->ci", others.information, change) + held * change
-        step = -np.linalg.solve(full, slope[:, :, None])[:, :, 0]
-        change = change + step
-        if (np.einsum("ci,cij,cj->c", step, full, step) < _SOLVED**2 * dimension).all():
-            break
-    return np.asarray(change * near.share_that_holds(change)[:, None])
-
-
-def _held_back(diagonal: Float64, damping: Float64 | None) -> Float64:
-    """Return what is added to the diagonal (C, D) of an information, with or without damping (C,)."""
-    if damping is not None:
-        return damping[:, None] * (diagonal + 1e-9)
-    of_each, of_largest = _LEAST_DAMPING
-    return np.asarray(of_each * diagonal + of_largest * np.maximum(diagonal.max(axis=1, keepdims=True), 1.0))
+    compared: Sequence[_kernel.Comparison] = ()
+    factors: Sequence[float] = (1.0,)
+    density, cauchy = factors, 1.0
+    if isinstance(near, Profiles):
+        compared, factors, density, cauchy = near.compared, near.factors, near.density, near.cauchy
+    else:
+        assert isinstance(near, Quadratic)
+        others = others + near.times(weight)
+    return _kernel.minimise(
+        compared,
+        factors,
+        density,
+        cauchy,
+        weight,
+        others.information,
+        others.slope,
+        damping,
+        iterations,
+        _SOLVED**2 * others.dimension,
+        _LEAST_DAMPING,
+        _LARGEST_SHIFT,
+    )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 class Scored(Protocol):
@@ -40,7 +41,7 @@ class Selection:
     gap: float = np.inf
     least: int = 1
 
-    def continuing(self, scores: Sequence[float], outline_scores: Sequence[float], left: float) -> list[int]:
+    def continuing(self, scores: ArrayLike, outline_scores: ArrayLike, left: float) -> list[int]:
         """Return the indices of the poses that continue, best first, if about ``left`` of them continued before.
 
         ``scores`` are the negative log-likelihoods, ``outline_scores`` the parts of them that come from the outline.

@@ -10,7 +10,7 @@ from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search import minimise_each
-from dvrk_cmaes.pose.search.modes import Candidate, best_per_mode
+from dvrk_cmaes.pose.search.modes import Candidate, first_of_modes
 from dvrk_cmaes.pose.search.objective import Objective
 from dvrk_cmaes.pose.search.screening import screened, screening_size
 from dvrk_cmaes.pose.search.starts import draw_starts
@@ -91,5 +91,6 @@ def find_candidates(
 def _distinct(at: Posed, losses: Float64, ranked: int, most: int) -> list[Candidate]:
     """Return at most ``most`` distinct candidates among the best ``ranked``, the best first."""
     best = np.argsort(losses, kind="stable")[:ranked]
-    candidates = [Candidate(at[i], float(losses[i])) for i in best if np.isfinite(losses[i])]
-    return best_per_mode(candidates, angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)
+    best = best[np.isfinite(losses[best])]
+    kept = best[first_of_modes(at[best], angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)]
+    return [Candidate(at[i], float(losses[i])) for i in kept]

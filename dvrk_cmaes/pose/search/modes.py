@@ -58,13 +58,18 @@ def best_per_mode(
 
     Candidates belong to the same mode if they are not distinct by the thresholds ``angle`` and ``joint``, rad.
     """
-    left = sorted(candidates, key=lambda candidate: candidate.score)
-    kept: list[C] = []
-    if not left:
-        return kept
-    at = Posed.stacked([candidate.at for candidate in left])
-    while left and len(kept) != most:
-        kept.append(left[0])
-        distinct = np.flatnonzero(are_distinct(at[0], at, angle, joint))
-        left, at = [left[i] for i in distinct], at[distinct]
+    ordered = sorted(candidates, key=lambda candidate: candidate.score)
+    if not ordered:
+        return ordered
+    at = Posed.stacked([candidate.at for candidate in ordered])
+    return [ordered[k] for k in first_of_modes(at, angle=angle, joint=joint, most=most)]
+
+
+def first_of_modes(at: Posed, *, angle: float = _ANGLE, joint: float = _JOINT, most: int | None = None) -> list[int]:
+    """Return which of C poses are of none of the modes before them, at most ``most``; arguments as `best_per_mode`."""
+    kept: list[int] = []
+    left = np.arange(len(at))
+    while len(left) and len(kept) != most:
+        kept.append(int(left[0]))
+        left = left[are_distinct(at[kept[-1]], at[left], angle, joint)]
     return kept

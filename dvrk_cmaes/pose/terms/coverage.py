@@ -14,23 +14,23 @@ that happens to fit best would have nearly all the weight.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
-from dvrk_cmaes.pose.terms.profiles import Profiles
+from dvrk_cmaes.pose.terms.profiles import Profiles, density
 from dvrk_cmaes.pose.terms.shared_errors import LASTING, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
 
-Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Columns = Callable[[int, OutlinePoints, Float64], Float64]
 """Displacements (N, E) of an outline's N points by E unknowns, times the lengths of their normals, px.
@@ -39,16 +39,8 @@ Arguments are the number of the view, its outline, and the displacements (N, D) 
 """
 
 
-@dataclass(frozen=True, eq=False)
-class DrawnCoverage:
-    """The blurred coverage (H, W) of a pose in each view, and its outlines where asked for.
-
-    ``losses`` are the views' sums of squares with the width of the refinement.
-    """
-
-    images: tuple[Float32, ...]
-    outlines: tuple[OutlinePoints | None, ...]
-    losses: tuple[float, ...]
+DrawnCoverage = tuple[_kernel.Comparison, ...]
+"""What was drawn of a pose in each view."""
 
 
 class Coverage(OutlineTerm[DrawnCoverage]):
@@ -91,6 +83,11 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         self._least = sum(exact)
         self._correlations = lengths
         self.noise = noise
+        self._density = density(config.blur)
+        self._widths = list(
+            dict.fromkeys((config.cauchy, *([config.last_cauchy] if views[0].shrink == 1 else []), self._width))
+        )
+        self._place = self._widths.index(self._width)
 
     def with_correlations(self, lengths: Sequence[float]) -> Coverage:
         """Return the same term with other correlation lengths, px, one of each view, and the width of scores."""
@@ -125,19 +122,16 @@ class Coverage(OutlineTerm[DrawnCoverage]):
     def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnCoverage]:
         """Draw C poses in all views."""
         lines = self._config.lines_per_pixel
-        of_views = [view.draw(at, lines, outlines=derivatives) for view in self.views]
-        pairs = zip(self.views, of_views, strict=True)
-        losses = np.stack([view.losses([image for image, _ in drawn], self._width) for view, drawn in pairs], axis=1)
-        of_poses = [tuple(zip(*of_pose, strict=True)) for of_pose in zip(*of_views, strict=True)]
-        both = zip(of_poses, losses.tolist(), strict=True)
-        return [DrawnCoverage(images, outlines, tuple(of_pose)) for (images, outlines), of_pose in both]
+        of_views = [view.draw(at, lines, self._widths, outlines=derivatives) for view in self.views]
+        return list(zip(*of_views, strict=True))
 
     def final_losses(self, drawn: DrawnCoverage) -> tuple[float, ...]:
         """Return the views' sums of squares of what was drawn, with the width of scores."""
-        if self._width == self._config.cauchy:
-            return drawn.losses
-        pairs = zip(self.views, drawn.images, strict=True)
-        return tuple(float(view.losses([image], self._config.cauchy)[0]) for view, image in pairs)
+        return tuple(one.losses[0] for one in drawn)
+
+    def _losses(self, drawn: DrawnCoverage) -> tuple[float, ...]:
+        """Return the same with the width of the refinement."""
+        return tuple(one.losses[self._place] for one in drawn)
 
     def _sum(self, losses: Sequence[float]) -> float:
         """Return the sum of the views' losses, each with its number of measurements a pixel, beside the first one's."""
@@ -145,11 +139,11 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def cost_of(self, drawn: DrawnCoverage) -> float:
         """Return the sum of squares of what was drawn."""
-        return self._sum(drawn.losses)
+        return self._sum(self._losses(drawn))
 
     def weight_of(self, drawn: DrawnCoverage) -> float:
         """Return the factor to sums of squares in standard deviations, from what was drawn or from the given noise."""
-        return self._weight(drawn.losses)
+        return self._weight(self._losses(drawn))
 
     def _weight(self, losses: Sequence[float]) -> float:
         noise = sum(losses) if self.noise is None else self.noise
@@ -157,21 +151,14 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def score_of(self, drawn: DrawnCoverage, *, final: bool = False) -> float:
         """Return the negative log-likelihood up to a constant; with the variance estimated if no noise is given."""
-        losses = self.final_losses(drawn) if final else drawn.losses
+        losses = self.final_losses(drawn) if final else self._losses(drawn)
         if self.noise is not None:
             return 0.5 * self._weight(losses) * self._sum(losses)
         return 0.5 * self._count * float(np.log(max(sum(losses), self._least)))
 
     def near(self, drawn: Sequence[DrawnCoverage], at: Posed) -> Profiles:
         """Return the loss near C poses, as a function of their small changes."""
-        of_views = []
-        for k, view in enumerate(self.views):
-            outlines = [outline for of_pose in drawn if (outline := of_pose.outlines[k]) is not None]
-            images, jacobians = [of_pose.images[k] for of_pose in drawn], view.jacobians(outlines, at)
-            of_views.append(
-                Profiles.sampled(images, view.target, view.weight, outlines, jacobians, self._config.blur, self._width)
-            )
-        return Profiles.of_views(of_views, self._shares)
+        return Profiles(drawn, self._shares, self._density, self._width)
 
     def near_with_lasting(
         self,
@@ -195,25 +182,21 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         if drawn is None:
             (drawn,) = self.draw(Posed.stacked([at]))
         weight, parts = self.weight_of(drawn), []
-        of_views = zip(self.views, noises, drawn.images, drawn.outlines, self._shares, strict=True)
-        for k, (view, noise, image, drawn_outline, share) in enumerate(of_views):
-            assert drawn_outline is not None
-            outline = drawn_outline.every(stride)
-            (of_pose,) = view.jacobians([outline], Posed.stacked([at]))
+        for k, (view, noise, one, share) in enumerate(zip(self.views, noises, drawn, self._shares, strict=True)):
+            outline = OutlinePoints(one.link, one.pixels, one.normals, one.points).every(stride)
+            of_pose, length = one.jacobian[::stride], np.linalg.norm(outline.normals, axis=1)[:, None]
             errors = view.shared_errors(outline, at, noise)
             if as_seen:
                 errors = errors.as_seen(view.offsets(outline))
-            of_errors = errors.columns * np.linalg.norm(outline.normals, axis=1)[:, None]
-            lasting = np.zeros((len(of_errors), LASTING * len(self.views)))
-            lasting[:, LASTING * k : LASTING * (k + 1)] = of_errors[:, :LASTING] * errors.deviations[:LASTING]
-            of_kept = [] if kept is None else [kept(k, outline, of_pose)]
-            jacobian = np.column_stack([of_pose, *of_kept, lasting, of_errors[:, LASTING:]])
-            profiles = Profiles.sampled(
-                [image], view.target, view.weight, [outline], [jacobian], self._config.blur, self._width
+            lasting = np.zeros((len(outline.link), LASTING * len(self.views)))
+            lasting[:, LASTING * k : LASTING * (k + 1)] = errors.columns[:, :LASTING] * errors.deviations[:LASTING]
+            of_kept = [] if kept is None else [kept(k, outline, of_pose * length) / length]
+            jacobian = np.column_stack([of_pose, *of_kept, lasting, errors.columns[:, LASTING:]])
+            both = replace(self.near([drawn], at), drawn=[(one.with_jacobian(stride, jacobian),)], factors=[share])
+            information, slope = both.normal_equations(np.zeros((1, jacobian.shape[1])))
+            parts.append(
+                without_last(Quadratic(weight * information, weight * slope), errors.information[LASTING:, LASTING:])
             )
-            information, slope = profiles.normal_equations(np.zeros((1, jacobian.shape[1])))
-            terms = Quadratic(weight * share * information, weight * share * slope)
-            parts.append(without_last(terms, errors.information[LASTING:, LASTING:]))
         return sum(parts, start=Quadratic.zero(1, parts[0].dimension))
 
     def near_without_shared(

@@ -21,18 +21,18 @@ from dvrk_cmaes.silhouette.moving_points import moving_points
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
-_REMEMBERED = 8_000_000  # px of the drawings that a view keeps
+REACH = 4
+"""Distance, px, from the outline up to which differences are sampled."""
+
+_REMEMBERED = 64  # drawings that a view keeps
+_FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
-
-
-Drawing = tuple[Float32, OutlinePoints | None]
-"""The blurred coverage (H, W) of a pose, and its outline where that was asked for."""
 
 
 class SizedView:
     """A view at 1 / ``shrink`` of its size, in a window around the mask.
 
-    mask : (H, W) bool, of the window. target : (H, W), the blurred mask. weight : (H, W), 0 for ignored pixels and
+    mask : (H, W) bool, of the window. target : the blurred mask. weight : (H, W), 0 for ignored pixels and
     beside them, 1 for others. length : px of contour at this size. shrink, view_from_camera : as given. Poses are in
     the reference camera. ``blur``, px, is the standard deviation of that of coverage and mask; ``renderer`` draws
     another body than that of the view, if given. ``margin``, px of the whole size, is taken off the mask all round.
@@ -63,17 +63,17 @@ class SizedView:
         used = view.renderer if renderer is None else renderer
         self.camera = self._in_window(camera)
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
-        self._blur = blur
         beside = 2 * int(np.ceil(_BLURRED_IN * blur)) + 1
         if weight.min() < 1:
             weight = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
         self.weight = np.ascontiguousarray(weight[window])
-        self.mask = mask[window] > 0.5
-        self.target = self._blurred(np.ascontiguousarray(mask[window]))
+        mask = np.ascontiguousarray(mask[window])
+        self.mask = mask > 0.5
+        self.target = _kernel.Target(mask, self.weight, blur_filter(blur), REACH)
         self.shrink = shrink
         self.length = max(len(evidence.contour.pixels) / shrink, 20.0)
         self.view_from_camera = view.view_from_camera
-        self._remembered: dict[bytes, Drawing] = {}
+        self._remembered: dict[tuple[object, ...], _kernel.Comparison] = {}
         self._distance: Float32 | None = None
 
     def placed(self, view_from_camera: Float64) -> SizedView:
@@ -106,51 +106,28 @@ class SizedView:
         """Number of rays traced so far."""
         return self._renderer.rays
 
-    def _blurred(self, image: Float32) -> Float32:
-        return np.asarray(cv2.GaussianBlur(image, (0, 0), self._blur, borderType=cv2.BORDER_REPLICATE))
-
-    def draw(self, at: Posed, lines_per_pixel: int, *, outlines: bool) -> list[Drawing]:
-        """Draw the blurred coverage (H, W) of each of C poses, and find its outline if ``outlines`` are asked for."""
+    def draw(
+        self, at: Posed, lines_per_pixel: int, cauchy: Sequence[float], *, outlines: bool
+    ) -> list[_kernel.Comparison]:
+        """Draw C poses and compare them with the mask, by losses of some widths, with ``outlines`` if asked for."""
         seen = at.seen_from(self.view_from_camera)
-        keys = [_key(seen, k, lines_per_pixel) for k in range(len(seen))]
-        known: dict[bytes, Drawing] = {}
-        for key in keys:
-            kept = self._remembered.get(key)
-            if kept is not None and (kept[1] is not None or not outlines):
-                known[key] = kept
+        keys = [(seen.pose[k].tobytes(), seen.joints[k].tobytes(), lines_per_pixel, *cauchy) for k in range(len(seen))]
+        kept = ((key, self._remembered.get(key)) for key in keys)
+        known = {key: one for key, one in kept if one is not None and (one.outlined or not outlines)}
         missing = [k for k, key in enumerate(keys) if key not in known]
         if missing:
-            drawn = self._draw(seen[missing], lines_per_pixel, outlines=outlines)
+            drawn = self._renderer.compare(
+                seen[missing], self.target, cauchy, lines_per_pixel=lines_per_pixel, outlines=outlines
+            )
             known |= zip([keys[k] for k in missing], drawn, strict=True)
-            self._remember(known)
+            self._remembered = dict(list((self._remembered | known).items())[-_REMEMBERED:])
         return [known[key] for key in keys]
 
-    def _remember(self, drawn: dict[bytes, Drawing]) -> None:
-        """Keep drawings, and forget the oldest ones."""
-        most = max(_REMEMBERED // self.target.size, 1)
-        for key, one in drawn.items():
-            self._remembered.pop(key, None)
-            self._remembered[key] = one
-        for key in list(self._remembered)[:-most]:
-            del self._remembered[key]
-
-    def _draw(self, seen: Posed, lines_per_pixel: int, *, outlines: bool) -> list[Drawing]:
-        """Draw C poses in the view's own camera."""
-        if not outlines:
-            coverage = self._renderer.coverage(seen.pose, seen.joints, lines_per_pixel=lines_per_pixel)
-            return [(self._blurred(image), None) for image in coverage]
-        coverage, points = self._renderer.coverage_and_outlines(seen.pose, seen.joints, lines_per_pixel=lines_per_pixel)
-        return [(self._blurred(image), outline) for image, outline in zip(coverage, points, strict=True)]
-
-    def losses(self, images: Sequence[Float32], cauchy: float) -> Float64:
-        """Return the Cauchy losses (C,) of C drawings less the mask; they are sums of squares for small residuals."""
-        return _kernel.cauchy_losses(images, self.target, self.weight, cauchy)
-
-    def silhouette(self, drawn: Float32) -> NDArray[np.bool_]:
-        """Return the silhouette of a blurred coverage (H, W) in the whole image; nothing is outside the window."""
+    def silhouette(self, drawn: _kernel.Comparison) -> NDArray[np.bool_]:
+        """Return the silhouette of a drawing in the whole image; nothing is outside the window."""
         left, top, width, height = self._window
         whole = np.zeros(self._size[::-1], dtype=np.bool_)
-        whole[top : top + height, left : left + width] = drawn > 0.5
+        whole[top : top + height, left : left + width] = drawn.coverage(width) > 0.5
         return whole
 
     def outlines(self, at: Posed) -> list[OutlinePoints]:
@@ -179,6 +156,7 @@ class SizedView:
         return shared_errors(outline, self._renderer.body.instrument, self.camera, seen, noise)
 
 
-def _key(at: Posed, index: int, lines_per_pixel: int) -> bytes:
-    """Return what tells the drawing of one of several poses from others."""
-    return bytes(at.pose[index].tobytes() + at.joints[index].tobytes() + bytes([lines_per_pixel]))
+def blur_filter(blur: float) -> list[float]:
+    """Return the taps of a normal distribution with a standard deviation, px, from its middle outwards."""
+    reach = round(_FARTHEST * blur)
+    return [float(tap) for tap in cv2.getGaussianKernel(2 * reach + 1, blur)[reach:, 0]]

@@ -20,30 +20,12 @@ class Approximation(ABC):
 
     @property
     @abstractmethod
-    def count(self) -> int:
-        """Number C of poses."""
-
-    @property
-    @abstractmethod
     def dimension(self) -> int:
         """Number D of small changes."""
 
     @abstractmethod
-    def select(self, index: Sequence[int]) -> Self:
-        """Return that near some of the poses."""
-
-    @classmethod
-    @abstractmethod
-    def joined(cls, groups: Sequence[Self]) -> Self:
-        """Return those near several groups of poses together."""
-
-    @abstractmethod
     def normal_equations(self, change: Float64) -> tuple[Float64, Float64]:
         """Return the information (C, D, D) and the slope (C, D) of half the sum of squares after changes (C, D)."""
-
-    def share_that_holds(self, change: Float64) -> Float64:
-        """Return the share (C,) of each change (C, D) up to which the approximation holds; by default all of it."""
-        return np.ones(len(change))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,19 +44,18 @@ class Quadratic(Approximation):
         """Return that of the sum of two terms."""
         return Quadratic(self.information + other.information, self.slope + other.slope)
 
-    @property
-    def count(self) -> int:
-        """Number C of poses."""
-        return len(self.slope)
+    def times(self, factors: Float64) -> Quadratic:
+        """Return that of the term near each pose times a factor, (C,)."""
+        return Quadratic(factors[:, None, None] * self.information, factors[:, None] * self.slope)
 
     @property
     def dimension(self) -> int:
         """Number D of small changes."""
         return int(self.slope.shape[-1])
 
-    def select(self, index: Sequence[int]) -> Self:
+    def select(self, index: Sequence[int] | NDArray[np.integer]) -> Self:
         """Return that near some of the poses."""
-        chosen = list(index)
+        chosen = np.asarray(index)
         return replace(self, information=self.information[chosen], slope=self.slope[chosen])
 
     @classmethod

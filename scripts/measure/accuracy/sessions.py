@@ -68,19 +68,22 @@ def original_trials(runs: Sequence[Run]) -> list[Trial]:
     ]
 
 
-def solve(given: Measurement, trials: Sequence[Trial], *, timed: bool = False) -> list[Outcome]:
+def solve(
+    given: Measurement, trials: Sequence[Trial], *, timed: bool = False, refine_camera: bool = False
+) -> list[Outcome]:
     """Calibrate all sessions in worker processes; the outcomes are in the order of the trials.
 
-    With ``timed``, all readings of the recordings and the times of their images count, as in the command `calibrate`.
+    With ``timed``, all readings of the recordings and the times of their images count, as in the command `calibrate`;
+    ``refine_camera`` is that of `calibrate_session`.
     """
     found: dict[int, tuple[SolvedSession | None, str]] = {}
-    tasks = [(trial.runs, trial.arm, given.source, given.config, timed) for trial in trials]
+    tasks = [(trial.runs, trial.arm, given.source, given.config, timed, refine_camera) for trial in trials]
     in_processes(_calibrate, tasks, given.workers, "sessions", found.__setitem__)
     return [Outcome(trial, *found[number]) for number, trial in enumerate(trials)]
 
 
 def _calibrate(
-    runs: Sequence[Run], arm: Arm, source: str, config: EstimateConfig, timed: bool
+    runs: Sequence[Run], arm: Arm, source: str, config: EstimateConfig, timed: bool, refine_camera: bool
 ) -> tuple[SolvedSession | None, str]:
     """Calibrate a session in a worker process; return the solved session, or None and the message of the error."""
     names = [run.case.frame if timed else f"{k:04d}" for k, run in enumerate(runs)]
@@ -90,7 +93,9 @@ def _calibrate(
     frames = session_frames([run.case for run in runs], [run.result for run in runs], names=names, times=times)
     single = replace(config, threads=1)
     try:
-        return calibrate_session(frames, prepare(source), series=series, arm=arm, config=single), ""
+        return calibrate_session(
+            frames, prepare(source), series=series, arm=arm, refine_camera=refine_camera, config=single
+        ), ""
     except InputError as error:
         return None, str(error)
 
