@@ -56,6 +56,7 @@ TABLES: Final[Mapping[str, tuple[Shown, ...]]] = {
     "cables": (Shown("clocks_and_cables", "Cables of a real arm"),),
     "both eyes": (Shown("rig_and_arms", "Five sessions of both eyes", (), (0, 1, 2, 3)),),
     "tools that cross": (Shown("rig_and_arms", "Tools that cross", ("with the other tool", "alone")),),
+    "worlds": (Shown("frames", "Worlds of every kind"),),
     "falsified": (Shown("frames", "Falsified frames"),),
     "mistakes": (Shown("frames", "Mistakes of users"),),
     "segmentation": (Shown("segmentation", "The paper's real images"),),

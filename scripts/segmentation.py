@@ -4,6 +4,9 @@
     python scripts/segmentation.py poses SESSION...    poses from the image alone, compared with those from the masks
     python scripts/segmentation.py predicted session.json...
         first masks of a calibrated session that overlap the silhouettes predicted by the other frames, counted by image
+    python scripts/segmentation.py pictures FRAMES [--groups jhu,endovis17,...] [--predicted DIR]
+        masks of pictures of several laboratories in ../shared/frames, found by the instrument's model: how right they
+        are, how sure, and CPU seconds; with the half by which settings were tuned and the other half apart
 
 ``poses`` needs the session's camera, its readings and --instrument.
 """
@@ -13,13 +16,14 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
+from measure.pictures import GROUPS, read_pictures
 from measure.tables import Report, add_output_options, print_report
 from numpy.typing import NDArray
 
@@ -42,6 +46,8 @@ Rows = list[dict[str, Any]]
 NEAR_MM: Final = 5.0
 NEAR_DEG: Final = 10.0
 OVERLAP: Final = 0.85
+RIGHT: Final = 0.8
+SURE: Final = 0.8
 
 
 def main() -> int:
@@ -52,6 +58,8 @@ def main() -> int:
 
 def _report(options: argparse.Namespace) -> Report:
     """Return the report of a command."""
+    if options.command == "pictures":
+        return pictures_report(options.sessions[0], options.groups.split(","), options.predicted)
     if options.command == "predicted":
         return predicted_report({str(path): read_calibration(path) for path in options.sessions})
     sessions = {"/".join(folder.absolute().parts[-2:]): read_session(folder) for folder in options.sessions}
@@ -61,9 +69,11 @@ def _report(options: argparse.Namespace) -> Report:
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("masks", "poses", "predicted"), help="what to measure")
+    parser.add_argument("command", choices=("masks", "poses", "predicted", "pictures"), help="what to measure")
     parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="session folders, or session.json")
     parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="for poses: instrument (default: lnd)")
+    parser.add_argument("--groups", default=",".join(GROUPS), help="for pictures: groups of them, and bench")
+    parser.add_argument("--predicted", type=Path, help="for pictures of the bench: folder of silhouettes by eye")
     add_output_options(parser)
     return parser
 
@@ -106,6 +116,48 @@ def masks_report(sessions: Mapping[str, Session], _: str) -> dict[str, Rows]:
                 }
             )
     return {"masks": rows, "images": frames}
+
+
+def pictures_report(frames: Path, groups: Sequence[str], predicted: Path | None) -> dict[str, Rows]:
+    """Report how right the masks of pictures of several laboratories are, by group and half, and of each picture.
+
+    Right is an overlap with an instrument's mask of 0.8, or that share of its labelled pixels near the outline.
+    """
+    found: Rows = []
+    for picture in read_pictures(frames, groups, predicted):
+        started = time.process_time()
+        mask = segment(picture.image, instrument=picture.instrument, camera=picture.camera, joints=picture.joints)
+        seconds = time.process_time() - started
+        every = [mask.mask, *(other.mask for other in mask.others)]
+        found.append(
+            {
+                "group": picture.group,
+                "half": "tuned" if picture.tuned else "other",
+                "picture": picture.name,
+                "right": picture.shows(mask.mask),
+                "confidence": mask.confidence,
+                "instruments": len(every),
+                "jaws": f"{picture.jaws_found(every)} of {len(picture.points)}" if picture.points else None,
+                "cpu_seconds": seconds,
+            }
+        )
+    rows: Rows = []
+    for group, half in dict.fromkeys((row["group"], row["half"]) for row in found):
+        own = [row for row in found if (row["group"], row["half"]) == (group, half)]
+        known = [row for row in own if row["right"] is not None]
+        rows.append(
+            {
+                "group": group,
+                "half": half,
+                "pictures": len(own),
+                "with truth": len(known),
+                "right, mean": float(np.mean([row["right"] for row in known])) if known else None,
+                "right, least": min((row["right"] for row in known), default=None),
+                "wrong above .8": sum(row["right"] < RIGHT and row["confidence"] > SURE for row in known),
+                "cpu s, mean": float(np.mean([row["cpu_seconds"] for row in own])),
+            }
+        )
+    return {"pictures": rows, "each": found}
 
 
 def _mask_row(

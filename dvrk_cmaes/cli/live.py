@@ -1,15 +1,19 @@
-"""``dvrk-cmaes live``: an instrument followed on a running robot, over ROS topics."""
+"""``dvrk-cmaes live``: the instruments of a running robot followed over ROS topics."""
 
 from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Iterator
+import sys
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from threading import Event, Timer, current_thread, main_thread
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -19,6 +23,7 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_METHOD,
     METHOD,
     OUTPUT,
+    CameraOptions,
     DoubtfulSessionOption,
     Flag,
     InstrumentOptions,
@@ -28,8 +33,20 @@ from dvrk_cmaes.cli.options import (
 from dvrk_cmaes.cli.terminal import Line, note, show
 from dvrk_cmaes.errors import InputError
 
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.document import SessionCalibration
+    from dvrk_cmaes.camera import Rig
+    from dvrk_cmaes.live.inputs import InputTopics
+    from dvrk_cmaes.silhouette import Body
+
 TOPICS = Group.create_ordered("Topics")
 SERVER = Group.create_ordered("Server")
+Each = Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative=(), show_default=False)]
+"""One value for each arm."""
+
+_DOUBTFUL = 3  # exit code
+_FIRST_IMAGE = 10.0  # s, within which there must be something to follow
+_RENEWED, _LINES = 0.5, 10.0  # s, after which the state is shown again, on a terminal and elsewhere
 
 
 @Parameter(name="*", group=TOPICS)
@@ -41,33 +58,88 @@ class LiveTopics:
     ----------
     image_topic
         Topic of the images; sensor_msgs/CompressedImage if its name ends in /compressed, else sensor_msgs/Image.
+    right_image_topic
+        The same of the right eye, whose images are paired with those of the left one by their times, within 10 ms.
     mask_topic
         Topic of the instrument's masks, which a segmenter publishes with the times of the images: mono8, above 127 is
-        instrument. By default the images are followed by their colours.
+        instrument. Of several arms one topic each. By default the images are followed by their colours.
+    right_mask_topic
+        The same of the right eye.
     camera_topic
         Topic of the camera (sensor_msgs/CameraInfo); by default camera_info in the namespace of the images.
+    right_camera_topic
+        The same of the right eye.
     joints_topic
-        Topic of the arm's joints (sensor_msgs/JointState); ARM/measured_js by default.
+        Topic of the arm's joints (sensor_msgs/JointState), one for each arm; ARM/measured_js by default.
     jaw_topic
-        Topic of the jaw (sensor_msgs/JointState); ARM/jaw/measured_js by default.
+        Topic of the jaw (sensor_msgs/JointState), one for each arm; ARM/jaw/measured_js by default.
+    ecm_topic
+        Topic of the joints of the arm that holds the endoscope (sensor_msgs/JointState). They are received and kept; no
+        pose depends on them yet.
     """
 
-    image_topic: str
-    mask_topic: str | None = None
+    image_topic: str | None = None
+    right_image_topic: str | None = None
+    mask_topic: Each = ()
+    right_mask_topic: Each = ()
     camera_topic: str | None = None
-    joints_topic: str | None = None
-    jaw_topic: str | None = None
+    right_camera_topic: str | None = None
+    joints_topic: Each = ()
+    jaw_topic: Each = ()
+    ecm_topic: str = "/ECM/measured_js"
+
+    def of_arms(self, arms: tuple[str, ...]) -> InputTopics:
+        """Return the topics of some arms; InputError where they are not one for each."""
+        from dvrk_cmaes.live.inputs import EyeTopics, InputTopics
+
+        if self.image_topic is None:
+            raise InputError("--image-topic: expected the topic of the images, got none")
+        right = (self.right_mask_topic, self.right_camera_topic)
+        if self.right_image_topic is None and any(right):
+            raise InputError("--right-image-topic: expected the topic of the right eye's images, got none")
+        each = {
+            "--mask-topic": self.mask_topic,
+            "--right-mask-topic": self.right_mask_topic,
+            "--joints-topic": self.joints_topic,
+            "--jaw-topic": self.jaw_topic,
+        }
+        for option, given in each.items():
+            if given and len(given) != len(arms):
+                raise InputError(f"{option}: expected a topic for each of {', '.join(arms)}, got {', '.join(given)}")
+        if self.right_image_topic is not None and bool(self.mask_topic) != bool(self.right_mask_topic):
+            raise InputError("--right-mask-topic: expected masks of both eyes or of neither, got those of one")
+        if len(arms) > 1 and not self.mask_topic:
+            raise InputError("--mask-topic: expected a topic for each of several arms: colours do not tell them apart")
+        by_arm = {option: dict(zip(arms, given, strict=True)) if given else {} for option, given in each.items()}
+        eyes = {"left": EyeTopics.of(self.image_topic, self.camera_topic, by_arm["--mask-topic"])}
+        if self.right_image_topic is not None:
+            masks = by_arm["--right-mask-topic"]
+            eyes["right"] = EyeTopics.of(self.right_image_topic, self.right_camera_topic, masks)
+        joints = {
+            arm: (
+                by_arm["--joints-topic"].get(arm, f"/{arm}/measured_js"),
+                by_arm["--jaw-topic"].get(arm, f"/{arm}/jaw/measured_js"),
+            )
+            for arm in arms
+        }
+        return InputTopics(eyes, joints, self.ecm_topic)
+
+
+DEFAULT_TOPICS = LiveTopics()
 
 
 def live(
     *,
-    topics: LiveTopics,
-    psm: Annotated[str, Parameter(group=TOPICS)] = "PSM1",
+    topics: LiveTopics = DEFAULT_TOPICS,
+    psm: Annotated[tuple[str, ...], Parameter(group=TOPICS, consume_multiple=True, negative=())] = ("PSM1",),
     camera_frame: Annotated[str, Parameter(group=TOPICS)] = "camera",
     via: Annotated[Literal["rosbridge", "rclpy"], Parameter(group=SERVER)] = "rosbridge",
     host: Annotated[str, Parameter(group=SERVER)] = "127.0.0.1",
     port: Annotated[int, Parameter(group=SERVER)] = 9090,
+    wait: Annotated[Flag, Parameter(group=SERVER)] = False,
+    rehearse: Annotated[Path | None, Parameter(group=SERVER)] = None,
     camera: Annotated[Path | None, Parameter(group=CAMERA)] = None,
+    camera_right: Annotated[Path | None, Parameter(group=CAMERA)] = None,
     rectified: Annotated[Flag, Parameter(group=CAMERA)] = False,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     calibration: SessionOption = None,
@@ -78,11 +150,12 @@ def live(
     overlay: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     seconds: Annotated[float, Parameter(group=OUTPUT)] = math.inf,
 ) -> int:
-    r"""Follow an instrument on a running robot: images and readings from ROS topics, its pose to ROS topics.
+    r"""Follow the instruments of a running robot: images and readings from ROS topics, poses to ROS topics.
 
     The topics are read and written through a rosbridge server (`ros2 launch rosbridge_server
     rosbridge_websocket_launch.xml`), so that no ROS is needed here. Of the images only the newest is followed. A lost
-    connection is opened again. `dvrk-cmaes help live` lists the topics that are published. Ends with Ctrl-C.
+    connection is opened again. One line says how it goes. `dvrk-cmaes help live` lists the topics that are published,
+    and what to expect. Ends with Ctrl-C; with exit code 1 if there is nothing to follow within 10 s.
 
     Example:
 
@@ -96,7 +169,7 @@ def live(
     topics
         The topics.
     psm
-        Name of the arm in the names of topics and frames.
+        Names of the arms in the names of topics and frames: one, or several that are followed together.
     camera_frame
         Name of the camera's optical frame in the poses that are published.
     via
@@ -105,14 +178,23 @@ def live(
         Name or address of the rosbridge server.
     port
         Its port.
+    wait
+        Wait for the server, the camera and the first image as long as it takes.
+    rehearse
+        Session folder, video or ROS recording that is played through the same loop by its own clock, without a server:
+        prints what was published, and how it compares with `track --causal` of the same recording. Arms are those of
+        its session.toml.
     camera
         Camera file, used instead of the topic of the camera.
+    camera_right
+        File of the right camera, where both eyes are used and the files are two.
     rectified
         The images are rectified: use the projection matrix, and no distortion.
     instrument
         The instrument.
     calibration
-        A session.json written by `calibrate`: its base, offsets and lag.
+        A session.json written by `calibrate`, or the folder that has one for each of several arms: base, offsets and
+        lag.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
     lag
@@ -122,6 +204,7 @@ def live(
     out
         Folder for session.json, the calibration that is found from keyframes while following by masks. The next start
         with the same folder takes it up, and no pose is ok before images agree with it: the camera may have been moved.
+        Those of several arms are in OUT/ARM.
     overlay
         Publish each image with the silhouette of the pose, as JPEG.
     seconds
@@ -131,12 +214,11 @@ def live(
         raise InputError(f"--port: expected 1 to 65535, got {port}")
     if not seconds > 0:
         raise InputError(f"--seconds: expected a time above 0, got {seconds:g}")
-    from dvrk_cmaes.camera.files import read_camera
+    from dvrk_cmaes.cli.rehearsal import Rehearsed, play
     from dvrk_cmaes.cli.session_tools import read_calibration_of
     from dvrk_cmaes.export.frames import FrameNames
-    from dvrk_cmaes.io.output import output
-    from dvrk_cmaes.live.follow import LiveSetup, follow
-    from dvrk_cmaes.live.inputs import InputTopics
+    from dvrk_cmaes.io.output import base, output
+    from dvrk_cmaes.live.follow import ArmSetup, LiveSetup, follow
     from dvrk_cmaes.live.rclpy_node import RclpyConnection
     from dvrk_cmaes.live.repeated_lines import RepeatedLines
     from dvrk_cmaes.live.rosbridge import RosbridgeConnection
@@ -145,50 +227,118 @@ def live(
     from dvrk_cmaes.runs.long_run import prepare_long_run
     from dvrk_cmaes.runs.solver_process import SolverProcess
 
-    image = topics.image_topic
-    namespace = image.removesuffix("/compressed").rpartition("/")[0]
-    names = FrameNames(psm, camera_frame, f"{psm}_base")
-    names.check_tf()
+    if rehearse is not None:
+        cameras = CameraOptions(camera=camera, camera_right=camera_right, rectified=rectified)
+        if topics != DEFAULT_TOPICS or out is not None:
+            raise InputError("--rehearse: expected neither topics nor --out: a recording has its own topics")
+
+        def given(arm: str, body: Body) -> SessionCalibration | None:
+            return read_calibration_of(calibration, body, instrument.arm, arm, doubtful=doubtful_session)
+
+        with TemporaryDirectory() as scratch, shown_state() as shown:
+            recorded = Rehearsed.read(rehearse, psm[0], instrument, cameras, Path(scratch))
+            options: dict[str, Any] = {"lag": lag, "calibration": given, "overlay": overlay, "show": shown}
+            lines, ok = play(recorded, camera_frame, method.resolve(), **options)
+        show(lines)
+        return 0 if ok else _DOUBTFUL
+    if len(set(psm)) < len(psm):
+        raise InputError(f"--psm: expected different arms, got {', '.join(psm)}")
+    if len(psm) > 1 and calibration is not None and not all((calibration / arm).is_dir() for arm in psm):
+        raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
+    inputs = topics.of_arms(psm)
+    names = {arm: FrameNames(arm, camera_frame, f"{arm}_base") for arm in psm}
+    for of_arm in names.values():
+        of_arm.check_tf()
     body = instrument.load()
-    keeps = topics.mask_topic is not None and lag is None
+    keeps = inputs.masked and lag is None
     if out is not None and not keeps:
         raise InputError("--out: expected masks (--mask-topic) and no --lag, from which a calibration is found")
-    setup = LiveSetup(
-        InputTopics(
-            image,
-            topics.camera_topic or f"{namespace}/camera_info",
-            (topics.joints_topic or f"/{psm}/measured_js", topics.jaw_topic or f"/{psm}/jaw/measured_js"),
-            topics.mask_topic,
-        ),
-        names,
-        body,
-        instrument.kinematics,
-        read_calibration_of(calibration, body, instrument.arm, doubtful=doubtful_session),
-        method.resolve(),
-        lag,
-        None if camera is None else read_camera(camera, rectified=rectified),
-        rectified,
-        overlay,
-        earlier=None if out is None else earlier_calibration(out, body.instrument, instrument.kinematics),
-        save=lambda found: None if out is None else save_calibration(out, found),
-    )
+    rig = _rig_of_files(camera, camera_right, inputs, rectified=rectified)
     report = RepeatedLines(note)  # of the connection; follow has its own
-    connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
-    prepare_long_run()
     with ExitStack() as stack:
+        arms = []
         if out is not None:
-            stack.enter_context(output(out, "live", owns=False)).refuse((SESSION,))
+            stack.enter_context(base(out))
+        for arm in psm:
+            folder = None if out is None else out / arm if len(psm) > 1 else out
+            calibrated = read_calibration_of(calibration, body, instrument.arm, arm, doubtful=doubtful_session)
+            earlier = None if folder is None else earlier_calibration(folder, body.instrument, instrument.kinematics)
+            arms.append(
+                ArmSetup(
+                    names[arm],
+                    body,
+                    instrument.kinematics,
+                    calibrated,
+                    stack.enter_context(SolverProcess(body.instrument, background=True)) if keeps else None,
+                    earlier,
+                    partial(_save, save_calibration, folder),
+                )
+            )
+            if folder is not None:
+                stack.enter_context(output(folder, "live", owns=False)).refuse((SESSION,))
+        origin = time.time_ns()
+        setup = LiveSetup(inputs, tuple(arms), method.resolve(), lag, rig, rectified, overlay, origin=origin)
+        connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
+        prepare_long_run()
         stop = stack.enter_context(_stopped(seconds))
-        if keeps:
-            solver = stack.enter_context(SolverProcess(body.instrument, background=True))
-            setup = replace(setup, solver=solver)
+        shown = stack.enter_context(shown_state())
         connection.open(timeout=2.0)
         try:
-            counts = follow(setup, connection, note, stop)
+            counts = follow(setup, connection, note, stop, show=shown, begin_within=math.inf if wait else _FIRST_IMAGE)
         finally:
             connection.close()
     show([Line(f"{counts.followed} images followed, {counts.published} results published, {counts.refused} refused")])
     return 0
+
+
+def _save(write: Callable[[Path, Any], None], folder: Path | None, found: Any) -> None:
+    """Write a calibration, if there is a folder for it."""
+    if folder is not None:
+        write(folder, found)
+
+
+def _rig_of_files(camera: Path | None, right: Path | None, topics: InputTopics, *, rectified: bool) -> Rig | None:
+    """Read the cameras of files; None without one."""
+    from dvrk_cmaes.camera import Rig
+    from dvrk_cmaes.camera.files import read_camera
+    from dvrk_cmaes.camera.rig_files import read_rig
+
+    if right is not None and (camera is None or len(topics.eyes) == 1):
+        raise InputError("--camera-right: expected --camera and --right-image-topic with it")
+    if camera is None:
+        return None
+    if len(topics.eyes) > 1:
+        return read_rig(camera, right, rectified=rectified).rig
+    return Rig.of_camera(read_camera(camera, rectified=rectified))
+
+
+@contextmanager
+def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
+    """Yield a function that shows the state: on a terminal in one line that is renewed, elsewhere in new lines."""
+    last = time.monotonic()
+
+    def due(every: float) -> bool:
+        nonlocal last
+        now = time.monotonic()
+        if now - last < every:
+            return False
+        last = now
+        return True
+
+    if not sys.stderr.isatty():
+        yield lambda state: note(state()) if due(_LINES) else None
+        return
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    with Live(console=Console(stderr=True), auto_refresh=False) as line:
+
+        def renew(state: Callable[[], str]) -> None:
+            if due(_RENEWED):
+                line.update(Text(state(), no_wrap=True, overflow="ellipsis"), refresh=True)
+
+        yield renew
 
 
 @contextmanager

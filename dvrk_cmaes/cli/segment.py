@@ -15,6 +15,7 @@ from dvrk_cmaes.cli.options import (
     FRAME,
     MOST_THREADS,
     OUTPUT,
+    SEGMENT,
     Flag,
     FollowLinksOption,
     PromptOptions,
@@ -74,6 +75,7 @@ def segment(
     *,
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
+    instrument: Annotated[str, Parameter(group=SEGMENT)] = "lnd",
     follow_links: FollowLinksOption = False,
     threads: Annotated[int, Parameter(group=OUTPUT)] = 2,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
@@ -82,11 +84,12 @@ def segment(
     r"""Find the instrument in an image, or in each image of a folder.
 
     Writes OUT/masks/FRAME.png, OUT/overlays/FRAME.jpg for inspection and, if the model computes a score of each pixel,
-    OUT/scores/FRAME.png (8-bit; 128 and more is instrument). Without prompts, the model classic takes for instrument
-    what is grey before a colourful background and reaches the image's border. Where that is not found, it takes what
-    differs from the background: one learned from at least 8 images of a camera that stands still, or in a single image
-    a smooth one, as of paper. If this does not hold either, give a box or a point. In a folder, the same prompts are
-    used for every image.
+    OUT/scores/FRAME.png (8-bit; 128 and more is instrument). The model classic looks for the instrument's shape,
+    whatever its colours: straight edges of the shaft, with wrist and jaws that look unlike what is around them. Of
+    several instruments the surest one is taken, unless a box or a point says which; the masks of the others are
+    OUT/others/FRAME-2.png and so on. Where no shape is found, it takes what is grey before a colourful background, or
+    what differs from a smooth one; in a folder with at least 8 images of a camera that stands still, what differs from
+    the background that these show. In a folder, the same prompts are used for every image.
 
     `estimate` and `batch` find masks in images themselves, and more accurately, because they use the instrument's
     shape. Of a stereo session, the images of both eyes are segmented, into OUT/masks/left and OUT/masks/right.
@@ -109,6 +112,8 @@ def segment(
         The segmentation model.
     prompts
         Prompts; in a folder, the same for every image.
+    instrument
+        Name of a bundled instrument, or path of a URDF.
     follow_links
         Read what links in a folder lead to, also outside of it; such links are refused otherwise.
     threads
@@ -127,8 +132,10 @@ def segment(
     from dvrk_cmaes.io.output import check_output_folder, whole_folder
     from dvrk_cmaes.results.paths import check_output
     from dvrk_cmaes.runs.backgrounds import learned_backgrounds
+    from dvrk_cmaes.silhouette.prepare import prepare
 
     hints = prompts.resolve()
+    prepare(instrument)  # before any image is read, and cached
     cv2.setNumThreads(threads)
     single = not source.is_dir()
     images = {source.stem: source} if single else find_images(source, follow_links=follow_links)
@@ -144,7 +151,7 @@ def segment(
         outcomes = []
         for frame, path in images.items():
             try:
-                outcomes.append(segment_file(frame, path, settings, hints, threads, beside))
+                outcomes.append(segment_file(frame, path, settings, hints, threads, beside, instrument))
             except DvrkCmaesError as error:
                 if single:
                     raise
@@ -169,7 +176,7 @@ def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:
 
 
 def segment_file(
-    frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path
+    frame: str, path: Path, settings: SegmentSettings, hints: Hints, threads: int, out: Path, instrument: str
 ) -> ImageOutcome:
     """Segment one image and write score, overlay and, as the last file, the mask."""
     from time import perf_counter
@@ -187,7 +194,13 @@ def segment_file(
     prompts: dict[str, Any] = {"box": hints.box, "points": hints.points, "not_points": hints.not_points}
     background = settings.backgrounds.get(frame.rpartition("/")[0])
     found = segment_image(
-        image, model=settings.model, weights=settings.weights, threads=threads, background=background, **prompts
+        image,
+        model=settings.model,
+        weights=settings.weights,
+        threads=threads,
+        background=background,
+        instrument=instrument,
+        **prompts,
     )
     seconds = perf_counter() - started
     if not found.mask.any():
@@ -197,6 +210,9 @@ def segment_file(
         written["score"] = out / "scores" / f"{frame}.png"
         write_image(written["score"], np.asarray(np.clip(found.score * 255 + 0.5, 0, 255), np.uint8))
     write_image(written["overlay"], draw_segmentation(image, found, frame, **prompts))
+    for number, other in enumerate(found.others, start=2):
+        written[f"mask_{number}"] = out / "others" / f"{frame}-{number}.png"
+        write_image(written[f"mask_{number}"], other.mask)
     write_image(written["mask"], found.mask)
     return ImageOutcome(frame, found, written, seconds)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -111,7 +111,7 @@ def segment_and_estimate(
     for view in data.views:
         own = hints if view is data.views[0] else None
         try:
-            found.append(_find_mask(view, body, solve, settings, own or Hints(), config.threads))
+            found.append(_find_mask(view, body, files.readings, solve, settings, own or Hints(), config.threads))
         except DvrkCmaesError as error:
             raise type(error)(f"{image_path(files.others.get(view.name, files))}: {error}") from None
     first, alone = found[0], len(found) == 1
@@ -131,6 +131,7 @@ def segment_and_estimate(
 def _find_mask(
     view: SeenView,
     body: Body,
+    readings: Mapping[str, float],
     solve: Callable[[Sequence[SeenView]], Result],
     settings: SegmentSettings,
     hints: Hints,
@@ -145,7 +146,17 @@ def _find_mask(
     if outside.any():
         view = replace(view, ignore=outside if view.ignore is None else view.ignore | outside)
         notes = (IGNORED,)
-    found = segment_first(image, view.ignore, settings=settings, hints=hints, threads=threads, view=view.name)
+    found = segment_first(
+        image,
+        view.ignore,
+        settings=settings,
+        hints=hints,
+        threads=threads,
+        view=view.name,
+        body=body,
+        camera=view.camera,
+        joints=readings,
+    )
     result = None
     by_colours = settings.model == "classic" and found.before is None
     for _ in range(_ITERATIONS if by_colours else 0):

@@ -26,6 +26,13 @@ class Connection(Protocol):
     Sequences of bytes are base64 when published; on receipt they are bytes or base64.
     """
 
+    @property
+    def name(self) -> str:
+        """How ROS is reached, for messages."""
+
+    def topics(self, timeout: float) -> Mapping[str, str] | None:
+        """Return the types of all topics by name, which may take ``timeout`` s; None without a connection."""
+
     def open(self, timeout: float) -> bool:
         """Start to connect; returns whether there is a connection after ``timeout`` s. Attempts go on if not."""
 

@@ -1,19 +1,25 @@
-"""Following on a connection from beginning to end: wait for the camera, make a tracker, and run the loop."""
+"""Following on a connection from beginning to end: topics, trackers, and the loop."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from threading import Event
 
+import numpy as np
+
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import DvrkCmaesError, nearest_first
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.live.arm import Beside, DrawOverlay, LiveArm
 from dvrk_cmaes.live.connection import Connection, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
-from dvrk_cmaes.live.loop import LiveCounts, LiveLoop, PresentState
+from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
 from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.overlay import LiveOverlay
 from dvrk_cmaes.live.repeated_lines import RepeatedLines
@@ -22,91 +28,144 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.solution_schedule import Solver
 from dvrk_cmaes.track.tracker import Tracker
 
-_WAIT = 0.2  # s
+_MOST_LISTED = 8  # topics
+_ANSWER = 2.0  # s, for the topics of a server
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSetup:
+    """An arm that is followed: its names and instrument, and what is known of its base.
+
+    With a ``solver``, masks, and no given lag, the arm's base is found from keyframes, which are solved beside the
+    loop; ``earlier`` is the calibration of an earlier run, and ``save`` keeps what is found.
+    """
+
+    names: FrameNames
+    body: Body
+    kinematics: Arm = "classic"
+    calibration: SessionCalibration | None = None
+    solver: Solver | None = None
+    earlier: SessionCalibration | None = None
+    save: Callable[[SessionCalibration], None] = lambda calibration: None
 
 
 @dataclass(frozen=True, eq=False)
 class LiveSetup:
     """What is followed, and how.
 
-    ``camera`` is used instead of the topic's if given; ``rectified`` says which of the topic's matrices is used.
-    ``overlay`` publishes an overlay of each image. With a ``solver``, masks, and no given lag, the arm's base is found
-    from keyframes, which are solved beside the loop; ``earlier`` is the calibration of an earlier run, and ``save``
-    keeps what is found.
+    ``rig`` is used instead of the topics' cameras if given; ``rectified`` says which of the topics' matrices is used.
+    ``overlay`` publishes an overlay of each image. ``waits`` uses each solution a fixed time of images after its
+    keyframes, for which steps wait, instead of as soon as it is there. Trackers count time from ``origin``, ns.
     """
 
     topics: InputTopics
-    names: FrameNames
-    body: Body
-    arm: Arm = "classic"
-    calibration: SessionCalibration | None = None
+    arms: tuple[ArmSetup, ...]
     config: EstimateConfig | None = None
     lag: float | None = None
-    camera: Camera | None = None
+    rig: Rig | None = None
     rectified: bool = False
     overlay: bool = False
-    solver: Solver | None = None
-    earlier: SessionCalibration | None = None
-    save: Callable[[SessionCalibration], None] = lambda calibration: None
+    waits: bool = False
+    origin: int = 0
+
+    def arm(self, own: ArmSetup, inputs: Inputs, connection: Connection, report: Report) -> LiveArm:
+        """Return an arm that publishes on a connection."""
+        solutions = None
+        if own.solver is not None and self.topics.masked and self.lag is None:
+            solutions = LiveSolutions(own.solver, report, own.save, own.earlier, waits=self.waits)
+
+        def make_tracker(rig: Rig) -> Tracker:
+            earlier = None if solutions is None or own.calibration is not None else solutions.earlier_of(rig)
+            tracker = Tracker(
+                rig,
+                own.body,
+                earlier or own.calibration,
+                self.config,
+                arm=own.kinematics,
+                lag=self.lag,
+                keyframes=solutions is not None,
+                earlier=earlier is not None,
+                sliced=True,
+            )
+            if solutions is not None:
+                solutions.follow(tracker)
+            return tracker
+
+        return LiveArm(
+            own.names.arm,
+            make_tracker,
+            Outputs(connection, own.names, own.body.instrument.root_link),
+            report,
+            inputs.now,
+            draw=partial(_drawing, own.body, solutions) if self.overlay else None,
+            beside=solutions,
+            origin=self.origin,
+        )
+
+    def loop(
+        self,
+        inputs: Inputs,
+        connection: Connection,
+        report: Report,
+        show: Callable[[Callable[[], str]], None] = lambda text: None,
+    ) -> LiveLoop:
+        """Subscribe to the topics, and return the loop."""
+        inputs.subscribe(connection)
+        arms = [self.arm(own, inputs, connection, report) for own in self.arms]
+        return LiveLoop(arms, inputs, report, rig=self.rig, show=show)
 
 
-def follow(setup: LiveSetup, connection: Connection, report: Report, stop: Event) -> LiveCounts:
-    """Follow an instrument until ``stop`` is set; ``report`` takes lines for the user.
+def follow(
+    setup: LiveSetup,
+    connection: Connection,
+    report: Report,
+    stop: Event,
+    *,
+    show: Callable[[Callable[[], str]], None] = lambda text: None,
+    begin_within: float = np.inf,
+) -> LiveCounts:
+    """Follow until ``stop`` is set; ``report`` takes lines for the user, and ``show`` the state in one line.
 
     Raises
     ------
     InputError
         A setting is not valid.
+    DvrkCmaesError
+        Nothing to follow came before the end, or within ``begin_within`` s.
     """
     say = RepeatedLines(report)
     inputs = Inputs(setup.topics, say, rectified=setup.rectified)
-    inputs.subscribe(connection)
-    outputs = Outputs(connection, setup.names, setup.body.instrument.root_link)
-    camera = setup.camera or _received(inputs, PresentState(outputs, "waiting for the camera"), stop)
-    if camera is None:
-        return LiveCounts()
-    report(f"camera: {camera.width} x {camera.height} px, focal length {camera.fx:.1f} px")
+    loop = setup.loop(inputs, connection, say, show)
+    counts = loop.run(stop, begin_within=begin_within)
+    if not loop.began:
+        raise DvrkCmaesError(_what_to_check(setup, inputs, connection))
+    return counts
 
-    solutions = None
-    if setup.solver is not None and setup.topics.mask is not None and setup.lag is None:
-        solutions = LiveSolutions(setup.solver, say, setup.save, setup.earlier)
 
-    def make_tracker() -> Tracker:
-        taken_up = solutions is not None and setup.calibration is None and solutions.earlier is not None
-        tracker = Tracker(
-            camera,
-            setup.body,
-            solutions.earlier if solutions is not None and taken_up else setup.calibration,
-            setup.config,
-            arm=setup.arm,
-            lag=setup.lag,
-            keyframes=solutions is not None,
-            earlier=taken_up,
-            sliced=True,
+def _drawing(body: Body, solutions: Beside | None, rig: Rig) -> DrawOverlay:
+    return LiveOverlay(body, rig.camera, lambda: "" if solutions is None else solutions.state)
+
+
+def _what_to_check(setup: LiveSetup, inputs: Inputs, connection: Connection) -> str:
+    """Say why there may be nothing to follow: no connection, or topics without messages."""
+    there = connection.topics(_ANSWER)
+    if there is None:
+        return (
+            f"no image: {connection.name}: no connection: is it running there (ros2 launch rosbridge_server "
+            "rosbridge_websocket_launch.xml; --host, --port)? --wait waits for it"
         )
-        if solutions is not None:
-            solutions.tracker = tracker
-        return tracker
-
-    def state() -> str:
-        return "" if solutions is None else solutions.state
-
-    loop = LiveLoop(
-        make_tracker,
-        inputs,
-        outputs,
-        say,
-        draw=LiveOverlay(setup.body, camera, state) if setup.overlay else None,
-        beside=solutions,
-    )
-    return loop.run(stop)
-
-
-def _received(inputs: Inputs, state: PresentState, stop: Event) -> Camera | None:
-    """Wait for the camera; None if ``stop`` is set before it comes."""
-    while not stop.is_set():
-        camera = inputs.cameras.take(_WAIT)
-        if camera is not None:
-            return camera
-        state.publish_if_due()
-    return None
+    wanted = setup.topics.of_frames | ({} if setup.rig is not None else setup.topics.of_cameras)
+    lines = []
+    for topic in inputs.unheard(list(wanted)):
+        kind = there.get(topic)
+        if kind is None:
+            lines.append(f"{topic}: no such topic" if there else f"{topic}: no message")
+        elif kind.replace("/msg/", "/") != wanted[topic]:
+            lines.append(f"{topic}: expected {wanted[topic]}, got {kind}")
+        else:
+            lines.append(f"{topic}: no message from its publisher")
+    silent = "; ".join(lines) or "the images and masks have no common times"
+    kinds = set(wanted.values())
+    same = [topic for topic, kind in there.items() if kind.replace("/msg/", "/") in kinds]
+    others = f"; there are {listed(nearest_first(next(iter(wanted)), same), _MOST_LISTED)}" if same else ""
+    return f"no image: {connection.name}: {silent}{others}; --wait waits for them"

@@ -1,25 +1,30 @@
-"""The topics that are read: the newest frame, the readings since the last frame, and the camera."""
+"""The topics that are read: the newest frame of all eyes and arms, the readings since the last one, and the cameras."""
 
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Report
 from dvrk_cmaes.live.mailbox import Mailbox
-from dvrk_cmaes.live.messages import JointMessage, read_camera, read_joint_message, read_pixels, read_stamp
+from dvrk_cmaes.live.messages import JointMessage, read_joint_message, read_pixels, read_rig, read_stamp
+
+Fields = Mapping[str, Any]
 
 _MOST_READINGS: Final = 1000  # of two topics of 100 Hz, those of five seconds
-_MOST_IMAGES: Final = 8  # that wait for their masks
-_MOST_WAITING: Final = 2 * LARGEST_IMAGE  # bytes of these, beside the newest
+_MOST_WAITING: Final = 8  # times of an eye that wait for the rest of their frame
+_MOST_BYTES: Final = 2 * LARGEST_IMAGE  # of these, beside the newest
+_FARTHEST: Final = NANOSECONDS // 100  # ns, between the images of two eyes, as in recordings
 
 _IMAGE, _COMPRESSED = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 _CAMERA_INFO, _JOINT_STATE = "sensor_msgs/CameraInfo", "sensor_msgs/JointState"
@@ -27,85 +32,223 @@ _THRESHOLD: Final = 127  # of a mask
 
 
 @dataclass(frozen=True)
-class InputTopics:
-    """Names of the topics; ``mask`` is one of masks that a segmenter publishes, with the times of their images.
+class EyeTopics:
+    """Topics of an eye: its images, its camera, and those of each arm's masks, with the times of their images.
 
-    Image topics named ``compressed`` are of CompressedImage, as in image_transport, others of Image.
+    Image topics named ``compressed`` are of CompressedImage, as in image_transport, others of Image. With masks,
+    ``image`` may be empty: none is read then.
     """
 
     image: str
     camera: str
-    joints: tuple[str, ...]
-    mask: str | None = None
+    masks: Mapping[str, str] = field(default_factory=dict)
+
+    @staticmethod
+    def of(image: str, camera: str | None = None, masks: Mapping[str, str] | None = None) -> EyeTopics:
+        """Return the topics of an eye; the camera's is by default ``camera_info`` in the namespace of the images."""
+        namespace = image.removesuffix("/compressed").rpartition("/")[0]
+        return EyeTopics(image, camera or f"{namespace}/camera_info", masks or {})
+
+    def remarked(self, camera: Camera, *, rectified: bool) -> Camera:
+        """Return a camera with a remark if the topic's name says of images that they are rectified, or are not.
+
+        Without distortion it is the same whether they are.
+        """
+        words = self.image.removesuffix("/compressed").rpartition("/")[2].split("_")
+        text = ""
+        if "rect" in words and not (rectified or camera.is_pinhole):
+            text = "its images are rectified, by its name: --rectified uses the camera of such images"
+        elif "raw" in words and rectified:
+            text = "its images are not rectified, by its name, but --rectified says so"
+        return replace(camera, remarks=(*camera.remarks, f"{self.image}: {text}")) if text else camera
+
+    @property
+    def evidence(self) -> tuple[str, ...]:
+        """The topics that a frame needs: those of masks, or else that of images."""
+        return tuple(self.masks.values()) or (self.image,)
+
+    @property
+    def of_frames(self) -> dict[str, str]:
+        """The types of the topics of images and masks, by name."""
+        return {topic: image_kind(topic) for topic in (self.image, *self.masks.values()) if topic}
+
+
+@dataclass(frozen=True)
+class InputTopics:
+    """Names of the topics by eye, the first of which is the reference, and those of readings by arm.
+
+    ``endoscope`` is the topic of the readings of the arm that holds the endoscope, which are kept.
+    """
+
+    eyes: Mapping[str, EyeTopics]
+    joints: Mapping[str, tuple[str, ...]]
+    endoscope: str | None = None
+
+    @property
+    def masked(self) -> bool:
+        """Whether there are masks."""
+        return any(eye.masks for eye in self.eyes.values())
+
+    @property
+    def of_frames(self) -> dict[str, str]:
+        """The types of the topics without which nothing can be followed, by name."""
+        return {topic: kind for eye in self.eyes.values() for topic, kind in eye.of_frames.items()}
+
+    @property
+    def of_cameras(self) -> dict[str, str]:
+        """The types of the topics of the cameras, by name."""
+        return {eye.camera: _CAMERA_INFO for eye in self.eyes.values()}
 
     @property
     def timed(self) -> tuple[str, ...]:
         """The topics that are expected to send messages all the time."""
-        return self.image, *(() if self.mask is None else (self.mask,)), *self.joints
+        return (*self.of_frames, *(topic for topics in self.joints.values() for topic in topics))
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """The arrays of a frame: images by eye, (H, W, 3) BGR or (H, W) grey, and masks (H, W) by arm and eye."""
+
+    images: Mapping[str, NDArray[np.uint8]]
+    masks: Mapping[str, Mapping[str, NDArray[np.bool_]]]
+
+    def ignored(self, arm: str) -> dict[str, NDArray[np.bool_]]:
+        """Return the pixels of the other arms by eye: those in front are not known to be before or behind."""
+        found: dict[str, NDArray[np.bool_]] = {}
+        for other, masks in self.masks.items():
+            for eye, mask in masks.items() if other != arm else ():
+                found[eye] = found[eye] | mask if eye in found else mask
+        return found
+
+    @property
+    def sizes(self) -> dict[str, tuple[int, int]]:
+        """Height and width by eye."""
+        arrays: list[Mapping[str, NDArray[Any]]] = [self.images, *self.masks.values()]
+        return {eye: (array.shape[0], array.shape[1]) for of_eyes in arrays for eye, array in of_eyes.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class LiveFrame:
-    """A frame that was received: its time, ns, whether that was written as in ROS 1, and the fields of its messages."""
+    """A frame that was received: its time, ns, whether that was written as in ROS 1, and the fields of its messages.
+
+    ``images`` are by eye, ``masks`` by arm and eye. ``received`` is when the first message came, on the clock of the
+    inputs, s.
+    """
 
     time: int
     ros1: bool
     topics: InputTopics
-    image_fields: Mapping[str, Any] | None
-    mask_fields: Mapping[str, Any] | None = None
+    received: float
+    images: Mapping[str, Fields]
+    masks: Mapping[str, Mapping[str, Fields]] = field(default_factory=dict)
 
-    def pixels(self, *, grey: bool = False) -> NDArray[np.uint8] | None:
-        """Decode the image, (H, W, 3) BGR or (H, W) grey; None if there is none, InputError if it is not valid."""
-        return None if self.image_fields is None else read_pixels(self.topics.image, self.image_fields, grey=grey)
+    @property
+    def topic(self) -> str:
+        """The topic that messages on the frame name."""
+        return next(iter(self.topics.eyes.values())).evidence[0]
 
-    def mask(self) -> NDArray[np.bool_] | None:
-        """Decode the mask, (H, W); None if there is no topic of masks, InputError if it is not valid."""
-        if self.topics.mask is None or self.mask_fields is None:
-            return None
-        return np.asarray(read_pixels(self.topics.mask, self.mask_fields, grey=True) > _THRESHOLD)
+    def decoded(self, *, grey: bool = False) -> Decoded:
+        """Decode all messages, images to ``grey`` ones if that is asked for; InputError if one is not valid.
+
+        An image of another size than its mask is resized.
+        """
+        eyes, masks = self.topics.eyes, dict[str, dict[str, NDArray[np.bool_]]]()
+        for arm, of_arm in self.masks.items():
+            masks[arm] = {
+                eye: np.asarray(read_pixels(eyes[eye].masks[arm], fields, grey=True) > _THRESHOLD)
+                for eye, fields in of_arm.items()
+            }
+        sizes, images = Decoded({}, masks).sizes, {}
+        for eye, fields in self.images.items():
+            pixels = read_pixels(eyes[eye].image, fields, grey=grey)
+            height, width = sizes.get(eye, pixels.shape[:2])
+            if pixels.shape[:2] != (height, width):
+                pixels = np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+            images[eye] = pixels
+        return Decoded(images, masks)
+
+
+@dataclass(eq=False)
+class _Parts:
+    """What has come of an eye's frame of one time: whether written as in ROS 1, when first, and the fields by topic."""
+
+    ros1: bool
+    received: float
+    fields: dict[str, Fields] = field(default_factory=dict)
 
 
 class Inputs:
     """Receives the messages of the topics; a message that is not valid is reported in one line and dropped.
 
-    ``frames`` has the newest frame, ``readings`` those not taken yet, ``cameras`` the newest camera. With a topic of
-    masks, a frame is a mask, with the image of the same time if that came before it.
+    ``frames`` has the newest frame, ``readings`` by arm those not taken yet, ``rigs`` the newest cameras. A frame has
+    the masks of all arms, or else the images, of all eyes, taken within 10 ms; with masks, it has the images of the
+    same times if they came before them. Topics that are silent are not waited for. ``endoscope`` has the last readings
+    of the arm that holds it.
+
+    Parameters
+    ----------
+    topics, report
+        The topics; takes lines for the user.
+    rectified
+        Which of the cameras' matrices is used.
+    longest_silence
+        Time without a message after which a topic is reported, and not waited for, s.
+    now
+        The clock, s.
     """
 
-    def __init__(self, topics: InputTopics, report: Report, *, rectified: bool = False) -> None:
+    def __init__(
+        self,
+        topics: InputTopics,
+        report: Report,
+        *,
+        rectified: bool = False,
+        longest_silence: float = 1.0,
+        now: Callable[[], float] = clock.monotonic,
+    ) -> None:
         self.topics = topics
         self.frames = Mailbox[LiveFrame]()
-        self.readings = Mailbox[JointMessage](_MOST_READINGS)
-        self.cameras = Mailbox[Camera]()
+        self.readings = {arm: Mailbox[JointMessage](_MOST_READINGS) for arm in topics.joints}
+        self.endoscope = Mailbox[JointMessage](_MOST_READINGS)
+        self.rigs = Mailbox[Rig]()
+        self.now = now
         self._report = report
-        self._rectified = rectified
-        self._images: dict[int, Mapping[str, Any]] = {}
+        self.rectified = rectified
+        self._longest_silence = longest_silence
+        self._infos: dict[str, Fields] = {}
+        self._parts: dict[str, dict[int, _Parts]] = {eye: {} for eye in topics.eyes}
         self._heard: dict[str, float] = {}
+        self._began: float | None = None  # s, when silence was looked for first
+        self._first: float | None = None  # s, when the first part of a frame came
         self._silent: set[str] = set()
 
     def subscribe(self, connection: Connection) -> None:
         """Subscribe to all topics."""
-        topics = self.topics
-        self._subscribe(connection, topics.image, _image_kind(topics.image), self._on_image, largest=LARGEST_IMAGE)
-        if topics.mask is not None:
-            self._subscribe(connection, topics.mask, _image_kind(topics.mask), self._on_mask, largest=LARGEST_IMAGE)
-        self._subscribe(connection, topics.camera, _CAMERA_INFO, self._on_camera)
-        for topic in topics.joints:
-            self._subscribe(connection, topic, _JOINT_STATE, partial(self._on_joints, topic), newest=False)
+        for name, eye in self.topics.eyes.items():
+            for topic, kind in eye.of_frames.items():
+                self._subscribe(connection, topic, kind, partial(self._on_part, name, topic), largest=LARGEST_IMAGE)
+            self._subscribe(connection, eye.camera, _CAMERA_INFO, partial(self._on_camera, name))
+        for arm, topics in self.topics.joints.items():
+            for topic in topics:
+                take = partial(self._on_joints, topic, self.readings[arm])
+                self._subscribe(connection, topic, _JOINT_STATE, take, newest=False)
+        if self.topics.endoscope is not None:
+            take = partial(self._on_joints, self.topics.endoscope, self.endoscope)
+            self._subscribe(connection, self.topics.endoscope, _JOINT_STATE, take, newest=False)
 
     def _subscribe(
         self,
         connection: Connection,
         topic: str,
         kind: str,
-        take: Callable[[Mapping[str, Any]], None],
+        take: Callable[[Fields], None],
         *,
         largest: int = LARGEST_MESSAGE,
         newest: bool = True,
     ) -> None:
         """Subscribe to a topic; whatever is wrong with a message costs that message and a line."""
 
-        def receive(fields: Mapping[str, Any]) -> None:
+        def receive(fields: Fields) -> None:
             try:
                 take(fields)
             except InputError as error:
@@ -115,62 +258,106 @@ class Inputs:
 
         connection.subscribe(topic, kind, receive, largest=largest, newest=newest)
 
-    def report_silence(self, longest: float) -> tuple[str, ...]:
-        """Report each topic once when it has been silent for ``longest`` seconds, and once when it is heard again.
+    def unheard(self, topics: Sequence[str]) -> list[str]:
+        """Return those of some topics that no message has come of."""
+        return [topic for topic in topics if topic not in self._heard]
 
-        Topics that were never heard count from the first call. Returns the topics that are silent.
+    def report_silence(self) -> tuple[str, ...]:
+        """Report each topic once when it is silent, and once when it is heard again; returns those that are silent.
+
+        Topics that were never heard count from the first call.
         """
-        now = clock.monotonic()
+        now = self.now()
+        self._began = now if self._began is None else self._began
         for topic in self.topics.timed:
-            quiet = now - self._heard.setdefault(topic, now)
-            if quiet > longest and topic not in self._silent:
+            quiet = now - self._heard.get(topic, self._began)
+            if quiet > self._longest_silence and topic not in self._silent:
                 self._silent.add(topic)
                 self._report(f"{topic}: no message for {quiet:.1f} s")
-            elif quiet <= longest and topic in self._silent:
+            elif quiet <= self._longest_silence and topic in self._silent:
                 self._silent.discard(topic)
                 self._report(f"{topic}: messages again")
         return tuple(topic for topic in self.topics.timed if topic in self._silent)
 
-    def _on_image(self, fields: Mapping[str, Any]) -> None:
-        frame = self._frame(self.topics.image, fields, image_fields=fields)
-        if self.topics.mask is None:
+    def _on_part(self, eye: str, topic: str, fields: Fields) -> None:
+        """Keep an image or a mask; where a frame has all of its parts, it is the newest one."""
+        stamp, now = read_stamp(topic, fields), self.now()
+        self._heard[topic] = now
+        self._first = now if self._first is None else self._first
+        of_eye = self._parts[eye]
+        of_eye.setdefault(stamp.time, _Parts(stamp.ros1, now)).fields[topic] = fields
+        self._drop_oldest(of_eye)
+        frame = self._whole_frame(now)
+        if frame is not None:
             self.frames.put(frame)
-            return
-        self._images[frame.time] = fields
-        while len(self._images) > _MOST_IMAGES or (len(self._images) > 1 and self._waiting() > _MOST_WAITING):
-            del self._images[next(iter(self._images))]
 
-    def _waiting(self) -> int:
-        """Return the bytes of the images that wait for their masks."""
-        return sum(len(fields.get("data", ())) for fields in self._images.values())
+    def _drop_oldest(self, of_eye: dict[int, _Parts]) -> None:
+        """Drop what came first of an eye until what waits is within the bounds."""
 
-    def _on_mask(self, fields: Mapping[str, Any]) -> None:
-        assert self.topics.mask is not None
-        frame = self._frame(self.topics.mask, fields, mask_fields=fields)
-        self.frames.put(replace(frame, image_fields=self._images.pop(frame.time, None)))
+        def size(parts: _Parts) -> int:
+            return sum(len(fields.get("data", ())) for fields in parts.fields.values())
 
-    def _frame(
-        self,
-        topic: str,
-        fields: Mapping[str, Any],
-        image_fields: Mapping[str, Any] | None = None,
-        mask_fields: Mapping[str, Any] | None = None,
-    ) -> LiveFrame:
-        """Note that a topic was heard, and make a frame of a message; InputError if its time is not valid."""
-        stamp = read_stamp(topic, fields)
-        self._heard[topic] = clock.monotonic()
-        return LiveFrame(stamp.time, stamp.ros1, self.topics, image_fields, mask_fields)
+        while len(of_eye) > _MOST_WAITING or (len(of_eye) > 1 and sum(map(size, of_eye.values())) > _MOST_BYTES):
+            del of_eye[next(iter(of_eye))]
 
-    def _on_joints(self, topic: str, fields: Mapping[str, Any]) -> None:
+    def _whole_frame(self, now: float) -> LiveFrame | None:
+        """Return the newest frame that has all of its parts, and forget those and older ones; None without one."""
+        assert self._first is not None
+        whole: dict[str, list[int]] = {}
+        for name, eye in self.topics.eyes.items():
+            needed = {
+                topic for topic in eye.evidence if now - self._heard.get(topic, self._first) <= self._longest_silence
+            }
+            if needed:
+                whole[name] = [time for time, parts in self._parts[name].items() if needed <= parts.fields.keys()]
+        if not whole:
+            return None
+        reference, *others = whole
+        for time in sorted(whole[reference], reverse=True):
+            near = {eye: min(whole[eye], key=lambda other: abs(other - time), default=0) for eye in others}
+            if all(abs(other - time) <= _FARTHEST for other in near.values()):
+                return self._taken({reference: time, **near})
+        return None
+
+    def _taken(self, times: Mapping[str, int]) -> LiveFrame:
+        """Return the frame of times by eye, the reference first, and forget its parts and older ones."""
+        reference = self._parts[next(iter(times))][next(iter(times.values()))]
+        images: dict[str, Fields] = {}
+        masks: dict[str, dict[str, Fields]] = {}
+        received = reference.received
+        for name, time in times.items():
+            parts, eye = self._parts[name][time], self.topics.eyes[name]
+            received = min(received, parts.received)
+            if eye.image in parts.fields:
+                images[name] = parts.fields[eye.image]
+            for arm, topic in eye.masks.items():
+                if topic in parts.fields:
+                    masks.setdefault(arm, {})[name] = parts.fields[topic]
+        first = next(iter(times.values()))
+        for name, of_eye in self._parts.items():
+            for time in [time for time in of_eye if time <= times.get(name, first)]:
+                del of_eye[time]
+        return LiveFrame(first, reference.ros1, self.topics, received, images, masks)
+
+    def _on_joints(self, topic: str, mailbox: Mailbox[JointMessage], fields: Fields) -> None:
         readings = read_joint_message(topic, fields)
-        self._heard[topic] = clock.monotonic()
+        self._heard[topic] = self.now()
         if readings.joints:  # there are none before an arm is up
-            self.readings.put(readings)
+            mailbox.put(readings)
 
-    def _on_camera(self, fields: Mapping[str, Any]) -> None:
-        self.cameras.put(read_camera(self.topics.camera, fields, rectified=self._rectified))
+    def _on_camera(self, eye: str, fields: Fields) -> None:
+        """Keep the cameras of all eyes where one is another than before."""
+        topic = self.topics.eyes[eye].camera
+        self._heard[topic] = self.now()
+        known = {name: value for name, value in fields.items() if name != "header"}
+        if self._infos.get(eye) == known:
+            return
+        self._infos[eye] = known
+        if len(self._infos) == len(self.topics.eyes):
+            of_eyes = {self.topics.eyes[name].camera: self._infos[name] for name in self.topics.eyes}
+            self.rigs.put(read_rig(of_eyes, rectified=self.rectified))
 
 
-def _image_kind(topic: str) -> str:
+def image_kind(topic: str) -> str:
     """Return the type of a topic of images, by its name."""
     return _COMPRESSED if topic.rpartition("/")[2] == "compressed" else _IMAGE

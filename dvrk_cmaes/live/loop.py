@@ -1,60 +1,35 @@
-"""The loop: the newest frame and the readings before it go to a tracker, and its result is published.
+"""The loop: the newest frame and the readings before it go to the trackers of all arms, which publish their results.
 
-No message ends it. A frame whose time is wrong is left out; where a clock was set, or several steps in a row have
-failed, a new tracker begins. While there is no pose, /diagnostics says once a second why.
+No message ends it. A frame whose time is wrong is left out; where a clock was set, the camera changed, or several steps
+in a row have failed, following begins anew. While there is no pose, /diagnostics says once a second why.
 """
 
 from __future__ import annotations
 
-import time as clock
-import traceback
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Event
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.images import match_size
+from dvrk_cmaes.live.arm import OLD, LiveArm
 from dvrk_cmaes.live.connection import Report
-from dvrk_cmaes.live.inputs import Inputs, LiveFrame
-from dvrk_cmaes.live.outputs import Outputs, StepResult
-from dvrk_cmaes.live.stamps import LONGEST_GAP, ImageTimes
-
-Pixels = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
-DrawOverlay = Callable[[Pixels, StepResult], Pixels]
+from dvrk_cmaes.live.inputs import Decoded, Inputs, LiveFrame
+from dvrk_cmaes.live.stamps import Ages, ImageTimes
 
 _WAIT: Final = 0.1  # s, for an image, before silence is looked for
-_STATE_EVERY: Final = 1.0  # s without a result, after which the status says why
-_MOST_FAILURES: Final = 3  # steps in a row that fail, after which a new tracker begins
+_BUDGET: Final = 0.1  # s, for the steps of all arms to one frame
+_AGREEING: Final = 3  # frames in a row of another size, which show that it is not a damaged message
+_CAUGHT_UP: Final = 1.0  # s, after which frames that are late must have become newer, or are followed all the same
+_NOT_AGAIN: Final = 30.0  # s, until that is tried again
+_LATEST: Final = 100  # frames, the oldest of whose images is stated
 
-
-class LiveTracker(Protocol):
-    """Follows an instrument; times are in seconds."""
-
-    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
-        """Add the readings of one time: joints by name, rad (insertion: m)."""
-
-    def step(self, time: float, mask: Mask | None = None, image: Pixels | None = None) -> StepResult:
-        """Follow the instrument to the image of a later time."""
-
-
-class Beside(Protocol):
-    """Work that goes on beside the steps."""
-
-    @property
-    def state(self) -> str:
-        """How far it is, in words."""
-
-    def before_step(self) -> None:
-        """Give the tracker what was found."""
-
-    def after_step(self) -> None:
-        """Begin what is due."""
+Sizes = Mapping[str, tuple[int, int]]
 
 
 @dataclass
@@ -68,153 +43,240 @@ class LiveCounts:
 
 
 class LiveLoop:
-    """Runs a tracker on what is received.
+    """Follows the arms in what is received.
 
     Parameters
     ----------
-    make_tracker
-        Makes a tracker, which follows the instrument. It is called from the thread of ``run`` only.
-    inputs, outputs
-        Where images and readings come from, and where results go.
+    arms
+        The arms.
+    inputs
+        Where images, readings and cameras come from.
     report
         Takes lines for the user.
-    draw
-        Draws a result over its image; None to publish no overlay.
-    beside
-        Is called before and after each step; its state is published.
-    longest_silence
-        Time without a message after which a topic is reported, s.
+    rig
+        The cameras, used instead of those that are received.
+    show
+        Takes the state in one line, after each turn.
     """
 
     def __init__(
         self,
-        make_tracker: Callable[[], LiveTracker],
+        arms: Sequence[LiveArm],
         inputs: Inputs,
-        outputs: Outputs,
         report: Report,
         *,
-        draw: DrawOverlay | None = None,
-        beside: Beside | None = None,
-        longest_silence: float = 1.0,
+        rig: Rig | None = None,
+        show: Callable[[Callable[[], str]], None] = lambda text: None,
     ) -> None:
         self.counts = LiveCounts()
-        self._make_tracker = make_tracker
-        self._tracker = make_tracker()
-        self._inputs = inputs
-        self._state = PresentState(outputs)
-        self._outputs = outputs
-        self._report = report
-        self._draw = draw
-        self._beside = beside
-        self._longest_silence = longest_silence
-        self._times = ImageTimes()
-        self._failures = 0
+        self._arms, self._inputs, self._report, self._show = list(arms), inputs, report, show
+        self._given = rig
+        self._stated: Rig | None = None
+        self._rig: Rig | None = None  # of the images' size
+        self._other: tuple[Sizes, int] = {}, 0  # sizes other than these, and of how many frames in a row
+        self._times, self._ages = ImageTimes(), Ages()
+        self._latest: deque[float] = deque(maxlen=_LATEST)
+        self._late: tuple[float, float] | None = None  # since when newer frames are waited for, and how late they were
+        self._held: LiveFrame | None = None  # the newest of these, which is followed if there is no newer one
+        self._not_before = 0.0
+        if rig is not None:
+            self._use(rig)
 
-    def run(self, stop: Event) -> LiveCounts:
-        """Follow until ``stop`` is set; returns the counts."""
-        while not stop.is_set():
-            frame = self._inputs.frames.take(_WAIT)
-            received = clock.perf_counter()
-            silent = self._inputs.report_silence(self._longest_silence)
-            if frame is not None:
-                self._take(frame, received, silent)
-            self._state.publish_if_due(silent)
+    @property
+    def began(self) -> bool:
+        """Whether there was a camera and a frame."""
+        return self.counts.followed + self.counts.refused > 0
+
+    def run(self, stop: Event, *, begin_within: float = np.inf) -> LiveCounts:
+        """Follow until ``stop`` is set, or for want of a frame in some seconds; returns the counts."""
+        started = self._inputs.now()
+        while not stop.is_set() and (self.began or self._inputs.now() - started < begin_within):
+            self.turn(_WAIT)
         return self.counts
 
-    def _take(self, frame: LiveFrame, received: float, silent: tuple[str, ...]) -> None:
+    def turn(self, wait: float = 0.0) -> None:
+        """Follow the newest frame, if one comes within ``wait``, s, and state how it goes."""
+        rig = self._inputs.rigs.take(0.0)
+        if rig is not None and self._given is None:
+            self._use(rig)
+        frame = self._inputs.frames.take(wait)
+        silent = self._inputs.report_silence()
+        if self._stated is not None:
+            if frame is not None:
+                self._take(frame, self._stated, silent)
+            elif self._held is not None:
+                self._try(self._held, self._stated, silent)
+        for arm in self._arms:
+            arm.publish_if_due(silent)
+        self._show(self._state)
+
+    def _state(self) -> str:
+        """Return the state in one line."""
+        images = f"{self.counts.followed} image{'' if self.counts.followed == 1 else 's'}"
+        age = f"age up to {1e3 * max(self._latest):.0f} ms" if self._latest else ""
+        arms = []
+        for arm in self._arms:
+            own = (f"{arm.poses} poses", f"{arm.ok} ok", arm.base_state) if self.began else (arm.state,)
+            name = f"{arm.name}: " if len(self._arms) > 1 else ""
+            arms.append(name + ", ".join(part for part in own if part))
+        return "; ".join(part for part in (images, *arms, age) if part)
+
+    def _use(self, rig: Rig) -> None:
+        """Follow by other cameras from the next frame on."""
+        if self._stated is not None and _same(self._stated, rig):
+            return
+        again = "" if self._stated is None or self._rig is None else "; it has changed, and following begins anew"
+        topics, rectified = self._inputs.topics.eyes, self._inputs.rectified
+        rig = rig.with_cameras(
+            {view.name: topics[view.name].remarked(view.camera, rectified=rectified) for view in rig.views}
+        )
+        self._stated, self._rig = rig, None
+        eyes = "camera" if len(rig.views) == 1 else "cameras"
+        views = ", ".join(
+            f"{view.camera.width} x {view.camera.height} px, focal length {view.camera.fx:.1f} px" for view in rig.views
+        )
+        self._report(f"{eyes}: {views}{again}")
+        for remark in rig.remarks:
+            self._report(f"warning: {remark}")
+        self.counts.restarts += bool(again)
+        for arm in self._arms:
+            arm.wait("waiting for images")
+
+    def _take(self, frame: LiveFrame, stated: Rig, silent: tuple[str, ...]) -> None:
         """Follow a frame, or leave it out for one of the reasons of this module's description."""
-        topic = frame.topics.image if frame.topics.mask is None else frame.topics.mask
         judged = self._times.judge(frame.time)
         if judged.line:
-            self._report(f"{topic}: {judged.line}")
+            self._report(f"{frame.topic}: {judged.line}")
         if judged.restarts:
+            self._times, self._ages = ImageTimes(), Ages()
             self._restart()
         if not judged.used:
-            self._leave_out(f"{topic}: {judged.status}")
+            self._leave_out(f"{frame.topic}: {judged.status}")
             return
+        self._ages.receive(frame.time, frame.received)
+        self._held = frame if self._is_overtaken(self._ages.age(frame.time, frame.received)) else None
+        if self._held is None:
+            self._try(frame, stated, silent)
+
+    def _try(self, frame: LiveFrame, stated: Rig, silent: tuple[str, ...]) -> None:
+        """Follow a frame, if it can be decoded."""
+        self._held = None
         try:
-            self._follow(frame, received, silent)
-            self._failures = 0
-            self._times.follow(frame.time)
+            arrays = frame.decoded(grey=not (any(arm.draws for arm in self._arms) or not frame.topics.masked))
+            self._fit(arrays.sizes, stated, frame.topic)
         except InputError as error:
             self._report(str(error))
             self._leave_out(str(error))
-        except Exception as error:
-            self._fail(error)
+            return
+        if self._follow(frame, arrays, silent):
+            self._times.follow(frame.time)
+
+    def _follow(self, frame: LiveFrame, arrays: Decoded, silent: tuple[str, ...]) -> bool:
+        """Give readings and a frame to the trackers; returns whether the frame was followed.
+
+        Where the time is too short for all arms, those are followed that have waited longest.
+        """
+        began, followed, waiting = self._inputs.now(), False, list[str]()
+
+        def age() -> float:
+            return self._ages.age(frame.time, self._inputs.now())
+
+        for arm in self._arms:
+            self.counts.refused += arm.add_readings(self._inputs.readings[arm.name].take_all(), frame.time)
+        for arm in sorted(self._arms, key=lambda arm: arm.stepped):
+            if followed and self._inputs.now() - began + arm.seconds > _BUDGET:
+                waiting.append(arm.name)
+                continue
+            done, anew = arm.follow(frame, arrays, age, silent)
+            followed |= done
+            if anew and self._rig is not None:
+                arm.begin(self._rig)
+                self.counts.restarts += 1
+        if waiting:
+            steps = 1e3 * sum(arm.seconds for arm in self._arms)
+            self._report(f"arms take turns: the steps of all take {steps:.0f} ms, more than {1e3 * _BUDGET:.0f}")
+        self.counts.published = sum(arm.published for arm in self._arms)
+        self.counts.followed += followed
+        self.counts.refused += not followed
+        if followed:
+            self._latest.append(age())
+            if self._latest[-1] > OLD:
+                self._report(f"images are {self._latest[-1]:.1f} s old: this computer, or the way here, is too slow")
+        return followed
+
+    def _is_overtaken(self, late: float) -> bool:
+        """Return whether newer frames are waited for instead of following one that came so much later than others, s.
+
+        While nothing is followed, what waits to be received is received. If frames are not newer then, as those of a
+        recording that is played slowly, they are followed as they come.
+        """
+        now = self._inputs.now()
+        if late <= OLD or now < self._not_before:
+            self._late = None
+            return False
+        since, before = self._late or (now, late)
+        if self._late is None or (now - since > _CAUGHT_UP and late < before - _CAUGHT_UP / 2):
+            self._late = now, late
+            return True
+        if now - since <= _CAUGHT_UP:
+            return True
+        self._late, self._not_before = None, now + _NOT_AGAIN
+        return False
 
     def _leave_out(self, reason: str) -> None:
         """Count a frame that is left out."""
         self.counts.refused += 1
-        self._state.set("image left out", reason)
+        for arm in self._arms:
+            arm.leave_out(reason)
 
-    def _fail(self, error: Exception) -> None:
-        """Leave out a frame whose step failed; after several in a row a new tracker begins."""
-        if isinstance(error, MemoryError):
-            reason = "out of memory"
+    def _fit(self, sizes: Sizes, stated: Rig, topic: str) -> None:
+        """Begin to follow, where the cameras or the size of the images are others than before.
+
+        Raises
+        ------
+        InputError
+            The images are of another aspect than the camera's, or of another size than those before.
+        """
+        now = {view.name: (view.camera.height, view.camera.width) for view in (self._rig or stated).views}
+        same = all(now[eye] == size for eye, size in sizes.items())
+        before, count = self._other
+        self._other = sizes, 0 if same else 1 + (count if sizes == before else 0)
+        if self._rig is not None and same:
+            return
+        try:
+            what = f"image of {topic}"
+            fitted = {eye: match_size(stated.view(eye).camera, size, what) for eye, size in sizes.items()}
+        except InputError as error:
+            raise InputError(str(error).partition(" (--")[0]) from None  # options of other commands
+        if self._rig is not None and self._other[1] < _AGREEING:
+            (height, width), (h, w) = next((size, now[eye]) for eye, size in sizes.items() if now[eye] != size)
+            raise InputError(f"{topic}: expected images of {w} x {h} px, as those before, got {width} x {height}")
+        for _, note in fitted.values():
+            if note is not None:
+                self._report(note)
+        changed, self._rig = self._rig, stated.with_cameras({eye: camera for eye, (camera, _) in fitted.items()})
+        if changed is None:
+            self._begin()
         else:
-            place = traceback.extract_tb(error.__traceback__)[-1]
-            where = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
-            reason = f"internal error: {where}: {one_line(error)}"
-        self._failures += 1
-        if self._failures >= _MOST_FAILURES:
+            self._report(f"{topic}: the size of the images has changed, and following begins anew")
             self._restart()
-        self._report(f"{reason}; the image is left out; after {_MOST_FAILURES} in a row following begins anew")
-        self._leave_out(reason)
+
+    def _begin(self) -> None:
+        """Let all arms begin."""
+        assert self._rig is not None
+        for arm in self._arms:
+            arm.begin(self._rig)
 
     def _restart(self) -> None:
-        """Begin with a new tracker."""
-        self._tracker, self._failures = self._make_tracker(), 0
-        self.counts.restarts += 1
-
-    def _follow(self, frame: LiveFrame, received: float, silent: tuple[str, ...]) -> None:
-        """Give the readings and a frame to the tracker, and publish the result."""
-        for readings in self._inputs.readings.take_all():
-            ahead = (readings.time - frame.time) / NANOSECONDS
-            try:
-                if abs(ahead) > LONGEST_GAP:
-                    raise InputError(f"{readings.topic}: readings {ahead:+z.1f} s from the images are left out")
-                self._tracker.add_readings(readings.time / NANOSECONDS, readings.joints)
-            except InputError as error:
-                self.counts.refused += 1
-                self._report(str(error))
-        mask = frame.mask()
-        pixels = frame.pixels(grey=mask is not None and self._draw is None)  # its colours are needed by nobody then
-        if self._beside is not None:
-            self._beside.before_step()
-        result = self._tracker.step(frame.time / NANOSECONDS, mask=mask, image=pixels)
-        self.counts.followed += 1
-        overlay = None if self._draw is None or pixels is None else self._draw(pixels, result)
-        age = clock.perf_counter() - received
-        state = "" if self._beside is None else self._beside.state
-        self.counts.published += self._outputs.publish(
-            frame.time, result, ros1=frame.ros1, age=age, silent=silent, overlay=overlay, calibration=state
-        )
-        self._state.has_result(ros1=frame.ros1)
-        if self._beside is not None:
-            self._beside.after_step()
+        """Let all arms begin anew."""
+        if self._rig is not None:
+            self.counts.restarts += 1
+            self._begin()
 
 
-class PresentState:
-    """Publishes why there is no result now, once a second, while there is none."""
-
-    def __init__(self, outputs: Outputs, state: str = "waiting for images") -> None:
-        self._outputs = outputs
-        self._waiting = self._state = state
-        self._reason = ""
-        self._ros1 = False
-        self._published = clock.monotonic()
-
-    def set(self, state: str, reason: str = "") -> None:
-        """Set what is published."""
-        self._state, self._reason = state, reason
-
-    def has_result(self, *, ros1: bool) -> None:
-        """Note that a result was published, with times as in ROS 1 or not."""
-        self._published, self._ros1 = clock.monotonic(), ros1
-        self.set(self._waiting)
-
-    def publish_if_due(self, silent: Sequence[str] = ()) -> None:
-        """Publish the state if nothing was published for a second."""
-        if clock.monotonic() - self._published >= _STATE_EVERY:
-            self._published = clock.monotonic()
-            self._outputs.publish_state(clock.time_ns(), self._state, self._reason, ros1=self._ros1, silent=silent)
+def _same(one: Rig, other: Rig) -> bool:
+    """Whether two rigs have the same cameras at the same places."""
+    return len(one.views) == len(other.views) and all(
+        first.camera == second.camera and np.array_equal(first.view_from_camera, second.view_from_camera)
+        for first, second in zip(one.views, other.views, strict=True)
+    )

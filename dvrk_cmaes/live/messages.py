@@ -1,4 +1,4 @@
-"""Conversion of messages of plain values, with bytes as they are or in base64, to arrays, readings and a camera.
+"""Conversion of messages of plain values, with bytes as they are or in base64, to arrays, readings and cameras.
 
 Errors are `InputError`, one line that begins with the topic.
 """
@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_args
 
 import cv2
 import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.camera.ros import read_camera_info
+from dvrk_cmaes.camera.stereo import pose_of_camera_infos
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import decode_image
 from dvrk_cmaes.io.short_text import shown
@@ -116,8 +118,15 @@ def read_joint_message(where: str, fields: Mapping[str, Any]) -> JointMessage:
     return JointMessage(read_stamp(where, fields).time, joints, where)
 
 
-def read_camera(where: str, fields: Mapping[str, Any], *, rectified: bool = False) -> Camera:
-    """Read a CameraInfo."""
-    found = read_camera_info(where, fields, rectified=rectified, side="left")
-    assert found.size is not None
-    return Camera(*found.size, found.fx, found.fy, found.cx, found.cy, found.distortion, found.model)
+def read_rig(infos: Mapping[str, Mapping[str, Any]], *, rectified: bool = False) -> Rig:
+    """Read the CameraInfo of one eye, or those of the left and the right one, by topic."""
+    cameras: list[Camera] = []
+    for side, (where, fields) in zip(get_args(Side), infos.items(), strict=False):
+        found = read_camera_info(where, fields, rectified=rectified, side=side)
+        assert found.size is not None
+        cameras.append(found.camera(where, found.size))
+    if len(cameras) == 1:
+        return Rig.of_camera(cameras[0])
+    (left, right), (first, second) = infos, infos.values()
+    pose, _ = pose_of_camera_infos((left, right), first, second, rectified=rectified)
+    return Rig.stereo(cameras[0], cameras[1], pose)

@@ -2,12 +2,14 @@
 
 Topics, in the namespace ``/dvrk_cmaes/ARM``: ``camera_from_root`` (PoseStamped), ``measured_js`` (JointState, the
 corrected joints) and ``overlay/compressed`` (CompressedImage); and ``/tf`` and ``/diagnostics``. All have the time of
-the image. A lost instrument has a status, and no pose and joints.
+the image. A lost instrument has a status, and no pose and joints. ``/tf`` has the root link in the camera, and with a
+pose that is ok the arm's base.
 """
 
 from __future__ import annotations
 
 import base64
+import time as clock
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, Protocol
 
@@ -32,6 +34,10 @@ class StepResult(Protocol):
     @property
     def camera_from_root(self) -> NDArray[np.float64] | None:
         """Pose (4, 4) of the root link in the camera, m; None without one."""
+
+    @property
+    def camera_from_base(self) -> NDArray[np.float64] | None:
+        """Pose (4, 4) of the arm's base in the camera, m; None where it is not known."""
 
     @property
     def joints(self) -> dict[str, float]:
@@ -73,27 +79,38 @@ class Outputs:
         *,
         ros1: bool = False,
         age: float = 0.0,
+        doubts: Sequence[str] = (),
         silent: Sequence[str] = (),
         overlay: NDArray[np.uint8] | None = None,
         calibration: str = "",
     ) -> bool:
         """Publish the result of the image of a time, ns; returns whether everything was sent.
 
-        ``ros1`` writes times as in ROS 1. ``age`` is the time since the image was received, s. ``silent`` are topics
-        that have stopped; ``overlay`` is (H, W, 3), BGR. ``calibration`` says how far the arm's base is known.
+        ``ros1`` writes times as in ROS 1. ``age`` is that of the image, s, and ``doubts`` are reasons why a pose is not
+        ok that its tracker does not know. ``silent`` are topics that have stopped; ``overlay`` is (H, W, 3), BGR.
+        ``calibration`` says how far the arm's base is known.
         """
-        messages = [*self._found(time, result), self._status(time, result, age, silent, calibration)]
+        status = "doubtful" if doubts and result.status == "ok" else result.status
+        values = {
+            "reasons": "; ".join((*result.reasons, *doubts)),
+            "remarks": "; ".join(result.remarks),
+            "age_ms": f"{1e3 * age:.1f}",
+            "silent_topics": " ".join(silent),
+        }
+        if calibration:
+            values["calibration"] = calibration
+        level = max(_LEVELS.get(status, 2), 1 if silent else 0)
+        messages = [*self._found(time, result, status), self._status_message(time, level, status, values)]
         if overlay is not None:
             messages.append(self._overlay(time, overlay))
         fields = [_as_ros1(message.fields) if ros1 else message.fields for message in messages]
         sent = [self._connection.publish(message.topic, f) for message, f in zip(messages, fields, strict=True)]
         return all(sent)
 
-    def publish_state(
-        self, time: int, state: str, reason: str = "", *, ros1: bool = False, silent: Sequence[str] = ()
-    ) -> bool:
-        """Publish a status without a result, at a time, ns: why there is no pose now; returns whether it was sent."""
-        message = self._status_message(time, 2, state, {"reasons": reason, "silent_topics": " ".join(silent)})
+    def publish_state(self, state: str, reason: str, *, ros1: bool, silent: Sequence[str]) -> bool:
+        """Publish a status without a result: why there is no pose now; returns whether it was sent."""
+        values = {"reasons": reason, "silent_topics": " ".join(silent)}
+        message = self._status_message(clock.time_ns(), 2, state, values)
         return self._connection.publish(message.topic, _as_ros1(message.fields) if ros1 else message.fields)
 
     def _topics(self) -> dict[str, str]:
@@ -106,28 +123,18 @@ class Outputs:
             "/diagnostics": _DIAGNOSTICS,
         }
 
-    def _found(self, time: int, result: StepResult) -> Iterator[RosMessage]:
+    def _found(self, time: int, result: StepResult, status: str) -> Iterator[RosMessage]:
         """Yield the messages of a pose and joints that were found."""
         pose = result.camera_from_root
         if pose is None or result.status == "lost":
             return
         yield pose_message(f"{self._namespace}/camera_from_root", time, self._names.camera, pose)
-        yield tf_message(time, self._names.camera, {self._child: pose})
+        children = {self._child: pose}
+        if status == "ok" and result.camera_from_base is not None:
+            children[self._names.base] = result.camera_from_base
+        yield tf_message(time, self._names.camera, children)
         if result.joints:
             yield joint_message(f"{self._namespace}/measured_js", time, result.joints)
-
-    def _status(self, time: int, result: StepResult, age: float, silent: Sequence[str], calibration: str) -> RosMessage:
-        """Return the message of the status."""
-        level = max(_LEVELS.get(result.status, 2), 1 if silent else 0)
-        values = {
-            "reasons": "; ".join(result.reasons),
-            "remarks": "; ".join(result.remarks),
-            "age_ms": f"{1e3 * age:.1f}",
-            "silent_topics": " ".join(silent),
-        }
-        if calibration:
-            values["calibration"] = calibration
-        return self._status_message(time, level, result.status, values)
 
     def _status_message(self, time: int, level: int, text: str, values: Mapping[str, str]) -> RosMessage:
         """Return the message of a status of some level with values by key."""

@@ -31,6 +31,8 @@ class RclpyConnection:
         rclpy is not importable.
     """
 
+    name: Final = "ROS 2"
+
     def __init__(self, report: Report) -> None:
         try:
             import rclpy
@@ -80,8 +82,14 @@ class RclpyConnection:
 
         self._node.create_subscription(self._type_of(_full(kind)), topic, convert, quality)
 
+    def topics(self, timeout: float) -> dict[str, str]:
+        """Return the types of the topics that the node has discovered, by name."""
+        return {topic: kinds[0] for topic, kinds in self._node.get_topic_names_and_types()}
+
     def advertise(self, topic: str, kind: str) -> None:
-        """Create a publisher."""
+        """Create a publisher, unless there is one."""
+        if topic in self._publishers:
+            return
         of_kind = self._type_of(_full(kind))
         self._publishers[topic] = self._node.create_publisher(of_kind, topic, 1), of_kind
 

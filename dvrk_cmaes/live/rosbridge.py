@@ -31,6 +31,7 @@ class _Operation(msgspec.Struct):
     op: str
     topic: str = ""
     msg: msgspec.Raw = msgspec.Raw()
+    values: Any = None
     level: str = ""
 
 
@@ -59,11 +60,13 @@ class RosbridgeConnection:
             ) from None
         self._roslibpy = roslibpy
         self._address = host, port
-        self._name = f"rosbridge {host}:{port}"
+        self.name = self._name = f"rosbridge {host}:{port}"
         self._report = report
         self._receivers: dict[str, tuple[Receive, int]] = {}
         self._announcements: list[dict[str, Any]] = []
         self._ready = Event()
+        self._topics: dict[str, str] = {}
+        self._has_topics = Event()
         self._protocol: Any = None
         self._ros: Any = None
         self._flow = _Flow(self._send)
@@ -117,6 +120,14 @@ class RosbridgeConnection:
         self._send(message)
         return True
 
+    def topics(self, timeout: float) -> Mapping[str, str] | None:
+        """Ask the server's node rosapi for all topics; as in `Connection`, and none where it does not answer."""
+        if not self._ready.is_set():
+            return None
+        self._has_topics.clear()
+        self._send({"op": "call_service", "service": "/rosapi/topics", "args": {}})
+        return self._topics if self._has_topics.wait(timeout) else {}
+
     def _announce(self, message: dict[str, Any]) -> None:
         self._announcements.append(message)
         if self._ready.is_set():
@@ -161,6 +172,11 @@ class RosbridgeConnection:
         if operation.op == "status":
             if operation.level in ("error", "warning"):
                 self._report(f"{self._name}: {' '.join(str(read()).split())[:200]}")
+            return
+        if operation.op == "service_response":
+            values = operation.values if isinstance(operation.values, dict) else {}
+            self._topics = dict(zip(values.get("topics", ()), values.get("types", ()), strict=False))
+            self._has_topics.set()
             return
         if operation.op != "publish":
             raise ValueError(f"expected the operation publish or status, got {operation.op[:50]!r}")

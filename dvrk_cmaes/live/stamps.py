@@ -1,8 +1,9 @@
-"""The times of images: which image is followed, and when a clock was set and following begins again."""
+"""The times of images: how old they are, which are followed, and when a clock was set and following begins again."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Final
 
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
@@ -10,6 +11,31 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS
 LONGEST_GAP: Final = 10.0
 """Time, s, between two images beyond which nothing of the first helps with the second."""
 _AGREEING: Final = 3  # images in a row whose times continue each other, which show that the clock was set
+
+
+_DRIFT: Final = 1e-4  # s per s, by which clocks drift apart at most
+_PAUSE: Final = 5.0  # s without an image, after which a recording may have been paused
+
+
+class Ages:
+    """How old images are: how much later it is than their time and the least time from an image's stamp to its receipt.
+
+    The clocks of robot and computer may differ, so only changes of the time between stamp and receipt tell. The least
+    one is found anew after images did not come for some seconds, as of a recording that was paused.
+    """
+
+    def __init__(self) -> None:
+        self._least, self._last = 0.0, -inf
+
+    def receive(self, time: int, now: float) -> None:
+        """Take in an image of a time, ns, that was received now, s."""
+        way, since = now - time / NANOSECONDS, now - self._last
+        self._least = way if since > _PAUSE else min(way, self._least + _DRIFT * since)
+        self._last = now
+
+    def age(self, time: int, now: float) -> float:
+        """Return the age now, s, of the image of a time, ns."""
+        return max(now - time / NANOSECONDS - self._least, 0.0)
 
 
 @dataclass(frozen=True)

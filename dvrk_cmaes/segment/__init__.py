@@ -1,15 +1,16 @@
 """Segmentation of the instrument in an image.
 
 `segment` returns a mask, with or without prompts (a box around the instrument, points on it, points beside it). It uses
-one of two models: ``classic`` uses colours and edges and needs no weights; ``sam2`` runs an exported checkpoint of
-Segment Anything 2.
+one of two models: ``classic`` needs no weights, and looks for the instrument by its meshes, if it is given, and by
+colours and edges; ``sam2`` runs an exported checkpoint of Segment Anything 2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,18 @@ from dvrk_cmaes.segment.segmentation import (
     MODELS,
     Background,
     Box,
+    Hints,
     Model,
     Pixel,
     Segmentation,
     check_background,
     check_prompts,
 )
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.camera import Camera
+    from dvrk_cmaes.instrument import Instrument
+    from dvrk_cmaes.silhouette import Body
 
 __all__ = ["MODELS", "Box", "Model", "Pixel", "Segmentation", "segment"]
 
@@ -39,6 +46,9 @@ def segment(
     weights: str | Path | None = None,
     threads: int = 2,
     background: NDArray[np.uint8] | None = None,
+    instrument: Instrument | Body | str | Path | None = None,
+    camera: Camera | None = None,
+    joints: Mapping[str, float] | None = None,
 ) -> Segmentation:
     """Segment the instrument in an image.
 
@@ -59,6 +69,13 @@ def segment(
     background
         (h, w, 3) uint8, BGR, of any size: what the camera sees without the instrument, for ``classic``. Without, it is
         taken for a smooth surface, as of paper, where the colours alone give a guess.
+    instrument
+        The instrument, as in `dvrk_cmaes.estimate`: ``classic`` then also looks for its shape, of which no colour needs
+        to be known. Without, it uses colours and edges alone.
+    camera
+        The camera of the image; without, one with the usual angle of view of endoscopes is assumed.
+    joints
+        Readings of the instrument's joints by name, rad. Any may be missing.
 
     Raises
     ------
@@ -70,47 +87,62 @@ def segment(
     check_prompts(image, box, points, not_points)
     if background is not None:
         check_background(background)
-    if model == "classic":
-        if weights is not None:
-            raise InputError("weights: the classic model has none; expected them only with model sam2")
+    hints = Hints(box, tuple(points), tuple(not_points))
+
+    def classic() -> Segmentation:
         from dvrk_cmaes.silhouette.threads import single_blas_thread
 
         with single_blas_thread():
-            return _segment_classic(image, background, box=box, points=points, not_points=not_points)
+            return _segment_classic(image, background, hints, instrument, camera, joints)
+
+    if model == "classic":
+        if weights is not None:
+            raise InputError("weights: the classic model has none; expected them only with model sam2")
+        return classic()
     if model == "sam2":
         if weights is None:
             raise InputError("weights: model sam2 needs the folder of an exported checkpoint")
         from dvrk_cmaes.segment.sam2 import segment_sam2
 
-        return segment_sam2(image, Path(weights), threads, box=box, points=points, not_points=not_points)
+        return segment_sam2(
+            image, Path(weights), threads, box=box, points=points, not_points=not_points, otherwise=classic
+        )
     raise InputError(f"model: expected one of {', '.join(nearest_first(str(model), MODELS))}, got {model!r}")
 
 
 def _segment_classic(
     image: NDArray[np.uint8],
     background: NDArray[np.uint8] | None,
-    *,
-    box: Box | None,
-    points: Sequence[Pixel],
-    not_points: Sequence[Pixel],
+    hints: Hints,
+    instrument: Instrument | Body | str | Path | None,
+    camera: Camera | None,
+    joints: Mapping[str, float] | None,
 ) -> Segmentation:
-    """Segment by a background, if one is known, or else by colours; where that gives a guess, by the other one."""
+    """Segment by a background, if one is known, and by the instrument's shape, colours or a smooth surface."""
     from dvrk_cmaes.frames.field_of_view import outside_view
     from dvrk_cmaes.segment.background import segment_before, smooth_background
     from dvrk_cmaes.segment.classic import segment_classic
     from dvrk_cmaes.segment.confidence import GUESS
+    from dvrk_cmaes.segment.model_masks import segment_by_model
     from dvrk_cmaes.segment.prompts import draw_prompts
+    from dvrk_cmaes.silhouette.prepare import prepare
 
     def before(behind: NDArray[np.uint8], kind: Background) -> Segmentation:
-        prompts = draw_prompts(image.shape, 1.0, box, points, not_points).with_outside(outside_view(image))
-        return replace(segment_before(image, behind, prompts), before=kind)
+        prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points)
+        return replace(segment_before(image, behind, prompts.with_outside(outside_view(image))), before=kind)
 
     known = None if background is None else before(background, "learned background")
     if known is not None and known.confidence >= GUESS:
         return known
-    found = segment_classic(image, box=box, points=points, not_points=not_points)
-    if found.confidence >= GUESS:
-        return found
-    smooth = smooth_background(image)
-    others = [known, None if smooth is None else before(smooth, "smooth background")]
-    return max([found, *(other for other in others if other is not None)], key=lambda each: each.confidence)
+
+    def without_shape() -> Segmentation:
+        found = segment_classic(image, box=hints.box, points=hints.points, not_points=hints.not_points)
+        if found.confidence >= GUESS:
+            return found
+        smooth = smooth_background(image)
+        others = [known, None if smooth is None else before(smooth, "smooth background")]
+        return max([found, *(other for other in others if other is not None)], key=lambda each: each.confidence)
+
+    if instrument is None:
+        return without_shape()
+    return segment_by_model(image, prepare(instrument), camera, joints, hints, without_shape)

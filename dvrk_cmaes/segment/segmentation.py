@@ -31,6 +31,7 @@ class Segmentation:
     confidence : 0 to 1; below 0.5, the mask is called a guess.
     notes : messages for the user about the mask.
     before : what the instrument was told from, if that was a background.
+    others : masks of further instruments in the image, if these were looked for; the surest one first.
     """
 
     mask: NDArray[np.bool_]
@@ -38,6 +39,7 @@ class Segmentation:
     confidence: float = 1.0
     notes: tuple[str, ...] = field(default=())
     before: Background | None = None
+    others: tuple[Segmentation, ...] = ()
 
 
 @dataclass(frozen=True)

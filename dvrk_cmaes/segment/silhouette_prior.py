@@ -7,15 +7,19 @@ of the pose.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.classic import refine_outline
 from dvrk_cmaes.segment.prompts import draw_prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.silhouette import Body
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -34,10 +38,13 @@ def segment_first(
     hints: Hints,
     threads: int,
     view: str = "",
+    body: Body | None = None,
+    camera: Camera | None = None,
+    joints: Mapping[str, float] | None = None,
 ) -> Segmentation:
     """Segment the instrument in an image (H, W, 3) BGR of a view without a pose.
 
-    ``ignore`` (H, W) are pixels that count neither way.
+    ``ignore`` (H, W) are pixels that count neither way; ``body``, ``camera`` and ``joints`` are as in `segment`.
 
     Raises
     ------
@@ -55,6 +62,9 @@ def segment_first(
         weights=settings.weights,
         threads=threads,
         background=settings.backgrounds.get(view),
+        instrument=body,
+        camera=camera,
+        joints=joints,
     )
     if not segmentation.mask.any() or (ignore is not None and not (segmentation.mask & ~ignore).any()):
         raise DvrkCmaesError("no instrument found in the image; a mask, a box or a point on the instrument would help")

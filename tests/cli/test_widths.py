@@ -95,7 +95,7 @@ def test_help_of_a_command_is_its_help() -> None:
 
 
 def test_topic_of_a_command_s_name_is_the_page() -> None:
-    assert "Live: following an instrument on a running robot" in printed(("help", "live"), 100)
+    assert "Live: following the instruments of a running robot" in printed(("help", "live"), 100)
 
 
 def test_wide_code_is_continued_and_its_comment_goes_before_it() -> None:

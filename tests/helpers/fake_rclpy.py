@@ -26,9 +26,9 @@ def get_message(kind: str) -> type:
         kinds["level"] = "octet"  # rosbags has uint8
 
     class Message:
-        def __init__(self) -> None:
+        def __init__(self, **fields: Any) -> None:
             for name, one in kinds.items():
-                setattr(self, name, _default(one))
+                setattr(self, name, fields.get(name, _default(one)))
 
         def __setattr__(self, name: str, value: Any) -> None:
             assert name in kinds, name
@@ -102,6 +102,9 @@ class Bus:
             def create_publisher(self, kind: type, topic: str, depth: int) -> Publisher:
                 return Publisher(kind, topic)
 
+            def get_topic_names_and_types(self) -> list[tuple[str, list[str]]]:
+                return [("/left/image", ["sensor_msgs/msg/Image"]), ("/tf", ["tf2_msgs/msg/TFMessage"])]
+
             def destroy_node(self) -> None:
                 assert not bus.open
 
@@ -116,9 +119,18 @@ class Bus:
                 time.sleep(0.01)
 
         contents: dict[str, dict[str, Any]] = {
-            "rclpy": {"Context": Context, "create_node": lambda name, context: Node()},
+            "rclpy": {
+                "Context": Context,
+                "create_node": lambda name, context=None: Node(),
+                "init": lambda: None,
+                "spin": lambda node: None,
+            },
             "rclpy.executors": {"SingleThreadedExecutor": Executor},
-            "rclpy.qos": {"QoSProfile": dict, "ReliabilityPolicy": type("Policy", (), {"BEST_EFFORT": 2})},
+            "rclpy.qos": {
+                "QoSProfile": dict,
+                "ReliabilityPolicy": type("Policy", (), {"BEST_EFFORT": 2}),
+                "qos_profile_sensor_data": {},
+            },
             "rosidl_runtime_py": {},
             "rosidl_runtime_py.utilities": {"get_message": get_message},
         }

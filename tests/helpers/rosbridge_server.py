@@ -18,7 +18,8 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 class RosbridgeServer:
     """Serves on a port until ``stop``; may be started again on the same port.
 
-    ``received`` has the messages of each topic that clients published, each with the time of its receipt, s.
+    ``received`` has the messages of each topic that clients published, each with the time of its receipt, s. ``topics``
+    are those that the service rosapi/topics tells, with their types.
     """
 
     def __init__(self) -> None:
@@ -27,6 +28,7 @@ class RosbridgeServer:
         self.advertised: dict[str, str] = {}
         self.subscribed: dict[str, dict[str, Any]] = {}
         self.refused: list[str] = []
+        self.topics: dict[str, str] = {}
         self._clients: set[_Client] = set()
 
     def start(self) -> None:
@@ -76,6 +78,10 @@ class RosbridgeServer:
     def take(self, text: str) -> None:
         """Carry out an operation of a client."""
         message = json.loads(text)
+        if message["op"] == "call_service":
+            values = {"topics": list(self.topics), "types": list(self.topics.values())}
+            self.send_text(json.dumps({"op": "service_response", "service": message["service"], "values": values}))
+            return
         topic = message["topic"]
         if message["op"] == "subscribe":
             self.subscribed[topic] = message

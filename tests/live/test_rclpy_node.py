@@ -14,7 +14,7 @@ from helpers.made_recordings import ARM, BEGIN, SECOND, pixels, sweep
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.ros_messages import header, joint_message, pose_message, tf_message
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.live.inputs import Inputs, InputTopics
+from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.rclpy_node import RclpyConnection, filled_message, plain_fields
 
 POSE = moved(np.eye(4), [0.01, 0.02, 0.1, 0.3, -0.4, 0.5])
@@ -50,9 +50,10 @@ def test_bytes_and_levels_have_types_of_ros_2() -> None:
 def test_received_image_and_readings_reach_inputs(bus: Bus) -> None:
     lines: list[str] = []
     connection = RclpyConnection(lines.append)
-    inputs = Inputs(InputTopics("/left/image", "/left/camera_info", ("/PSM1/measured_js",)), lines.append)
+    inputs = Inputs(InputTopics({"left": EyeTopics.of("/left/image")}, {"PSM1": ("/PSM1/measured_js",)}), lines.append)
     inputs.subscribe(connection)
     connection.open(1.0)
+    assert connection.topics(0.0) == {"/left/image": "sensor_msgs/msg/Image", "/tf": "tf2_msgs/msg/TFMessage"}
     seen = pixels(3)
     sent: dict[str, Mapping[str, Any]] = {
         "/left/image": {
@@ -75,12 +76,12 @@ def test_received_image_and_readings_reach_inputs(bus: Bus) -> None:
     for topic, fields in sent.items():
         kind, receive = bus.receivers[topic]
         receive(filled_message(kind(), fields, get_message))
-    frame, camera = inputs.frames.take(1.0), inputs.cameras.take(1.0)
+    frame, rig = inputs.frames.take(1.0), inputs.rigs.take(1.0)
     assert frame is not None
-    assert camera is not None
-    assert np.array_equal(frame.pixels(), seen)
-    assert camera.fx == 80
-    (readings,) = inputs.readings.take_all()
+    assert rig is not None
+    assert np.array_equal(frame.decoded().images["left"], seen)
+    assert rig.camera.fx == 80
+    (readings,) = inputs.readings["PSM1"].take_all()
     assert list(readings.joints.values()) == pytest.approx(sweep(BEGIN + SECOND))
     bus.receivers["/left/image"][1](object())
     assert lines == [

@@ -16,11 +16,14 @@ from helpers.made_recordings import ARM, BEGIN, HEIGHT, SECOND, WIDTH, pixels, s
 from helpers.rosbridge_server import RosbridgeServer, wait_for
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.live.inputs import Inputs, InputTopics
+from dvrk_cmaes.live import arm as live_arm
+from dvrk_cmaes.live import loop as live_loop
+from dvrk_cmaes.live.arm import LiveArm
+from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveLoop
 from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
@@ -31,7 +34,7 @@ IMAGE, CAMERA, JOINTS, JAW = (
     "/PSM1/measured_js",
     "/PSM1/jaw/measured_js",
 )
-TOPICS = InputTopics(IMAGE, CAMERA, (JOINTS, JAW))
+TOPICS = InputTopics({"left": EyeTopics.of(IMAGE, CAMERA)}, {"PSM1": (JOINTS, JAW)})
 FOUND = "/dvrk_cmaes/PSM1"
 POSE = moved(np.eye(4), [0.01, 0.02, 0.1, 0.3, -0.4, 0.5])
 
@@ -46,6 +49,7 @@ class Step:
     reasons: Sequence[str] = ()
     remarks: tuple[str, ...] = ()
     tips: np.ndarray | None = None
+    camera_from_base: np.ndarray | None = None
 
 
 @dataclass
@@ -53,13 +57,13 @@ class Recorder:
     """A tracker that gives the last readings as joints, and keeps what it was given."""
 
     readings: list[tuple[float, Mapping[str, float]]] = field(default_factory=list)
-    steps: list[tuple[float, np.ndarray | None, np.ndarray | None]] = field(default_factory=list)
+    steps: list[tuple[float, Any, Any]] = field(default_factory=list)
     lost: bool = False
 
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         self.readings.append((time, joints))
 
-    def step(self, time: float, mask: np.ndarray | None = None, image: np.ndarray | None = None) -> Step:
+    def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Step:
         if self.steps and time <= self.steps[-1][0]:
             raise InputError(f"time: expected more than {self.steps[-1][0]:g} s, got {time:g}")
         self.steps.append((time, mask, image))
@@ -85,24 +89,23 @@ class Live:
 
 
 @pytest.fixture
-def live() -> Iterator[Live]:
+def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     """Connect a loop to a server and run it."""
+    for module in (live_arm, live_loop):
+        monkeypatch.setattr(module, "OLD", np.inf)  # the images' clock does not go with that of the computer
     server = RosbridgeServer()
     server.start()
     lines: list[str] = []
     connection = RosbridgeConnection("127.0.0.1", server.port, lines.append)
     tracker = Recorder()
-    inputs = Inputs(TOPICS, lines.append)
+    inputs = Inputs(TOPICS, lines.append, longest_silence=0.5)
     inputs.subscribe(connection)
     outputs = Outputs(connection, FrameNames())
-    loop = LiveLoop(
-        lambda: tracker,
-        inputs,
-        outputs,
-        lines.append,
-        draw=lambda image, _: image,
-        longest_silence=0.5,
+    arm = LiveArm(
+        "PSM1", lambda rig: tracker, outputs, lines.append, inputs.now, draw=lambda rig: lambda image, result: image
     )
+    loop = LiveLoop([arm], inputs, lines.append, rig=Rig.of_camera(Camera(WIDTH, HEIGHT, 80.0, 80.0, 31.5, 22.0)))
+    lines.clear()
     assert connection.open(60)
     stop = threading.Event()
     thread = threading.Thread(target=loop.run, args=(stop,), daemon=True)
@@ -168,7 +171,7 @@ def test_tracker_gets_image_and_readings(live: Live) -> None:
     follow(live, BEGIN, number=3)
     ((time, mask, seen),) = live.tracker.steps
     assert time == pytest.approx(BEGIN / SECOND, abs=1e-6)
-    assert np.array_equal(seen, pixels(3))
+    assert np.array_equal(seen["left"], pixels(3))
     assert mask is None  # there is no topic of masks
     arm, own = (dict(found) for _, found in live.tracker.readings)
     assert arm == pytest.approx(dict(zip(ARM, sweep(BEGIN), strict=True)))
@@ -221,7 +224,9 @@ def test_camera_is_received(live: Live) -> None:
             "k": matrix,
         },
     )
-    assert live.inputs.cameras.take(60) == Camera(64, 48, 80.25, 81.75, 31.5, 22.125, (0.0,) * 5)
+    rig = live.inputs.rigs.take(60)
+    assert rig is not None
+    assert rig.camera == Camera(64, 48, 80.25, 81.75, 31.5, 22.125, (0.0,) * 5)
 
 
 def test_only_newest_image_is_followed(live: Live) -> None:
@@ -390,27 +395,26 @@ def mask(time: int, number: int) -> dict[str, Any]:
 
 
 def test_masks_of_topic_are_followed_with_their_images() -> None:
-    topics = InputTopics(IMAGE, CAMERA, (JOINTS,), mask="/left/mask")
+    topics = InputTopics({"left": EyeTopics.of(IMAGE, CAMERA, {"PSM1": "/left/mask"})}, {"PSM1": (JOINTS,)})
     lines: list[str] = []
     inputs = Inputs(topics, lines.append)
     for k in range(12):
-        inputs._on_image(image(BEGIN + k, k))
+        inputs._on_part("left", IMAGE, image(BEGIN + k, k))
     assert inputs.frames.take(0.0) is None
-    for k, kept in ((11, True), (4, True), (3, False)):  # the last eight images are kept
-        inputs._on_mask(mask(BEGIN + k, k))
+    for k, kept in ((3, False), (5, True), (11, True)):  # the last eight images are kept
+        inputs._on_part("left", "/left/mask", mask(BEGIN + k, k))
         frame = inputs.frames.take(1.0)
         assert frame is not None
         assert frame.time == BEGIN + k
-        seen, found = frame.pixels(), frame.mask()
-        assert (seen is not None) == kept
-        assert found is not None
-        assert np.array_equal(found, pixels(k)[:, :, 1] > 127)
+        arrays = frame.decoded()
+        assert ("left" in arrays.images) == kept
+        assert np.array_equal(arrays.masks["PSM1"]["left"], pixels(k)[:, :, 1] > 127)
     assert lines == []
 
 
 def test_readings_that_nobody_takes_do_not_pile_up() -> None:
     inputs = Inputs(TOPICS, list[str]().append)
     for k in range(3000):
-        inputs._on_joints(JOINTS, joints(BEGIN + k))
-    taken = inputs.readings.take_all()
+        inputs._on_joints(JOINTS, inputs.readings["PSM1"], joints(BEGIN + k))
+    taken = inputs.readings["PSM1"].take_all()
     assert [taken[0].time, taken[-1].time, len(taken)] == [BEGIN + 2000, BEGIN + 2999, 1000]

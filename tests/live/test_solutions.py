@@ -71,12 +71,12 @@ def test_solution_is_used_and_saved_when_it_is_there_and_no_step_waits_for_it() 
     solver, tracker, lines, saved = FakeSolver(), FakeTracker(), list[str](), list[Any]()
     solutions = solutions_of(solver, tracker, lines, saved)
     for _ in range(5):
-        solutions.before_step()
-        solutions.after_step()
+        solutions.before_step(0.0)
+        solutions.after_step(0.0)
     assert (solver.begun, tracker.used, saved) == (1, [], [])
     assert solver.prepared == ["0.1", "0.4"]
     solver.ready = True
-    solutions.before_step()
+    solutions.before_step(0.0)
     assert (tracker.used, saved) == (["solution 1"], ["calibration by solution 1"])
     assert solutions.earlier == saved[0]
     assert solutions.state == tracker.base_state
@@ -85,24 +85,24 @@ def test_solution_is_used_and_saved_when_it_is_there_and_no_step_waits_for_it() 
 def test_solution_for_a_tracker_that_began_anew_since_is_dropped() -> None:
     solver, tracker, saved = FakeSolver(), FakeTracker(), list[Any]()
     solutions = solutions_of(solver, tracker, [], saved)
-    solutions.after_step()
+    solutions.after_step(0.0)
     later = FakeTracker()
     solutions.tracker = cast(Any, later)
     solver.ready = True
-    solutions.before_step()
+    solutions.before_step(0.0)
     assert (tracker.used, later.used, saved) == ([], [], [])
-    solutions.after_step()
+    solutions.after_step(0.0)
     assert solver.begun == 2
 
 
 def test_solver_that_fails_costs_one_line_and_is_not_asked_again_at_once() -> None:
     solver, lines = FakeSolver(error=DvrkCmaesError("its process died")), list[str]()
     solutions = solutions_of(solver, FakeTracker(), lines, [])
-    solutions.after_step()
+    solutions.after_step(0.0)
     solver.ready = True
     for _ in range(3):
-        solutions.before_step()
-        solutions.after_step()
+        solutions.before_step(0.0)
+        solutions.after_step(0.0)
     assert lines == ["keyframes could not be solved: its process died"]
     assert solver.begun == 1
 

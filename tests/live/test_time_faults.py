@@ -10,65 +10,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.live_wires import BEGIN, SECOND, Found, Wire, stamp
 from helpers.rosbridge_server import RosbridgeServer, wait_for
 
+from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.live import arm as live_arm
 from dvrk_cmaes.live import loop as live_loop
-from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Receive
-from dvrk_cmaes.live.inputs import Inputs, InputTopics
+from dvrk_cmaes.live.arm import LiveArm
+from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveLoop
 from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.repeated_lines import RepeatedLines
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 from dvrk_cmaes.live.stamps import ImageTimes
 
-SECOND = 10**9
-BEGIN = 1_795_000_000 * SECOND
 IMAGE, JOINTS = "/left/image", "/PSM1/measured_js"
-TOPICS = InputTopics(IMAGE, "/left/camera_info", (JOINTS,))
-
-
-@dataclass
-class Wire:
-    """A connection within this process, which keeps what is published."""
-
-    receivers: dict[str, Receive] = field(default_factory=dict)
-    published: list[tuple[str, Mapping[str, Any]]] = field(default_factory=list)
-
-    def open(self, timeout: float) -> bool:
-        return True
-
-    def close(self) -> None:
-        self.receivers.clear()
-
-    def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
-    ) -> None:
-        self.receivers[topic] = receive
-
-    def advertise(self, topic: str, kind: str) -> None:
-        assert topic
-        assert kind
-
-    def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
-        self.published.append((topic, fields))
-        return True
-
-    @property
-    def states(self) -> list[dict[str, Any]]:
-        return [fields["status"][0] for topic, fields in self.published if topic == "/diagnostics"]
-
-
-@dataclass(frozen=True)
-class Found:
-    """A result of a step."""
-
-    camera_from_root: np.ndarray | None = field(default_factory=lambda: np.eye(4))
-    joints: dict[str, float] = field(default_factory=dict)
-    status: str = "ok"
-    reasons: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
-    tips: np.ndarray | None = None
+TOPICS = InputTopics({"left": EyeTopics.of(IMAGE)}, {"PSM1": (JOINTS,)})
 
 
 @dataclass
@@ -82,7 +40,7 @@ class Follower:
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         self.readings.append(time)
 
-    def step(self, time: float, mask: np.ndarray | None = None, image: np.ndarray | None = None) -> Found:
+    def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Found:
         assert not self.times or time > self.times[-1]
         if self.errors:
             raise self.errors.pop()
@@ -115,24 +73,24 @@ class Live:
         self.wire.receivers[JOINTS]({"header": stamp(time), "name": ["jaw"], "position": [0.5]})
 
 
-def stamp(time: float) -> dict[str, Any]:
-    seconds, rest = divmod(BEGIN + round(time * SECOND), SECOND)
-    return {"stamp": {"sec": seconds, "nanosec": rest}}
-
-
 @pytest.fixture
 def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
-    monkeypatch.setattr(live_loop, "_STATE_EVERY", 0.1)
+    monkeypatch.setattr(live_arm, "_STATE_EVERY", 0.1)
+    for module in (live_arm, live_loop):
+        monkeypatch.setattr(module, "OLD", np.inf)  # the images' clock does not go with that of the computer
     monkeypatch.setattr(live_loop, "_WAIT", 0.02)
     wire, lines, trackers, errors = Wire(), list[str](), list[Follower](), list[Exception]()
 
-    def make_tracker() -> Follower:
+    def make_tracker(rig: Rig) -> Follower:
         trackers.append(Follower(errors))
         return trackers[-1]
 
-    inputs = Inputs(TOPICS, RepeatedLines(lines.append))
+    say = RepeatedLines(lines.append)
+    inputs = Inputs(TOPICS, say, longest_silence=1e6)
     inputs.subscribe(wire)
-    loop = LiveLoop(make_tracker, inputs, Outputs(wire, FrameNames()), RepeatedLines(lines.append), longest_silence=1e6)
+    arm = LiveArm("PSM1", make_tracker, Outputs(wire, FrameNames()), say, inputs.now)
+    loop = LiveLoop([arm], inputs, say, rig=Rig.of_camera(Camera(4, 2, 4.0, 4.0, 2.0, 1.0)))
+    lines.clear()
     stop = threading.Event()
     thread = threading.Thread(target=loop.run, args=(stop,), daemon=True)
     thread.start()

@@ -3,18 +3,22 @@
     python scripts/bench.py live --seconds 60
 
 This needs the extra ros. Another process is the rosbridge server on 127.0.0.1. It sends the images and masks of a
-recorded session, forwards and backwards, 30 a second unless --images says otherwise, and readings of arm and jaw, 100 a
-second each unless --readings does; at equal rates they have the same times. It receives the poses. The age is from
-sending an image's mask to receiving its pose there. Memory is the resident set of the following process, in MB, after
-10 s, after a quarter of the time, and at the end; its growth is that since the quarter.
+recorded session, of all its arms and eyes, forwards and backwards, 30 a second unless --images says otherwise, and
+readings of each arm, 100 a second unless --readings does. It receives the poses. The age is from sending the last mask
+of a time to receiving the pose there; of a set, the poses of all arms, to the last of these. ``stated - true`` is the
+age in /diagnostics less that of its receipt. Memory is the resident set of the following process, in MB, after
+10 s, after a quarter of the time, at most two minutes, and at the end; its growth is that since the second.
 
-Of a session with a truth, ok poses are counted that are in the wrong mode or came before the base was known, and the
-share that is ok of the poses of images with at least half of the jaws in view, after it was.
+Of arms with a truth, ok poses are counted that are in the wrong mode or came before the base was known, and the share
+that is ok of the poses of images with at least half of the jaws in view, after it was.
 
-With --solve, the arm's base is found from keyframes in another process, as by the command; with --losses, the mask is a
-disc in the middle of the image for a quarter of a second each time. Ten minutes with one loss a minute:
+With --solve, the arms' bases are found from keyframes in other processes, as by the command; with --losses, the masks
+are a disc in the middle of the image for a quarter of a second each time; with --load, so many other processes compute
+all the time. Ten minutes with one loss a minute, and five of two arms and two eyes:
 
     python scripts/bench.py live --seconds 600 --losses 60 --solve
+    dvrk-cmaes synth two --motion video --arms 2 --stereo --level easy --frames 150
+    python scripts/bench.py live --session two --seconds 300 --solve
 """
 
 from __future__ import annotations
@@ -25,9 +29,9 @@ import multiprocessing
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any, Final
@@ -38,20 +42,19 @@ import psutil
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.cli.live import shown_state
+from dvrk_cmaes.cli.options import DEFAULT_CAMERA, InstrumentOptions
+from dvrk_cmaes.cli.rehearsal import Rehearsed
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.export.frames import FrameNames
-from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import rotation_angle
-from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.names import ARM_ORDER
-from dvrk_cmaes.live.follow import LiveSetup, follow
-from dvrk_cmaes.live.inputs import InputTopics
+from dvrk_cmaes.live.follow import ArmSetup, LiveSetup, follow
+from dvrk_cmaes.live.inputs import EyeTopics, InputTopics
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
-from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.runs.long_run import prepare_long_run
 from dvrk_cmaes.runs.solver_process import SolverProcess
-from dvrk_cmaes.silhouette import Body
 from measure.accuracy.figures import RIGHT_MODE_DEG
 from measure.places import ROOT, SHARED
 from measure.tables import Report
@@ -61,21 +64,13 @@ _LOSS: Final = 0.25  # s
 UNKNOWN: Final = "base not known yet"
 _IN_VIEW: Final = 0.5  # least share of the jaws in view
 _MEMORY_FROM: Final = 10  # s
+_SETTLED: Final = 120  # s
 BEGIN: Final = 1_795_000_000 * NANOSECONDS
-POSE: Final = "/dvrk_cmaes/PSM1/camera_from_root"
-TOPICS: Final = InputTopics(
-    "/left/image/compressed",
-    "/left/camera_info",
-    ("/PSM1/measured_js", "/PSM1/jaw/measured_js"),
-    "/left/mask/compressed",
-)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument(
-        "--session", type=Path, default=SHARED / "frames/video/easy", help="masks, joints.csv with times"
-    )
+    parser.add_argument("--session", type=Path, default=SHARED / "frames/video/easy", help="of any arms and eyes")
     parser.add_argument("--calibration", type=Path, help="a session.json")
     parser.add_argument("--lag", type=float, help="lag of the images, s")
     parser.add_argument("--seconds", type=float, default=60.0)
@@ -84,29 +79,43 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--begin", type=float, default=0.0, metavar="S", help="time in the session of the first image")
     parser.add_argument("--losses", type=float, metavar="S", help="time between losses, s (default: none)")
     parser.add_argument("--solve", action="store_true", help="solve keyframes beside")
+    parser.add_argument("--load", type=int, default=0, metavar="N", help="other processes that compute (none)")
     parser.add_argument("--overlay", action="store_true", help="publish overlays too")
+
+
+def read_recorded(folder: Path, instrument: str) -> Rehearsed:
+    """Read a session with masks."""
+    return Rehearsed.read(folder, "PSM1", InstrumentOptions(instrument=instrument), DEFAULT_CAMERA, folder)
+
+
+def compressed_topics(recorded: Rehearsed) -> InputTopics:
+    """Return the topics of a recording, those of images and masks with compressed ones."""
+    eyes = {
+        name: EyeTopics(
+            f"/{name}/image/compressed", eye.camera, {arm: f"{topic}/compressed" for arm, topic in eye.masks.items()}
+        )
+        for name, eye in recorded.topics.eyes.items()
+    }
+    return InputTopics(eyes, recorded.topics.joints)
 
 
 def live_report(options: argparse.Namespace) -> Report:
     """Run the measurement and return its figures."""
-    session = read_session(options.session)
-    instrument = load_instrument(options.instrument)
+    recorded = read_recorded(options.session, options.instrument)
     calibration = None if options.calibration is None else read_calibration(options.calibration)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    sending = Sending(options.session, options.seconds, options.images, options.readings, options.losses, options.begin)
-    given = (theirs, sending)
-    server = context.Process(target=serve, args=given, daemon=True)
-    server.start()
-    setup = LiveSetup(
-        TOPICS,
-        FrameNames(),
-        Body.prepare(instrument),
-        calibration=calibration,
-        camera=session.camera,
-        lag=options.lag,
-        overlay=options.overlay,
+    sending = Sending(
+        options.session,
+        options.instrument,
+        options.seconds,
+        options.images,
+        options.readings,
+        options.losses,
+        options.begin,
     )
+    server = context.Process(target=serve, args=(theirs, sending), daemon=True)
+    server.start()
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -115,25 +124,44 @@ def live_report(options: argparse.Namespace) -> Report:
     connection = RosbridgeConnection("127.0.0.1", ours.recv(), say)
     connection.open(timeout=10.0)
     stop, memory = Event(), list[float]()
-    watch = Thread(target=_watch, args=(stop, memory), daemon=True)
-    watch.start()
+    Thread(target=_watch, args=(stop, memory), daemon=True).start()
     Thread(target=_end, args=(ours, stop), daemon=True).start()
     started = time.process_time()
-    with SolverProcess(instrument, background=True) if options.solve else nullcontext() as solver:
-        counts = follow(replace(setup, solver=solver), connection, say, stop)
+    with ExitStack() as stack:
+        for _ in range(options.load):
+            busy = context.Process(target=_compute, daemon=True)
+            busy.start()
+            stack.callback(busy.kill)
+        arms = []
+        for arm, own in recorded.arms.items():
+            solver = SolverProcess(own.body.instrument, background=True) if options.solve else None
+            if solver is not None:
+                stack.enter_context(solver)
+            names = FrameNames(arm, "camera", f"{arm}_base")
+            arms.append(ArmSetup(names, own.body, own.kinematics, calibration, solver))
+        rig = next(iter(recorded.arms.values())).session.rig
+        topics = compressed_topics(recorded)
+        setup = LiveSetup(topics, tuple(arms), EstimateConfig(), options.lag, rig, overlay=options.overlay)
+        counts = follow(setup, connection, say, stop, show=stack.enter_context(shown_state()))
         used = time.process_time() - started
         figures = ours.recv()
         connection.close()
         server.join(10)
-    quarter = memory[min(max(round(options.seconds / 4) - _MEMORY_FROM, 0), len(memory) - 1)]
+    settled = memory[min(max(round(min(options.seconds / 4, _SETTLED)) - _MEMORY_FROM, 0), len(memory) - 1)]
     figures |= {
         "followed": counts.followed,
         "refused": counts.refused,
         "cpu_share": round(used / options.seconds, 2),
-        "memory_mb": [round(memory[0], 1), round(quarter, 1), round(memory[-1], 1)],
-        "growth_%": round(100 * (memory[-1] / quarter - 1), 1),
+        "memory_mb": [round(memory[0], 1), round(settled, 1), round(memory[-1], 1)],
+        "growth_%": round(100 * (memory[-1] / settled - 1), 1),
     }
     return {"live": [figures]}
+
+
+def _compute() -> None:
+    """Use a core all the time."""
+    while True:
+        sum(range(100_000))
 
 
 def _end(pipe: Any, stop: Event) -> None:
@@ -162,6 +190,7 @@ class Sending:
     """
 
     folder: Path
+    instrument: str
     seconds: float
     images: float
     readings: float
@@ -171,6 +200,11 @@ class Sending:
     def place(self, moment: float, count: int) -> float:
         """Return the place among the ``count`` images of the session at a time after the start, s."""
         return _back_and_forth((self.begin + moment) * RECORDED, count - 1)
+
+    def loses(self, moment: float) -> bool:
+        """Return whether masks are discs at a time after the start, s."""
+        losses = self.losses
+        return losses is not None and moment >= losses / 2 and (moment - losses / 2) % losses < _LOSS
 
 
 @dataclass(frozen=True)
@@ -182,40 +216,71 @@ class Sent:
     fields: dict[str, Any]
 
 
+Messages = Sequence[tuple[float, dict[str, Any]]]
+"""Messages with the time of their receipt, s."""
+
+
 def serve(pipe: Any, sending: Sending) -> None:
     """Serve a session's messages in real time; send the port, and at the end the figures, through a pipe."""
     sys.path.insert(0, str(ROOT / "tests"))
     from helpers.rosbridge_server import RosbridgeServer, wait_for  # type: ignore[import-not-found]
 
-    session = read_session(sending.folder)
-    messages = list(_messages(session, sending))
+    recorded = read_recorded(sending.folder, sending.instrument)
+    topics = compressed_topics(recorded)
+    masks = {topic for eye in topics.eyes.values() for topic in eye.evidence}
+    messages = list(_messages(recorded, topics, sending))
     server = RosbridgeServer()
     server.start()
     pipe.send(server.port)
-    wait_for(lambda: len(server.subscribed) == 5 and POSE in server.advertised, 60)
+    found = {arm: f"/dvrk_cmaes/{arm}/camera_from_root" for arm in recorded.arms}
+    wait_for(lambda: set(topics.timed) <= set(server.subscribed) and set(found.values()) <= set(server.advertised), 60)
     started, sent = time.perf_counter(), dict[tuple[int, int], float]()
     for one in messages:
         wait = started + one.moment - time.perf_counter()
         if wait > 0:
             time.sleep(wait)
-        if one.topic == TOPICS.mask:
+        if one.topic in masks:
             sent[_key(one.fields)] = time.perf_counter()
         server.send(one.topic, one.fields)
     time.sleep(0.5)
     elapsed = time.perf_counter() - started - 0.5
-    received = server.received.get(POSE, [])
-    ages = np.array([1e3 * (moment - sent[_key(fields)]) for moment, fields in received] or [np.nan])
+    poses = {arm: server.received.get(topic, []) for arm, topic in found.items()}
+    whole = _sets(list(poses.values()), sent)
+    statuses = server.received.get("/diagnostics", [])
+    stated = [age - 1e3 * (moment - sent[key]) for moment, key, age in _stated(statuses) if key in sent]
     pipe.send(
         {
             "seconds": round(elapsed, 2),
             "images_a_second": round(len(sent) / elapsed, 2),
-            "poses_a_second": round(len(received) / elapsed, 2),
-            **{f"age_ms p{share}": round(float(np.percentile(ages, share)), 1) for share in (50, 95, 99, 100)},
+            "poses_a_second": {arm: round(len(of_arm) / elapsed, 2) for arm, of_arm in poses.items()},
+            "sets_a_second": round(len(whole) / elapsed, 2),
+            **_quantiles("age_ms", whole),
+            **_quantiles("stated - true, ms", stated, (1, 50, 99)),
             "load": round(psutil.getloadavg()[0], 1),
-            **_trust(session, sending, received, server.received.get("/diagnostics", [])),
+            **{arm: _trust(own.session, sending, poses[arm], statuses, arm) for arm, own in recorded.arms.items()},
         }
     )
     server.stop()
+
+
+def _quantiles(name: str, values: Sequence[float], shares: Sequence[int] = (50, 95, 99, 100)) -> dict[str, float]:
+    """Return quantiles of values by name and share, %."""
+    return {f"{name} p{share}": round(float(np.percentile(values or [np.nan], share)), 1) for share in shares}
+
+
+def _sets(poses: Sequence[Messages], sent: Mapping[tuple[int, int], float]) -> list[float]:
+    """Return the ages, ms, of sets of poses of all arms, from the last mask to the last pose."""
+    received = [{_key(fields): moment for moment, fields in of_arm} for of_arm in poses]
+    common = set[tuple[int, int]].intersection(*(set(of_arm) for of_arm in received))
+    return [1e3 * (max(of_arm[key] for of_arm in received) - sent[key]) for key in common]
+
+
+def _stated(statuses: Messages) -> Iterator[tuple[float, tuple[int, int], float]]:
+    """Yield the receipt, s, the stamp and the stated age, ms, of the statuses of images."""
+    for moment, fields in statuses:
+        values = {one["key"]: one["value"] for one in fields["status"][0]["values"]}
+        if "age_ms" in values:
+            yield moment, _key(fields), float(values["age_ms"])
 
 
 def _key(fields: dict[str, Any]) -> tuple[int, int]:
@@ -224,12 +289,7 @@ def _key(fields: dict[str, Any]) -> tuple[int, int]:
     return stamp["sec"], stamp["nanosec"]
 
 
-def _trust(
-    session: Session,
-    sending: Sending,
-    poses: Sequence[tuple[float, dict[str, Any]]],
-    statuses: Sequence[tuple[float, dict[str, Any]]],
-) -> dict[str, Any]:
+def _trust(session: Session, sending: Sending, poses: Messages, statuses: Messages, arm: str) -> dict[str, Any]:
     """Compare poses with the truth of the session, if it has one, and with what the statuses say of the base."""
     truths = [session.truth.frames.get(frame.name) for frame in session.frames]
     if None in truths:
@@ -239,6 +299,8 @@ def _trust(
     first, reasons = None, Counter[str]()
     for _, fields in statuses:
         (status,) = fields["status"]
+        if status["hardware_id"] != arm:
+            continue
         values = {one["key"]: one["value"] for one in status["values"]}
         moment = (_key(fields)[0] * NANOSECONDS + _key(fields)[1] - BEGIN) / NANOSECONDS
         if "age_ms" not in values:  # why there is no pose
@@ -261,45 +323,50 @@ def _trust(
     return {**counts, "ok_after_base_%": round(100 * share, 1), "base_known_after_s": first, "statuses": dict(reasons)}
 
 
-def _messages(session: Session, sending: Sending) -> Iterator[Sent]:
+def _messages(recorded: Rehearsed, topics: InputTopics, sending: Sending) -> Iterator[Sent]:
     """Yield the messages of a session in the order of their times, forwards and backwards for some seconds."""
-    seconds, losses = sending.seconds, sending.losses
-    images = _images(session.folder)
-    masks = [base64.b64encode(frame.mask.read_bytes()).decode() for frame in session.frames if frame.mask is not None]
-    disc = _disc(session.camera)
-    (table,) = read_timed_joints(session.folder / "joints.csv")
-    times = (table.times - table.times[0]) / NANOSECONDS
-    count = min(len(images), len(masks))
+    arms = recorded.arms.values()
+    count = min(len(arm.session.frames) for arm in arms)
+    frames = [
+        {f"{topic}/compressed": _compressed(array) for topic, array in recorded.arrays(number)}
+        for number in range(count)
+    ]
     later = list[Sent]()
-    for k in range(round(seconds * sending.images)):
+    camera = next(iter(arms)).session.rig.camera
+    disc = _disc(camera.height, camera.width)
+    images = {eye.image for eye in topics.eyes.values()}
+    for k in range(round(sending.seconds * sending.images)):
         moment = k / sending.images
-        frame = sending.place(moment, count)
-        lost = losses is not None and moment >= losses / 2 and (moment - losses / 2) % losses < _LOSS
-        later.append(
-            Sent(moment, TOPICS.image, {"header": _header(moment), "format": "jpeg", "data": images[round(frame)]})
-        )
-        later.append(
-            Sent(
-                moment + 1e-4,
-                str(TOPICS.mask),
-                {"header": _header(moment), "format": "png", "data": disc if lost else masks[round(frame)]},
-            )
-        )
-    for k in range(round(seconds * sending.readings)):
-        moment = k / sending.readings
-        at = sending.place(moment, count) / RECORDED
-        row = dict(zip(table.joints, [float(np.interp(at, times, column)) for column in table.values.T], strict=True))
-        for topic, names in zip(TOPICS.joints, (ARM_ORDER, ("jaw",)), strict=True):
-            fields = {"header": _header(moment), "name": list(names), "position": [row[name] for name in names]}
-            later.append(Sent(moment, topic, fields))
+        for topic, data in frames[round(sending.place(moment, count))].items():
+            own = topic in images
+            fields = {
+                "header": _header(moment),
+                "format": "jpeg" if own else "png",
+                "data": disc if sending.loses(moment) and not own else data,
+            }
+            later.append(Sent(moment if own else moment + 1e-4, topic, fields))
+    for arm, clock in recorded.clocks.items():
+        (topic,) = topics.joints[arm]
+        times = np.array([time for time, _ in clock.readings])
+        names = list(clock.readings[0][1])
+        values = [np.array([row[name] for _, row in clock.readings]) for name in names]
+        for k in range(round(sending.seconds * sending.readings)):
+            moment = k / sending.readings
+            at = times[0] + sending.place(moment, count) / RECORDED
+            position = [float(np.interp(at, times, column)) for column in values]
+            later.append(Sent(moment, topic, {"header": _header(moment), "name": names, "position": position}))
     yield from sorted(later, key=lambda one: one.moment)
 
 
-def _disc(camera: Camera) -> str:
-    """Return the mask of a disc in the middle of a camera's image, which no instrument has, as PNG in base64."""
-    pixels = np.zeros((camera.height, camera.width), dtype=np.uint8)
-    cv2.circle(pixels, (camera.width // 2, camera.height // 2), camera.height // 8, 255, cv2.FILLED)
-    return base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
+def _compressed(array: np.ndarray) -> str:
+    """Return an image as JPEG, or a mask as PNG, in base64."""
+    return base64.b64encode(cv2.imencode(".png" if array.ndim == 2 else ".jpg", array)[1].tobytes()).decode()
+
+
+def _disc(height: int, width: int) -> str:
+    """Return the mask of a disc in the middle of an image, which no instrument has."""
+    pixels = np.zeros((height, width), dtype=np.uint8)
+    return _compressed(cv2.circle(pixels, (width // 2, height // 2), height // 8, 255, cv2.FILLED))
 
 
 def _back_and_forth(k: float, last: int) -> float:
@@ -311,13 +378,3 @@ def _header(moment: float) -> dict[str, Any]:
     """Return a header, at a time after the beginning, s."""
     seconds, rest = divmod(BEGIN + round(moment * NANOSECONDS), NANOSECONDS)
     return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": "camera"}
-
-
-def _images(folder: Path) -> Sequence[str]:
-    """Return the frames of a session's video as JPEG in base64."""
-    video, images = cv2.VideoCapture(str(folder / "video.mp4")), list[str]()
-    while True:
-        found, pixels = video.read()
-        if not found:
-            return images
-        images.append(base64.b64encode(cv2.imencode(".jpg", pixels)[1].tobytes()).decode())

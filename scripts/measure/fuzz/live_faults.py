@@ -20,9 +20,11 @@ from typing import Any, Final
 import numpy as np
 import psutil
 
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.live.arm import LiveArm
 from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Receive
-from dvrk_cmaes.live.inputs import Inputs, InputTopics
+from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveLoop
 from dvrk_cmaes.live.outputs import Outputs, StepResult
 from dvrk_cmaes.live.repeated_lines import RepeatedLines
@@ -30,8 +32,8 @@ from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND
 from dvrk_cmaes.track import Tracker
 from measure.fuzz.tracker import CAMERA, SETTINGS, World
 
-IMAGE, MASK, JOINTS, CAMERA_INFO = "/left/image", "/left/mask", "/PSM1/measured_js", "/left/camera_info"
-TOPICS: Final = InputTopics(IMAGE, CAMERA_INFO, (JOINTS,), mask=MASK)
+MASK, JOINTS = "/left/mask", "/PSM1/measured_js"
+TOPICS: Final = InputTopics({"left": EyeTopics.of("/left/image", masks={"PSM1": MASK})}, {"PSM1": (JOINTS,)})
 BEGIN: Final = 1_795_000_000.0  # s
 BACK_WITHIN: Final = round(2 * FRAMES_A_SECOND)  # good images
 _FOLLOWED: Final = ("ok", "doubtful")
@@ -98,6 +100,10 @@ class _Wire:
 
     def __init__(self) -> None:
         self.receivers: dict[str, Receive] = {}
+        self.name = "wire"
+
+    def topics(self, timeout: float) -> Mapping[str, str]:
+        return dict.fromkeys(self.receivers, "")
 
     def open(self, timeout: float) -> bool:
         return timeout >= 0
@@ -142,10 +148,10 @@ class _Follower:
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         self._tracker.add_readings(time, joints)
 
-    def step(self, time: float, mask: Any = None, image: Any = None) -> StepResult:
+    def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> StepResult:
         if self._feed.errors:
             raise self._feed.errors.pop()
-        result = self._tracker.step(time, mask=mask, image=image)
+        result = self._tracker.step(time, mask, image, ignore)
         self._feed.status = result.status
         return result
 
@@ -158,11 +164,12 @@ class _Feed:
         self._world, self._report = world, report
         self._wire, self._lines, self._stop = _Wire(), _Lines(), threading.Event()
         self._frame, self._ahead = 0, 0.0  # s, by which the clocks of the messages were set
-        inputs = Inputs(TOPICS, self._lines)
+        inputs = Inputs(TOPICS, self._lines, longest_silence=1e6, now=lambda: self._frame / FRAMES_A_SECOND)
         inputs.subscribe(self._wire)
-        self.loop = LiveLoop(
-            lambda: _Follower(world, self), inputs, Outputs(self._wire, FrameNames()), self._lines, longest_silence=1e6
-        )
+        outputs = Outputs(self._wire, FrameNames())
+        arm = LiveArm("PSM1", lambda rig: _Follower(world, self), outputs, self._lines, inputs.now)
+        self.loop = LiveLoop([arm], inputs, self._lines, rig=Rig.of_camera(CAMERA))
+        self._lines.forget()
         self._thread = threading.Thread(target=self.loop.run, args=(self._stop,), daemon=True)
         self._thread.start()
         self._process = psutil.Process()

@@ -1,0 +1,208 @@
+"""One of the arms that are followed: its tracker, the solution of its keyframes, and what is published of it."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.live.connection import Report
+from dvrk_cmaes.live.inputs import Decoded, LiveFrame
+from dvrk_cmaes.live.messages import JointMessage
+from dvrk_cmaes.live.outputs import Outputs, StepResult
+from dvrk_cmaes.live.stamps import LONGEST_GAP
+
+Pixels = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+DrawOverlay = Callable[[Pixels, StepResult], Pixels]
+
+OLD: Final = 1.0
+"""Age, s, from which on a pose is doubtful."""
+MOST_FAILURES: Final = 3
+"""Steps in a row that fail, after which a new tracker begins."""
+_SHARE: Final = 0.1  # of the latest step, in the usual time of a step
+_STATE_EVERY: Final = 1.0  # s without a result, after which the status says why
+
+
+class LiveTracker(Protocol):
+    """Follows an instrument; times are in seconds, arrays by eye."""
+
+    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
+        """Add the readings of one time: joints by name, rad (insertion: m)."""
+
+    def step(
+        self,
+        time: float,
+        mask: Mapping[str, Mask] | None = None,
+        image: Mapping[str, Pixels] | None = None,
+        ignore: Mapping[str, Mask] | None = None,
+    ) -> StepResult:
+        """Follow the instrument to the images of a later time."""
+
+
+class Beside(Protocol):
+    """Work that goes on beside the steps."""
+
+    @property
+    def state(self) -> str:
+        """How far it is, in words."""
+
+    def before_step(self, time: float) -> None:
+        """Give the tracker what was found, before the step to the image of a time, s."""
+
+    def after_step(self, time: float) -> None:
+        """Begin what is due."""
+
+
+class LiveArm:
+    """Follows an arm, and publishes what is found.
+
+    ``poses`` and ``ok`` count what was published; ``seconds`` is the usual time of a step, ``stepped`` when the last
+    one was, s.
+
+    Parameters
+    ----------
+    name
+        Name of the arm, as in the frames.
+    make_tracker
+        Makes a tracker for cameras.
+    outputs
+        Where results go.
+    report
+        Takes lines for the user.
+    now
+        The clock, s.
+    draw
+        Makes, for cameras, a function that draws a result over the image of the first eye; None to publish no overlay.
+    beside
+        Is called before and after each step; its state is published.
+    origin
+        The time, ns, from which those of the tracker are counted: seconds since 1970 have few digits left.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        make_tracker: Callable[[Rig], LiveTracker],
+        outputs: Outputs,
+        report: Report,
+        now: Callable[[], float],
+        *,
+        draw: Callable[[Rig], DrawOverlay] | None = None,
+        beside: Beside | None = None,
+        origin: int = 0,
+    ) -> None:
+        self.name, self.state = name, "waiting for the camera"
+        self.poses = self.ok = self.published = 0
+        self.seconds, self.stepped = 0.0, 0.0
+        self.draws = draw is not None
+        self._make_tracker, self._make_drawing = make_tracker, draw
+        self._outputs, self._report, self._now, self._beside = outputs, report, now, beside
+        self._reason, self._ros1, self._told = "", False, now()
+        self._failures, self._origin = 0, origin
+
+    def begin(self, rig: Rig) -> None:
+        """Follow anew, by these cameras."""
+        self._tracker, self._failures = self._make_tracker(rig), 0
+        self._draw = None if self._make_drawing is None else self._make_drawing(rig)
+
+    @property
+    def base_state(self) -> str:
+        """How far the arm's base is known, in words."""
+        return "" if self._beside is None else self._beside.state
+
+    def add_readings(self, readings: Sequence[JointMessage], time: int) -> int:
+        """Give readings to the tracker; returns how many are left out, as they are far from the image's time, ns."""
+        left_out = 0
+        for one in readings:
+            ahead = (one.time - time) / NANOSECONDS
+            try:
+                if abs(ahead) > LONGEST_GAP:
+                    raise InputError(f"{one.topic}: readings {ahead:+.1f} s from the images are left out")
+                self._tracker.add_readings((one.time - self._origin) / NANOSECONDS, one.joints)
+            except InputError as error:
+                left_out += 1
+                self._report(str(error))
+        return left_out
+
+    def follow(
+        self, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]
+    ) -> tuple[bool, bool]:
+        """Follow a frame and publish the result, or say why not.
+
+        Returns whether it was followed, and whether following is to begin anew, after several that were not.
+        """
+        began = self._now()
+        try:
+            self._follow(frame, arrays, age, silent)
+        except InputError as error:
+            self._report(str(error))
+            self.leave_out(str(error))
+            return False, False
+        except Exception as error:
+            return False, self._fail(error)
+        self.stepped = self._now()
+        self.seconds += _SHARE * (self.stepped - began - self.seconds)
+        self._failures = 0
+        return True, False
+
+    def _follow(self, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]) -> None:
+        seconds = (frame.time - self._origin) / NANOSECONDS
+        if self._beside is not None:
+            self._beside.before_step(seconds)
+        masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)
+        result = self._tracker.step(seconds, masks, arrays.images or None, ignored or None)
+        image = next(iter(arrays.images.values()), None)
+        overlay = None if self._draw is None or image is None else self._draw(image, result)
+        old = age()
+        reasons = (f"the image is {old:.1f} s old",) if old > OLD else ()
+        self.published += self._outputs.publish(
+            frame.time,
+            result,
+            ros1=frame.ros1,
+            age=old,
+            doubts=reasons,
+            silent=silent,
+            overlay=overlay,
+            calibration=self.base_state,
+        )
+        self.poses += result.camera_from_root is not None and result.status != "lost"
+        self.ok += result.status == "ok" and not reasons
+        self._told, self._ros1 = self._now(), frame.ros1
+        self.wait("waiting for images")
+        if self._beside is not None:
+            self._beside.after_step(seconds)
+
+    def _fail(self, error: Exception) -> bool:
+        """Leave out a frame whose step failed; returns whether that was the last of several in a row."""
+        if isinstance(error, MemoryError):
+            reason = "out of memory"
+        else:
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            where = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
+            reason = f"internal error: {where}: {one_line(error)}"
+        self._failures += 1
+        self._report(f"{reason}; the image is left out; after {MOST_FAILURES} in a row following begins anew")
+        self.leave_out(reason)
+        return self._failures >= MOST_FAILURES
+
+    def leave_out(self, reason: str) -> None:
+        """State why a frame is left out."""
+        self.state, self._reason = "image left out", reason
+
+    def wait(self, state: str) -> None:
+        """State what is waited for."""
+        self.state, self._reason = state, ""
+
+    def publish_if_due(self, silent: Sequence[str]) -> None:
+        """Publish the state if nothing was published for a second."""
+        if self._now() - self._told >= _STATE_EVERY:
+            self._told = self._now()
+            self._outputs.publish_state(self.state, self._reason, ros1=self._ros1, silent=silent)

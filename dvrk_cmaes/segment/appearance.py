@@ -1,0 +1,196 @@
+"""Likelihood of a picture given a silhouette: how far its parts look unlike their surroundings, and have edges.
+
+Pixels are sorted into bins by colour and texture. Of a candidate pose, the histograms of the shaft, of wrist and jaws
+and of a band around them follow from sums over the silhouettes of three bodies, one of which is wider by the band.
+Image gradients along the outline are summed over the difference of a body that is a little wider and one that is a
+little narrower. No colour is assumed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.instrument import Instrument, Link
+from dvrk_cmaes.segment.colours import measure_colours
+from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
+
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_BINS: Final = 24
+_SCALES: Final = np.array([0.12, 0.12, 0.35, 0.12], np.float32)  # of the features, that differ by one bin or so
+_LEARNED: Final = 4000  # pixels from which bins are learned
+_BAND: Final = 0.0030  # m, width of the band around the silhouette
+_THIN: Final = 0.0004  # m, to either side of the outline, where edges are
+_USUAL: Final = 0.05  # of the image's longer side, width of a shaft, below which an instrument is less likely
+_WEIGHTS: Final = 2.0, 0.25, 0.3, 1.5  # of separation, edges, rarity, and of the logarithm of a width that is not usual
+_SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
+_LEAST: Final = 1.5, 0.8, 6.0, 4.0
+"""Pixels whose histograms count fully, of the shaft and of wrist and jaws, in squared widths of the shaft; and pixels
+along the outline of all and of wrist and jaws, whose edges count fully, in widths."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Measures of C candidates, (C,) each.
+
+    shaft, distal : separation from the band around, 0 to 1, of the shaft, and of wrist and jaws.
+    edges, distal_edges : mean edge along the outline of all, and of wrist and jaws.
+    rarity : by how much the colours of wrist and jaws are rarer in the picture than those beside them.
+    narrow : logarithm of the usual width of a shaft over this one's, at least 0.
+    """
+
+    shaft: Float64
+    distal: Float64
+    edges: Float64
+    distal_edges: Float64
+    rarity: Float64
+    narrow: Float64
+
+    @property
+    def total(self) -> Float64:
+        """Return the sum that ranks candidates, (C,)."""
+        separation, edges, rarity, narrow = _WEIGHTS
+        found = separation * np.sqrt(self.shaft * self.distal) + edges * (self.edges + self.distal_edges)
+        return np.asarray(found + rarity * self.rarity - narrow * self.narrow)
+
+    def of(self, number: int) -> tuple[float, ...]:
+        """Return the measures of one candidate."""
+        each = (self.shaft, self.distal, self.edges, self.distal_edges, self.rarity, self.narrow)
+        return tuple(float(values[number]) for values in each)
+
+
+class Appearance:
+    """What one picture tells of candidate poses of an instrument, at a reduced size."""
+
+    def __init__(self, image: Image, camera: Camera, body: Body, outside: Bool) -> None:
+        """Sort the pixels of an image (H, W, 3) uint8 BGR; ``outside`` (H, W) do not count."""
+        counts = ~outside
+        assert body.instrument.shaft is not None
+        self._radius, self._focal = body.instrument.shaft.radius, float(np.sqrt(camera.fx * camera.fy))
+        self.labels = bins_of_image(image)
+        channels = np.zeros((_BINS, *counts.shape), np.float32)
+        np.put_along_axis(channels, self.labels[None], counts[None].astype(np.float32), axis=0)
+        edges = edge_scores(image, counts)
+        self._bins = PixelSums.of(channels)
+        self._edges = PixelSums.of(np.stack([edges, counts.astype(np.float32)]))
+        self._whole = channels.sum(axis=(1, 2)) / max(float(counts.sum()), 1.0)
+        self._longer = max(counts.shape)
+        self._rarity = -np.log(self._whole + 1e-3)
+        self._common = float(self._whole @ self._rarity)
+        drawn, outlined = (tuple(Renderer(each, camera, threads=1) for each in kind) for kind in _bodies(body))
+        self._wide, self._wide_shaft, self._all, self._shaft = drawn
+        self._bounds = outlined
+
+    def scores(self, at: Posed) -> Scores:
+        """Measure C candidates."""
+        shaft, whole, wide, wide_shaft = (
+            renderer.sums(at.pose, at.joints, self._bins, to_pixel=True)
+            for renderer in (self._shaft, self._all, self._wide, self._wide_shaft)
+        )
+        distal, band = np.maximum(whole - shaft, 0), np.maximum(wide - whole, 0)
+        beside_distal = np.maximum(wide - wide_shaft - distal, 0)
+        outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in self._bounds]
+        width = 2 * self._radius * self._focal / np.maximum(at.pose[:, 2, 3], 1e-3)
+        return Scores(
+            self._separation(shaft, band, _LEAST[0] * width**2),
+            self._separation(distal, band, _LEAST[1] * width**2),
+            _mean(outlines[0] - outlines[1], _LEAST[2] * width),
+            _mean(outlines[2] - outlines[3], _LEAST[3] * width),
+            self._mean_rarity(distal) - self._mean_rarity(beside_distal),
+            np.maximum(np.log(_USUAL * self._longer / width), 0),
+        )
+
+    def _mean_rarity(self, counts: Float64) -> Float64:
+        """Return how rare the colours of histograms (C, K) are in the picture, (C,); of few pixels as usual."""
+        return np.asarray((counts @ self._rarity + 20 * self._common) / (counts.sum(axis=1) + 20))
+
+    def _separation(self, inside: Float64, band: Float64, least: Float64) -> Float64:
+        """Return the Jensen-Shannon divergence (C,), 0 to 1, of histograms (C, K), less for few pixels."""
+        count = inside.sum(axis=1)
+        a, b = (_smoothed(each, self._whole) for each in (inside, band))
+        middle = (a + b) / 2
+        divergence = 0.5 * ((a * np.log2(a / middle)).sum(axis=1) + (b * np.log2(b / middle)).sum(axis=1))
+        return np.asarray(divergence * np.minimum(count / least, 1) * np.minimum(band.sum(axis=1) / least, 1))
+
+
+def _mean(sums: Float64, least: Float64) -> Float64:
+    """Return means (C,) of sums and counts (C, 2), less where the count is below ``least`` (C,), within -1 and 3."""
+    return np.asarray(np.clip(sums[:, 0] / np.maximum(sums[:, 1], least), -1, 3))
+
+
+def _smoothed(counts: Float64, whole: Float64) -> Float64:
+    total = counts + _SMOOTHING * (whole + 1 / len(whole))
+    return np.asarray(total / total.sum(axis=1, keepdims=True))
+
+
+def bins_of_image(image: Image) -> NDArray[np.int64]:
+    """Sort the pixels of an image into bins by colour and texture, (H, W), from 0 on."""
+    features = measure_colours(image).features
+    brightness = np.log(image.mean(axis=2) + 8.0).astype(np.float32)
+    mean = cv2.blur(brightness, (5, 5))
+    texture = np.sqrt(np.maximum(cv2.blur(brightness**2, (5, 5)) - mean**2, 0))
+    pixels = np.concatenate([features, texture[..., None]], axis=-1).reshape(-1, 4) / _SCALES
+    sample = pixels[:: max(len(pixels) // _LEARNED, 1)]
+    order = (sample[:, 2] + sample[:, 1] - sample[:, 0]).argsort(kind="stable").argsort()
+    labels = (order * _BINS // len(sample)).astype(np.int32)[:, None]
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 12, 1e-3)
+    centres = cv2.kmeans(sample, _BINS, labels, criteria, 1, cv2.KMEANS_USE_INITIAL_LABELS)[2]
+    nearest = (pixels @ centres.T - (centres**2).sum(axis=1) / 2).argmax(axis=1)
+    return np.asarray(nearest.reshape(image.shape[:2]))
+
+
+def edge_scores(image: Image, counts: Bool) -> Float32:
+    """Return of each pixel (H, W) how rare its gradient is: -log of the share with a larger one, less 1; at most 4."""
+    smooth = cv2.GaussianBlur(image, (0, 0), 0.8).astype(np.float32)
+    smooth = np.log(smooth + 12.0)
+    steep = np.max(
+        [np.hypot(cv2.Sobel(part, cv2.CV_32F, 1, 0), cv2.Sobel(part, cv2.CV_32F, 0, 1)) for part in cv2.split(smooth)],
+        axis=0,
+    )
+    levels = np.sort(steep[counts])
+    if not len(levels):
+        return np.zeros(counts.shape, np.float32)
+    larger = 1 - np.searchsorted(levels, steep) / len(levels)
+    return np.where(counts, np.minimum(-np.log(np.maximum(larger, 1e-4)), 5.0) - 1, 0).astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def _bodies(body: Body) -> tuple[list[Body], list[Body]]:
+    """Return what is drawn, and what bounds outlines.
+
+    These are all and the root link, wider by the band, then both as they are; and all, and wrist and jaws, each a
+    little wider and a little narrower.
+    """
+    instrument = body.instrument
+    root = replace(instrument, links=instrument.links[:1], link_joints=instrument.link_joints[:1])
+    distal = replace(instrument, links=instrument.links[1:], link_joints=instrument.link_joints[1:])
+    drawn = [_widened(each, by) for by in (_BAND, 0.0) for each in (instrument, root)]
+    outlined = [_widened(each, by) for each in (instrument, distal) for by in (_THIN, -_THIN)]
+    return [Body(each) for each in drawn], [Body(each) for each in outlined]
+
+
+def _widened(instrument: Instrument, by: float) -> Instrument:
+    """Return an instrument whose surfaces are moved outwards, m."""
+    return replace(instrument, links=tuple(_moved(link, by) for link in instrument.links))
+
+
+def _moved(link: Link, by: float) -> Link:
+    vertices, faces = link.vertices, link.faces
+    normals = np.zeros_like(vertices)
+    corners = vertices[faces]
+    of_faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    for k in range(3):
+        np.add.at(normals, faces[:, k], of_faces)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return replace(link, vertices=vertices + by * normals)

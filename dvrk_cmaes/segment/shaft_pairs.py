@@ -1,0 +1,220 @@
+"""Pairs of straight edges in an image that may bound the shaft of an instrument.
+
+Line segments of the image are joined to longer lines, and two lines make a pair if a cylinder of the shaft's radius
+between them would lie at a plausible distance from the camera. The pair yields the cylinder's axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence.shaft_edges import shaft_axis
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_SCALES: Final = 1.0, 0.5  # of the image, at which segments are found
+_SHORTEST: Final = 0.025  # of the longer side, of a segment
+_SEGMENTS: Final = 220  # longest ones that are used
+_LINES: Final = 70  # with the longest segments on them
+_ALIGNED: Final = np.cos(np.deg2rad(3.0))  # of segments on one line
+_NEAR: Final = 0.006  # of the longer side, from a line to the ends of segments on it
+_PARALLEL: Final = np.cos(np.deg2rad(17.0))  # of the two lines of a pair
+_DEPTHS: Final = 0.035, 0.45  # m, of the axis
+_NARROWEST: Final = 4.0  # px, width of a shaft
+_LEAST_OVERLAP: Final = 0.7  # of the width, of the stretch that has both lines
+_AT_EDGE: Final = 3.0  # px beside what is outside the picture, whose own edge is no shaft's
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two lines that may be the edges of a shaft.
+
+    direction, point : the axis in the camera, (3,), m; the direction has either sign.
+    begin, end : coordinates along the direction from the point, m, of the stretch in the picture.
+    support : px, length of the segments on both lines where they lie side by side.
+    """
+
+    direction: Float64
+    point: Float64
+    begin: float
+    end: float
+    support: float
+
+
+def find_pairs(image: Image, camera: Camera, radius: float, outside: Bool, most: int) -> list[Pair]:
+    """Find pairs of lines in an image (H, W) uint8, of the camera's size, best supported first.
+
+    ``radius``, m, is that of the shaft; ``outside`` (H, W) are pixels outside the picture.
+    """
+    segments = _segments(image, outside)
+    if len(segments) < 2:
+        return []
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    segments = camera.normalise(segments) * focal + centre
+    lines = _joined(segments, _NEAR * max(image.shape))
+    limits = np.array([camera.width - 1, camera.height - 1])
+    pairs = [
+        pair
+        for i in range(len(lines))
+        for j in range(i)
+        if (pair := _pair(lines[i], lines[j], camera, radius, limits)) is not None
+    ]
+    pairs.sort(key=lambda pair: -pair.support)
+    return pairs[:most]
+
+
+def _segments(image: Image, outside: Bool) -> Float64:
+    """Return the longest line segments (N, 2, 2), px, without those along the edge of the picture."""
+    found = []
+    for scale in _SCALES:
+        small = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        lines = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(small)[0]
+        if lines is not None:
+            found.append((lines.reshape(-1, 2, 2).astype(np.float64) + 0.5) / scale - 0.5)
+    if not found:
+        return np.zeros((0, 2, 2))
+    segments = np.concatenate(found)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    inside = cv2.distanceTransform(np.pad(~outside, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    middle = np.clip(np.rint(segments.mean(axis=1)).astype(int), 0, [image.shape[1] - 1, image.shape[0] - 1])
+    kept = (length > _SHORTEST * max(image.shape)) & (inside[middle[:, 1], middle[:, 0]] > _AT_EDGE)
+    order = np.argsort(-length[kept], kind="stable")[:_SEGMENTS]
+    return np.asarray(segments[kept][order])
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """A line: unit direction (2,), a point (2,), and the stretches (M, 2) along it that have segments, px."""
+
+    direction: Float64
+    point: Float64
+    stretches: Float64
+
+    @property
+    def length(self) -> float:
+        return float((self.stretches[:, 1] - self.stretches[:, 0]).sum())
+
+
+def _joined(segments: Float64, near: float) -> list[_Line]:
+    """Join segments (N, 2, 2) to lines, longest first; each is on the line that begins with the longest of them."""
+    delta = segments[:, 1] - segments[:, 0]
+    length = np.linalg.norm(delta, axis=1)
+    direction = delta / length[:, None]
+    free = np.ones(len(segments), np.bool_)
+    lines = []
+    for k in range(len(segments)):
+        if not free[k]:
+            continue
+        along, point = direction[k], segments[k].mean(axis=0)
+        for _ in range(2):
+            normal = np.array([-along[1], along[0]])
+            away = np.abs((segments - point) @ normal).max(axis=1)
+            on = (np.abs(direction @ along) > _ALIGNED) & (away < near)
+            on[k] = True
+            ends = segments[on].reshape(-1, 2)
+            weight = np.repeat(length[on], 2)
+            point = weight @ ends / weight.sum()
+            scatter = ((ends - point) * weight[:, None]).T @ (ends - point)
+            turned = np.linalg.eigh(scatter)[1][:, 1]
+            along = turned * np.sign(turned @ along)
+        free &= ~on
+        places = np.sort((segments[on] - point) @ along, axis=1)
+        lines.append(_Line(along, point, _united(places)))
+    lines.sort(key=lambda line: -line.length)
+    return lines[:_LINES]
+
+
+def _united(stretches: Float64) -> Float64:
+    """Return the union of stretches (N, 2) as ones that do not overlap."""
+    united: list[list[float]] = []
+    for begin, end in sorted(stretches.tolist()):
+        if united and begin <= united[-1][1]:
+            united[-1][1] = max(united[-1][1], end)
+        else:
+            united.append([begin, end])
+    return np.array(united)
+
+
+def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Float64) -> Pair | None:
+    """Return two lines as a pair, or None if they cannot bound a shaft."""
+    cosine = float(first.direction @ second.direction)
+    if abs(cosine) < _PARALLEL:
+        return None
+    along = first.direction + np.sign(cosine) * second.direction
+    along /= np.linalg.norm(along)
+    normal = np.array([-along[1], along[0]])
+    covered = []
+    for line in (first, second):
+        own = line.point @ along + line.stretches * (line.direction @ along)
+        covered.append(np.sort(own, axis=1))
+    common = [
+        (max(a[0], b[0]), min(a[1], b[1]))
+        for a in covered[0].tolist()
+        for b in covered[1].tolist()
+        if min(a[1], b[1]) > max(a[0], b[0])
+    ]
+    overlap = sum(end - begin for begin, end in common)
+    low = max(covered[0].min(), covered[1].min())
+    high = min(covered[0].max(), covered[1].max())
+    middle = (low + high) / 2
+
+    def across(line: _Line) -> float:
+        step = (middle - line.point @ along) / (line.direction @ along)
+        return float((line.point + step * line.direction) @ normal)
+
+    width = across(first) - across(second)
+    upper, lower = (first, second) if width > 0 else (second, first)
+    width = abs(width)
+    focal = float(np.sqrt(camera.fx * camera.fy))
+    widest, narrowest = (2 * radius * focal / depth for depth in _DEPTHS)
+    if not max(narrowest, _NARROWEST) < width < widest or high - low < _LEAST_OVERLAP * width:
+        return None
+    planes = []
+    for line, sign in ((upper, 1.0), (lower, -1.0)):
+        outward = np.array([-line.direction[1], line.direction[0]])
+        outward *= np.sign(outward @ normal) * sign
+        planes.append(np.array([*outward, -outward @ line.point]) @ camera.matrix)
+    unit = np.stack(planes) / np.linalg.norm(planes, axis=1, keepdims=True)
+    direction, point = shaft_axis(unit, radius)
+    focals, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    base = (across(upper) + across(lower)) / 2 * normal
+
+    def place(at: float) -> float:
+        """Return the coordinate, m, on the axis of its point nearest to the ray of a place along the pair, px."""
+        ray = np.array([*((base + at * along - centre) / focals), 1.0])
+        away = np.cross(ray, np.cross(direction, ray))
+        return float(-(away @ point) / (away @ direction))
+
+    if abs(direction[2]) > np.cos(np.deg2rad(4.0)):
+        return None
+    # the stretch within the picture
+    corners = np.array([[0, 0], [limits[0], 0], [0, limits[1]], limits]) @ along
+    steps = np.linspace(corners.min(), corners.max(), 200)
+    pixels = base + steps[:, None] * along
+    seen = steps[((pixels >= 0) & (pixels <= limits)).all(axis=1)]
+    if len(seen) < 2:
+        return None
+    begin, end = sorted((place(float(seen[0])), place(float(seen[-1]))))
+    depths = [(point + at * direction)[2] for at in (begin, end, place(middle))]
+    if not _DEPTHS[0] < depths[2] < _DEPTHS[1]:
+        return None
+    begin, end = _before_camera(direction, point, begin, end, place(middle))
+    return Pair(direction, point, begin, end, overlap + 0.25 * (high - low))
+
+
+def _before_camera(direction: Float64, point: Float64, begin: float, end: float, middle: float) -> tuple[float, float]:
+    """Limit a stretch of an axis to what is at least 15 mm before the camera."""
+    if abs(direction[2]) < 1e-6:
+        return begin, end
+    nearest = (0.015 - point[2]) / direction[2]
+    if direction[2] > 0:
+        return max(begin, nearest), max(end, middle)
+    return min(begin, middle), min(end, nearest)

@@ -1,0 +1,90 @@
+"""A connection of `live` within a test's process, and messages as a robot sends them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Receive
+
+SECOND = 10**9
+BEGIN = 1_795_000_000 * SECOND
+
+
+@dataclass
+class Wire:
+    """A connection within this process, which keeps what is published."""
+
+    receivers: dict[str, Receive] = field(default_factory=dict)
+    published: list[tuple[str, Mapping[str, Any]]] = field(default_factory=list)
+    name: str = "wire"
+
+    def topics(self, timeout: float) -> Mapping[str, str]:
+        return dict.fromkeys(self.receivers, "")
+
+    def open(self, timeout: float) -> bool:
+        return True
+
+    def close(self) -> None:
+        self.receivers.clear()
+
+    def subscribe(
+        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
+    ) -> None:
+        self.receivers[topic] = receive
+
+    def advertise(self, topic: str, kind: str) -> None:
+        assert topic
+        assert kind
+
+    def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
+        self.published.append((topic, fields))
+        return True
+
+    @property
+    def states(self) -> list[dict[str, Any]]:
+        return [fields["status"][0] for topic, fields in self.published if topic == "/diagnostics"]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A result of a step."""
+
+    camera_from_root: np.ndarray | None = field(default_factory=lambda: np.eye(4))
+    joints: dict[str, float] = field(default_factory=dict)
+    status: str = "ok"
+    reasons: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    tips: np.ndarray | None = None
+    camera_from_base: np.ndarray | None = None
+
+
+def stamp(time: float) -> dict[str, Any]:
+    seconds, rest = divmod(BEGIN + round(time * SECOND), SECOND)
+    return {"stamp": {"sec": seconds, "nanosec": rest}}
+
+
+def image(time: float, pixels: np.ndarray) -> dict[str, Any]:
+    """Give an Image of mono8 at a time, s."""
+    height, width = pixels.shape
+    size = {"width": width, "height": height, "step": width, "encoding": "mono8"}
+    return {"header": stamp(time), **size, "data": pixels.tobytes()}
+
+
+def info(camera: Camera, *, baseline: float = 0.0) -> dict[str, Any]:
+    """Give the CameraInfo of an eye at some distance, m, from the left one."""
+    matrix = camera.matrix
+    return {
+        "header": stamp(0.0),
+        "width": camera.width,
+        "height": camera.height,
+        "distortion_model": "plumb_bob",
+        "d": list(camera.distortion) or [0.0] * 5,
+        "k": matrix.ravel().tolist(),
+        "r": np.eye(3).ravel().tolist(),
+        "p": np.c_[matrix, [-camera.fx * baseline, 0.0, 0.0]].ravel().tolist(),
+    }

@@ -1,0 +1,357 @@
+"""Frames of several arms and eyes: how parts are paired, who is followed when time is short, cameras that change."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.live_wires import BEGIN, SECOND, Found, Wire, image, info, stamp
+
+from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.live.arm import LiveArm
+from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics, LiveFrame
+from dvrk_cmaes.live.loop import LiveLoop
+from dvrk_cmaes.live.outputs import Outputs
+from dvrk_cmaes.live.stamps import Ages
+
+ARMS = ("PSM1", "PSM2")
+EYES = {
+    eye: EyeTopics.of(f"/{eye}/image", masks={arm: f"/{eye}/{arm}/mask" for arm in ARMS}) for eye in ("left", "right")
+}
+MASKED = InputTopics(EYES, {arm: (f"/{arm}/measured_js",) for arm in ARMS}, "/ECM/measured_js")
+PLAIN = InputTopics({"left": EyeTopics.of("/left/image_rect/compressed")}, {"PSM1": ("/PSM1/measured_js",)})
+BASE = moved(np.eye(4), [0.1, 0.2, 0.3, 0.1, 0.2, 0.3])
+
+
+@dataclass
+class Clock:
+    """A clock that is set."""
+
+    now: float = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@dataclass
+class Tracker:
+    """Takes some time for a step, and keeps what it was given."""
+
+    rig: Rig
+    clock: Clock
+    seconds: float = 0.0
+    steps: list[tuple[float, Any, Any, Any]] = field(default_factory=list)
+    readings: int = 0
+
+    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
+        self.readings += 1
+
+    def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> Found:
+        self.clock.now += self.seconds
+        self.steps.append((time, mask, image, ignore))
+        return Found(camera_from_base=BASE)
+
+
+@dataclass
+class Robot:
+    """A loop whose messages are sent one by one, and its trackers by arm, the newest last."""
+
+    topics: InputTopics
+    rig: Rig | None = None
+    seconds: float = 0.0
+    rectified: bool = False
+    clock: Clock = field(default_factory=Clock)
+    wire: Wire = field(default_factory=Wire)
+    lines: list[str] = field(default_factory=list)
+    shown: list[str] = field(default_factory=list)
+    trackers: dict[str, list[Tracker]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.inputs = Inputs(self.topics, self.lines.append, rectified=self.rectified, now=self.clock)
+        self.inputs.subscribe(self.wire)
+        arms = [self._arm(arm) for arm in self.topics.joints]
+        show = lambda state: self.shown.append(state())  # noqa: E731
+        self.loop = LiveLoop(arms, self.inputs, self.lines.append, rig=self.rig, show=show)
+
+    def _arm(self, arm: str) -> LiveArm:
+        def make(rig: Rig) -> Tracker:
+            self.trackers.setdefault(arm, []).append(Tracker(rig, self.clock, self.seconds))
+            return self.trackers[arm][-1]
+
+        outputs = Outputs(self.wire, FrameNames(arm, "camera", f"{arm}_base"))
+        return LiveArm(arm, make, outputs, self.lines.append, self.clock)
+
+    def send(self, topic: str, fields: Mapping[str, Any]) -> None:
+        self.wire.receivers[topic](fields)
+
+    def published(self, topic: str) -> list[Mapping[str, Any]]:
+        return [fields for name, fields in self.wire.published if name == topic]
+
+
+def pair(focal: float = 60.0) -> Rig:
+    return Rig.stereo(camera(focal), camera(focal), moved(np.eye(4), [-0.005, 0, 0, 0, 0, 0]))
+
+
+def camera(focal: float = 60.0, *, distorted: bool = False) -> Camera:
+    return Camera(64, 48, focal, focal, 31.5, 23.5, (-0.1, 0.0, 0.0, 0.0, 0.0) if distorted else ())
+
+
+def masks_at(robot: Robot, time: float, *, right: float = 0.0, without: str = "") -> None:
+    """Send the masks of both arms and eyes at a time, s, those of the right eye later by some."""
+    for eye, late in (("left", 0.0), ("right", right)):
+        for k, arm in enumerate(ARMS):
+            if without != f"/{eye}/{arm}/mask":
+                robot.send(f"/{eye}/{arm}/mask", image(time + late, np.eye(48, 64, 5 * k, dtype=np.uint8) * 255))
+
+
+def test_masks_of_both_arms_and_eyes_make_a_frame_when_the_last_one_comes() -> None:
+    robot = Robot(MASKED, pair())
+    robot.send("/left/image", image(0.0, np.full((48, 64), 9, np.uint8)))
+    masks_at(robot, 0.0, right=0.008, without="/right/PSM2/mask")
+    assert robot.inputs.frames.take(0.0) is None
+    robot.send("/right/PSM2/mask", image(0.008, np.zeros((48, 64), np.uint8)))
+    robot.loop.turn()
+    for arm, own in robot.trackers.items():
+        ((time, masks, images, ignored),) = own[0].steps
+        assert time == pytest.approx(BEGIN / SECOND, abs=1e-6)
+        assert set(masks) == {"left", "right"}
+        other = robot.trackers[ARMS[arm == "PSM1"]][0].steps[0][1]
+        assert all(np.array_equal(ignored[eye], other[eye]) for eye in masks)
+        assert set(images) == {"left"}
+    assert not robot.trackers["PSM2"][0].steps[0][1]["right"].any()
+    assert robot.shown[-1] == "1 image; PSM1: 1 poses, 1 ok; PSM2: 1 poses, 1 ok; age up to 0 ms"
+
+
+def test_images_that_are_too_far_apart_are_no_frame_and_what_waits_is_bounded() -> None:
+    robot = Robot(MASKED, pair())
+    for k in range(40):
+        masks_at(robot, k / 30, right=0.012)
+        assert robot.inputs.frames.take(0.0) is None
+    assert {eye: len(parts) for eye, parts in robot.inputs._parts.items()} == {"left": 8, "right": 8}
+    masks_at(robot, 2.0)
+    frame = robot.inputs.frames.take(0.0)
+    assert frame is not None
+    assert {eye: len(parts) for eye, parts in robot.inputs._parts.items()} == {"left": 0, "right": 0}
+
+
+def test_eye_that_is_silent_is_not_waited_for() -> None:
+    robot = Robot(MASKED, pair())
+
+    def frame_at(time: float, without: str) -> LiveFrame | None:
+        robot.clock.now = 100.0 + time
+        for topic in (f"/left/{arm}/mask" for arm in ARMS) if without == "right" else ():
+            robot.send(topic, image(time, np.zeros((48, 64), np.uint8)))
+        if not without:
+            masks_at(robot, time)
+        return robot.inputs.frames.take(0.0)
+
+    assert frame_at(0.0, "right") is None
+    assert frame_at(0.5, "") is not None
+    assert frame_at(1.0, "right") is None
+    alone = frame_at(1.6, "right")
+    assert alone is not None
+    assert {arm: list(eyes) for arm, eyes in alone.masks.items()} == {"PSM1": ["left"], "PSM2": ["left"]}
+    both = frame_at(1.7, "")
+    assert both is not None
+    masks_at(robot, 1.8)
+    again = robot.inputs.frames.take(0.0)
+    assert again is not None
+    assert list(again.masks["PSM1"]) == ["left", "right"]
+
+
+def test_images_without_the_masks_that_are_awaited_are_no_frames_and_no_error() -> None:
+    robot = Robot(MASKED, pair())
+    for k in range(40):
+        robot.clock.now = 100.0 + k / 10
+        robot.send("/left/image", image(k / 10, np.zeros((48, 64), np.uint8)))
+        robot.loop.turn()
+    assert robot.loop.counts.followed == robot.loop.counts.refused == 0
+    assert not any("cannot be read" in line for line in robot.lines)
+    assert any(line.startswith("/left/PSM1/mask: no message for") for line in robot.lines)
+
+
+def test_arms_take_turns_and_say_so_where_the_time_is_short() -> None:
+    robot = Robot(MASKED, pair(), seconds=0.07)
+    for k in range(40):
+        masks_at(robot, 0.2 * k)
+        robot.loop.turn()
+        robot.clock.now = max(robot.clock.now, 100 + 0.2 * (k + 1))
+    first, second = (robot.trackers[arm][0] for arm in ARMS)
+    assert len(first.steps) + len(second.steps) < 60
+    assert abs(len(first.steps) - len(second.steps)) <= 1
+    times = [time for time, *_ in first.steps[-5:]]
+    assert np.diff(times) == pytest.approx(0.4, abs=1e-3)
+    assert any(line.startswith("arms take turns: the steps of all take 1") for line in robot.lines)
+
+
+def test_arms_that_are_quick_are_all_followed() -> None:
+    robot = Robot(MASKED, pair(), seconds=0.02)
+    for k in range(10):
+        masks_at(robot, k / 10)
+        robot.loop.turn()
+    assert [len(own[0].steps) for own in robot.trackers.values()] == [10, 10]
+    assert not any("turns" in line for line in robot.lines)
+
+
+def test_an_arm_whose_steps_fail_begins_anew_and_the_other_goes_on() -> None:
+    robot = Robot(MASKED, pair())
+    masks_at(robot, 0.0)
+    robot.loop.turn()
+    robot.trackers["PSM1"][0].step = None  # type: ignore[assignment, method-assign]
+    for k in range(1, 5):
+        masks_at(robot, k / 10)
+        robot.loop.turn()
+    assert [len(robot.trackers[arm]) for arm in ARMS] == [2, 1]
+    assert len(robot.trackers["PSM1"][1].steps) == 1
+    assert len(robot.trackers["PSM2"][0].steps) == 5
+
+
+def test_transforms_of_each_arms_tool_and_base_are_fit_for_tf2() -> None:
+    robot = Robot(MASKED, pair())
+    masks_at(robot, 0.0)
+    robot.loop.turn()
+    for message, arm in zip(robot.published("/tf"), ARMS, strict=True):
+        frames = [(one["header"]["frame_id"], one["child_frame_id"]) for one in message["transforms"]]
+        assert frames == [("camera", f"{arm}_roll_link"), ("camera", f"{arm}_base")]
+        assert all(one["header"]["stamp"] == stamp(0.0)["stamp"] for one in message["transforms"])
+        moved_by = message["transforms"][1]["transform"]["translation"]
+        assert [moved_by[axis] for axis in "xyz"] == pytest.approx(BASE[:3, 3])
+
+
+def test_readings_of_the_endoscopes_arm_are_kept_and_bounded() -> None:
+    robot = Robot(MASKED, pair())
+    for k in range(1500):
+        robot.send("/ECM/measured_js", {"header": stamp(k / 100), "name": ["yaw"], "position": [0.1]})
+    kept = robot.inputs.endoscope.take_all()
+    assert (len(kept), kept[-1].joints) == (1000, {"yaw": 0.1})
+    assert robot.lines == ["cameras: 64 x 48 px, focal length 60.0 px, 64 x 48 px, focal length 60.0 px"]
+
+
+def test_cameras_of_both_eyes_are_received_with_their_distance() -> None:
+    robot = Robot(MASKED)
+    robot.send("/left/camera_info", info(camera()))
+    assert robot.inputs.rigs.take(0.0) is None
+    robot.send("/right/camera_info", info(camera(), baseline=0.005))
+    rig = robot.inputs.rigs.take(0.0)
+    assert rig is not None
+    assert rig.names == ("left", "right")
+    assert rig.views[1].view_from_camera[:3, 3] == pytest.approx([-0.005, 0, 0])
+    robot.send("/right/camera_info", info(camera(), baseline=0.005))  # the same again
+    assert robot.inputs.rigs.take(0.0) is None
+
+
+@pytest.mark.parametrize("change", ["focal length", "size"])
+def test_camera_that_changes_begins_anew_with_a_line(change: str) -> None:
+    robot = Robot(PLAIN)
+    other = camera(80.0) if change == "focal length" else camera().scaled(128, 96)
+    for k, one in enumerate((camera(), camera(), other, other)):
+        robot.send("/left/camera_info", info(one))
+        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros((one.height, one.width), np.uint8)))
+        robot.loop.turn()
+    cameras = [tracker.rig.camera for tracker in robot.trackers["PSM1"]]
+    assert [(one.width, one.fx) for one in cameras] == [(64, 60.0), (other.width, other.fx)]
+    assert [len(tracker.steps) for tracker in robot.trackers["PSM1"]] == [2, 2]
+    (line,) = robot.lines[1:]
+    assert line == (
+        f"camera: {other.width} x {other.height} px, focal length {other.fx:.1f} px; it has changed, and following "
+        "begins anew"
+    )
+    assert robot.loop.counts.restarts == 1
+
+
+def test_images_of_half_the_cameras_size_are_followed_with_a_line() -> None:
+    robot = Robot(PLAIN)
+    robot.send("/left/camera_info", info(camera()))
+    for k in range(12):
+        size = (48, 64) if 4 <= k < 8 else (24, 32)
+        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros(size, np.uint8)))
+        robot.loop.turn()
+    assert [tracker.rig.camera.width for tracker in robot.trackers["PSM1"]] == [32, 64, 32]
+    assert [len(tracker.steps) for tracker in robot.trackers["PSM1"]] == [4, 2, 2]
+    said = [line.partition(": ")[2] for line in robot.lines if "size" in line]
+    assert robot.lines[1] == (
+        "the image of /left/image_rect/compressed is 32 x 24, the calibration 64 x 48: intrinsics rescaled by 0.5"
+    )
+    assert said == ["the size of the images has changed, and following begins anew"] * 2
+
+
+def test_image_of_another_aspect_is_left_out() -> None:
+    robot = Robot(PLAIN, Rig.of_camera(camera()))
+    for k in range(5):
+        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros((48, 48), np.uint8)))
+        robot.loop.turn()
+    assert robot.trackers == {}
+    assert robot.loop.counts.refused == 5
+    assert robot.lines[-1] == (
+        "image of /left/image_rect/compressed: expected the calibration's size 64 x 48, or one of that aspect, got "
+        "48 x 48"
+    )
+
+
+@pytest.mark.parametrize(
+    ("topic", "rectified", "remark"),
+    [
+        ("/left/image_rect_color/compressed", False, "its images are rectified, by its name: --rectified uses"),
+        ("/left/image_rect", True, ""),
+        ("/left/image_raw", False, ""),
+        ("/left/image_raw", True, "its images are not rectified, by its name, but --rectified says so"),
+        ("/left/image", False, ""),
+    ],
+)
+def test_name_of_a_topic_that_contradicts_the_options_has_a_remark(topic: str, rectified: bool, remark: str) -> None:
+    topics = replace(PLAIN, eyes={"left": EyeTopics.of(topic)})
+    robot = Robot(topics, Rig.of_camera(camera(distorted=not rectified)), rectified=rectified)
+    said = [line for line in robot.lines if line.startswith("warning: ")]
+    assert len(said) == bool(remark)
+    assert all(line.startswith(f"warning: {topic}: {remark}") for line in said)
+
+
+def test_age_is_that_since_the_least_way_of_an_image() -> None:
+    ages = Ages()
+    for k, way in enumerate((0.9, 0.5, 0.7)):
+        ages.receive(BEGIN + k * SECOND, 50.0 + k + way)
+    assert ages.age(BEGIN + 2 * SECOND, 52.7) == pytest.approx(0.2, abs=1e-3)
+    assert ages.age(BEGIN + 2 * SECOND, 53.0) == pytest.approx(0.5, abs=1e-3)
+    ages.receive(BEGIN + 3 * SECOND, 75.0)  # after a pause of a recording
+    assert ages.age(BEGIN + 3 * SECOND, 75.1) == pytest.approx(0.1)
+    drift = Ages()
+    for k in range(7200):
+        drift.receive(BEGIN + k * SECOND, k * (1 + 5e-5))
+    assert drift.age(BEGIN + k * SECOND, k * (1 + 5e-5)) < 0.01
+
+
+def test_poses_of_old_images_are_doubtful_with_a_line() -> None:
+    robot = Robot(PLAIN, Rig.of_camera(camera()))
+    ways = [0.0, 0.4, *[1.5] * 60]  # of which the last do not become shorter when they are waited for
+    for k, way in enumerate(ways):
+        robot.clock.now = 100.0 + k / 10 + way
+        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros((48, 64), np.uint8)))
+        robot.loop.turn()
+    statuses = [fields["status"][0] for fields in robot.published("/diagnostics")]
+    followed = [one for one in statuses if one["message"] in ("ok", "doubtful")]
+    assert [one["message"] for one in followed[:2]] == ["ok", "ok"]
+    assert followed[-1]["message"] == "doubtful"
+    values = {one["key"]: one["value"] for one in followed[-1]["values"]}
+    assert values["reasons"] == "the image is 1.5 s old"
+    assert float(values["age_ms"]) == pytest.approx(1500, abs=5)
+    assert "images are 1.5 s old: this computer, or the way here, is too slow" in robot.lines
+    assert len(followed) > 40
+
+
+def test_images_that_came_late_are_dropped_for_those_that_wait_behind_them() -> None:
+    robot = Robot(PLAIN, Rig.of_camera(camera()))
+    for k in range(31):  # of which the first is in time, and the others are received within 0.3 s, three seconds later
+        robot.clock.now = 100.0 if k == 0 else 103.0 + k / 100
+        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros((48, 64), np.uint8)))
+        robot.loop.turn()
+    times = [time - BEGIN / SECOND for time, *_ in robot.trackers["PSM1"][0].steps]
+    assert times[0] == pytest.approx(0.0, abs=1e-6)
+    assert times[1] > 2.0
+    robot.send("/left/image_rect/compressed", image(3.05, np.zeros((48, 64), np.uint8)))
+    robot.loop.turn()
+    assert not any("doubtful" in str(fields) for fields in robot.published("/diagnostics"))

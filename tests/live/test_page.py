@@ -1,0 +1,182 @@
+"""The page on `live`: each command runs as printed, with a server that sends what it reads; so do its examples."""
+
+from __future__ import annotations
+
+import base64
+import re
+import runpy
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from helpers.fake_rclpy import Bus, get_message
+from helpers.live_wires import info, stamp
+from helpers.moving_worlds import SMALL
+from helpers.places import ROOT
+from helpers.printed_blocks import PROGRAM, blocks, run
+from helpers.rosbridge_server import RosbridgeServer
+
+from dvrk_cmaes import prepare
+from dvrk_cmaes.cli import live as cli_live
+from dvrk_cmaes.cli.app import app
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.segment import segment
+from dvrk_cmaes.synth.levels import LEVELS
+from dvrk_cmaes.synth.recording import write_recording
+from dvrk_cmaes.synth.session import SessionPlan
+
+PAGE = list(blocks((ROOT / "data" / "reference" / "live.md").read_text(encoding="utf-8")))
+COMMANDS = [command for block in PAGE for command in block.commands]
+SHOWN = [block.text.splitlines() for block in PAGE if block.text.startswith("dvrk-cmaes: ")]
+EXAMPLES = ROOT / "scripts" / "examples"
+DEMO = read_session(bundled_path("demo"))
+
+
+class Robot:
+    """Sends a frame of the demo on all topics that are read, until each arm has a status of an image."""
+
+    def __init__(self, server: RosbridgeServer, stop: threading.Event, arms: int) -> None:
+        self._server, self._stop, self._arms = server, stop, arms
+        files = DEMO.frames[1]
+        self._readings = {"name": list(files.readings), "position": list(files.readings.values())}
+        self._image, self._mask = cv2.imread(str(files.image)), cv2.imread(str(files.mask), cv2.IMREAD_GRAYSCALE)
+
+    def fields(self, topic: str, kind: str, time: float) -> dict[str, Any]:
+        """Give a message of a topic."""
+        if kind == "sensor_msgs/JointState":
+            return {"header": stamp(time), **self._readings}
+        if kind == "sensor_msgs/CameraInfo":
+            return info(DEMO.camera, baseline=0.005 if "right" in topic else 0.0)
+        pixels = self._mask if "mask" in topic else self._image
+        if kind == "sensor_msgs/CompressedImage":
+            return {"header": stamp(time), "format": "png", "data": encoded(cv2.imencode(".png", pixels)[1].tobytes())}
+        height, width = pixels.shape
+        size = {"width": width, "height": height, "step": width, "encoding": "mono8"}
+        return {"header": stamp(time), **size, "data": encoded(pixels.tobytes())}
+
+    def run(self) -> None:
+        end = time.monotonic() + 120
+        while not self._stop.is_set() and time.monotonic() < end:
+            now = time.monotonic()
+            for topic, one in sorted(self._server.subscribed.items(), key=lambda item: "mask" in item[0]):
+                self._server.send(topic, self.fields(topic, one["type"], now))
+            time.sleep(0.2)
+            statuses = [fields["status"][0] for _, fields in self._server.received.get("/diagnostics", [])]
+            seen = {one["hardware_id"] for one in statuses if any(v["key"] == "age_ms" for v in one["values"])}
+            if len(seen) == self._arms:
+                self._stop.set()
+
+
+def encoded(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+@pytest.mark.parametrize("command", [one for one in COMMANDS if "--rehearse" not in one])
+def test_command_follows_what_a_server_sends(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    stop, server = threading.Event(), RosbridgeServer()
+
+    @contextmanager
+    def stopped(seconds: float) -> Iterator[threading.Event]:
+        yield stop
+
+    monkeypatch.setattr(cli_live, "_stopped", stopped)
+    monkeypatch.setattr(cli_live, "_LINES", 0.1)
+    server.start()
+    robot = threading.Thread(target=Robot(server, stop, 2 if "PSM2" in command else 1).run, daemon=True)
+    robot.start()
+    ran = run(f"{command.replace('--host robot', '')} --port {server.port}")
+    robot.join(60)
+    server.stop()
+    assert ran.code == 0, ran.err
+    followed, published = map(int, re.findall(r"(\d+) (?:images followed|results published)", ran.out))
+    assert published >= followed > 0
+    if "PSM2" not in command:
+        (shown,) = SHOWN
+        for line in shown:
+            words = re.sub(r"\d+(?:\.\d+)?", "#", line).replace("base +- # mm", "base not known yet")
+            pattern = re.sub("(image|keyframe)s", r"\1s?", re.escape(words.replace("robot:#", "#:#")))
+            pattern = pattern.replace(r"\#", r"[\d.]+")
+            assert re.search(f"^{pattern}$", ran.err, re.MULTILINE), (pattern, ran.err)
+
+
+@pytest.fixture
+def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A recording of 24 frames in the folder session of the working directory."""
+    monkeypatch.chdir(tmp_path)
+    write_recording(tmp_path / "session", SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", 24, 4, {}))
+
+
+def test_rehearsal_publishes_the_poses_of_track(session: None) -> None:
+    (command,) = (one for one in COMMANDS if "--rehearse" in one)
+    ran = run(command)
+    assert ran.code == 3, ran.err  # doubtful until the base is known
+    lines = ran.out.splitlines()
+    assert lines[0] == "24 images followed, 24 results published, 0 refused"
+    assert "/diagnostics: 24" in lines
+    assert "PSM1: track --causal has the same status in 24 of 24 images" in lines
+    (apart,) = re.findall(r"standard deviations \(median\), (\S+) at most", ran.out)
+    assert float(apart) < 0.05
+    (poses,) = re.findall(r"^/dvrk_cmaes/PSM1/camera_from_root: (\d+)$", ran.out, re.MULTILINE)
+    assert f"PSM1: {poses} poses, " in ran.out
+    assert int(poses) > 12
+
+
+def test_node_of_masks_publishes_one_for_each_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, boxes = Bus(), list[Any]()
+    bus.install(monkeypatch)
+    messages = ModuleType("sensor_msgs.msg")
+    for name in ("CompressedImage", "Image"):
+        setattr(messages, name, get_message(f"sensor_msgs/msg/{name}"))
+    monkeypatch.setitem(sys.modules, "sensor_msgs", ModuleType("sensor_msgs"))
+    monkeypatch.setitem(sys.modules, "sensor_msgs.msg", messages)
+
+    class Sam2:
+        def __init__(self, weights: str) -> None:
+            assert weights == "sam2"
+
+        def segment(self, image: np.ndarray, *, box: Any) -> Any:
+            boxes.append(box)
+            return segment(image, box=box)
+
+    monkeypatch.setattr("dvrk_cmaes.segment.sam2.Sam2", Sam2)
+    runpy.run_path(str(EXAMPLES / "sam2_mask_node.py"))["main"]("sam2", "90,140,300,340")
+    files = DEMO.frames[1]
+    message = get_message("sensor_msgs/msg/CompressedImage")()
+    message.data, message.header.stamp.sec = Path(str(files.image)).read_bytes(), 7
+    _, receive = bus.receivers["/left/image_rect_color/compressed"]
+    for _ in range(2):
+        receive(message)
+    first, _ = bus.published["/left/mask"]
+    assert (first.header.stamp.sec, first.encoding, first.step) == (7, "mono8", first.width)
+    mask = np.frombuffer(first.data, np.uint8).reshape(first.height, first.width) > 127
+    left, top, right, bottom = boxes[1]
+    assert boxes[0] == (90.0, 140.0, 300.0, 340.0)
+    assert mask[top : bottom + 1, left : right + 1].sum() == mask.sum() > 1000
+
+
+def test_launch_file_starts_commands_that_are_valid(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[list[str]] = []
+    modules = {
+        "launch": {"LaunchDescription": list},
+        "launch.actions": {"ExecuteProcess": lambda cmd, output: started.append(cmd)},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": SimpleNamespace},
+    }
+    for name, members in modules.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+    assert len(runpy.run_path(str(EXAMPLES / "live_launch.py"))["generate_launch_description"]()) == 3
+    masks, live = started
+    assert (ROOT / masks[1]).is_file()
+    assert PROGRAM.match(" ".join(live))
+    app.parse_args(live[1:], exit_on_error=False, print_error=False)

@@ -1,0 +1,112 @@
+"""Instruments found in pictures by their model, on drawings whose colours the classic model does not know."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z, transform
+from dvrk_cmaes.segment import Segmentation, segment
+from dvrk_cmaes.segment.by_model import find_instruments
+from dvrk_cmaes.segment.confidence import GUESS
+from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.silhouette.prepare import prepare
+
+CAMERA = Camera(480, 384, 500.0, 500.0, 239.5, 191.5)
+BODY = prepare("lnd")
+LEFT = ((0.9, 0.25, 0.36), (-0.026, 0.0, 0.11), 0.4, (0.3, -0.2, 0.5))
+RIGHT = ((-0.75, 0.6, 0.28), (0.030, -0.012, 0.12), 1.9, (-0.4, 0.3, 0.6))
+Pose = tuple[tuple[float, ...], tuple[float, ...], float, tuple[float, ...]]
+
+
+def posed(axis: tuple[float, ...], root: tuple[float, ...], roll: float, joints: tuple[float, ...]) -> Posed:
+    direction = np.array(axis) / np.linalg.norm(axis)
+    pose = transform(frame_along(direction) @ rotation_about_z(roll), np.array(root))
+    return Posed(pose[None], np.array([joints]))
+
+
+def drawn(*poses: Pose, seed: int = 0) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Draw instruments with brown shafts before orange foam and a grey plate; gives the image and their masks."""
+    rng = np.random.default_rng(seed)
+    image = np.full((CAMERA.height, CAMERA.width, 3), (90, 150, 220), np.float32)
+    image[40:330, 170:330] = (140, 150, 145)
+    masks = []
+    for each in poses:
+        at = posed(*each)
+        mask = Renderer(BODY, CAMERA, threads=1).masks(at.pose, at.joints)[0]
+        # wrist and jaws are beyond the root, bright and grained
+        pixels = np.argwhere(mask)[:, ::-1].astype(float)
+        start = CAMERA.project(at.pose[0, :3, 3])
+        along = CAMERA.project(at.pose[0, :3, 3] + 1e-3 * at.pose[0, :3, 2]) - start
+        distal = (pixels - start) @ along > -5 * np.hypot(*along) ** 2
+        image[mask] = (40, 60, 85)
+        v, u = pixels[distal].astype(int).T[::-1]
+        image[v, u] = (190, 195, 200) + 25 * rng.standard_normal((len(u), 1))
+        masks.append(mask)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8) + 4 * rng.standard_normal(image.shape)
+    return np.clip(image, 0, 255).astype(np.uint8), masks
+
+
+def overlap(found: np.ndarray, mask: np.ndarray) -> float:
+    return float((found & mask).sum() / (found | mask).sum())
+
+
+@pytest.fixture(scope="module")
+def two() -> tuple[np.ndarray, list[np.ndarray], Segmentation]:
+    image, masks = drawn(LEFT, RIGHT)
+    return image, masks, segment(image, instrument=BODY, camera=CAMERA)
+
+
+def test_each_of_two_instruments_has_a_mask(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
+    _, masks, found = two
+    assert len(found.others) == 1
+    both = [found.mask, found.others[0].mask]
+    assert not (both[0] & both[1]).any()
+    for mask in masks:
+        assert max(overlap(each, mask) for each in both) > 0.85
+    assert min(found.confidence, found.others[0].confidence) >= GUESS
+
+
+def test_the_one_that_is_taken_is_named(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
+    _, masks, found = two
+    side = "left" if overlap(found.mask, masks[0]) > 0.5 else "right"
+    assert f"two instruments, the {side} one taken (pass --point)" in found.notes
+
+
+def test_a_point_chooses(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
+    image, masks, _ = two
+    for mask in masks:
+        inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+        v, u = np.unravel_index(int(inside.argmax()), mask.shape)
+        found = segment(image, instrument=BODY, camera=CAMERA, points=[(float(u), float(v))])
+        assert overlap(found.mask, mask) > 0.85
+        assert found.others == ()
+
+
+def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None:
+    image, masks = drawn(RIGHT, seed=3)
+    outside = np.zeros(image.shape[:2], np.bool_)
+    found = find_instruments(image, outside, BODY, CAMERA)
+    size = found[0].silhouette.shape[::-1]
+    small = cv2.resize(masks[0].astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
+    assert overlap(found[0].silhouette, small) > 0.6
+    axis = np.array(RIGHT[0]) / np.linalg.norm(RIGHT[0])
+    assert np.degrees(np.arccos(found[0].at.pose[:3, 2] @ axis)) < 8
+    assert [each.score for each in found] == sorted((each.score for each in found), reverse=True)
+    again = find_instruments(image, outside, BODY, CAMERA)
+    assert np.array_equal(again[0].at.pose, found[0].at.pose)
+
+
+def test_a_plate_is_no_instrument() -> None:
+    image, _ = drawn(seed=5)
+    found = segment(image, instrument=BODY, camera=CAMERA)
+    assert found.confidence < GUESS
+    assert found.others == ()
+
+
+def test_a_picture_without_edges_has_no_candidates() -> None:
+    image = np.full((120, 160, 3), 90, np.uint8)
+    camera = CAMERA.scaled(160, 120)
+    assert find_instruments(image, np.zeros((120, 160), np.bool_), BODY, camera) == []
