@@ -135,6 +135,7 @@ def normal_equations(
     cauchy: float,
     change: NDArray[numpy.float64],
 ) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]: ...
+def squares_to_other(mask: NDArray[numpy.bool_], pixels: NDArray[numpy.int64], most: int) -> NDArray[numpy.float32]: ...
 def fit_lines(
     points: NDArray[numpy.float64],
     normals: NDArray[numpy.float64],

@@ -14,7 +14,8 @@ FIELDS = ("fmm", "exact", "chamfer")
 _MARCHED = 1.5  # largest ratio of distances by fast marching to exact ones; it is below that of the city-block distance
 _GRID = 2.0  # px, beyond the farthest pixel that is needed
 _ORDER = 2  # of the fast marching's differences
-_FARTHEST = 1000.0  # px; the squares of larger distances are not exact in single precision
+FARTHEST = 1000.0
+"""Largest distance, px; the squares of larger ones are not exact in single precision."""
 
 
 def distance_field(
@@ -30,8 +31,8 @@ def distance_field(
         # Distances inside are not needed: of the mask, only the pixels next to its outline take part.
         inside = cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8), borderType=cv2.BORDER_REPLICATE) > 0
         # The front is marched from near to far, and distances that it has reached do not change any more.
-        farthest = _FARTHEST if where is None else float(distance_within(~mask)[where].max(initial=0.0))
-        narrow = 0.0 if farthest >= _FARTHEST else _MARCHED * farthest + _GRID
+        farthest = FARTHEST if where is None else float(distance_within(~mask)[where].max(initial=0.0))
+        narrow = 0.0 if farthest >= FARTHEST else _MARCHED * farthest + _GRID
         return np.maximum(_marched(np.where(mask, -1.0, 1.0), inside, narrow), 0.0)
     if method == "exact":
         from scipy.ndimage import distance_transform_edt
@@ -60,20 +61,11 @@ def _marched(sign: NDArray[np.float64], left_out: NDArray[np.bool_], narrow: flo
 
 
 def distance_within(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Compute the distance, px, at most 1000, from each pixel of a mask (H, W) to the nearest one outside; 0 there."""
-    return rounded_distance(transformed(mask))
-
-
-def transformed(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Compute the same distance as OpenCV does, (H, W), without limit; see `rounded_distance`."""
-    return np.asarray(cv2.distanceTransform(np.asarray(mask, np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
-
-
-def rounded_distance(distance: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return distances of `transformed`, or some of them, at most 1000, as they follow from the mask alone.
+    """Compute the distance, px, at most 1000, from each pixel of a mask (H, W) to the nearest one outside; 0 there.
 
     OpenCV computes square roots with either of two methods of different accuracy, depending on the memory alignment of
     the array. The squared distances are therefore rounded to integers and their roots taken again.
     """
-    near = np.minimum(distance, np.float32(_FARTHEST))
+    distance = cv2.distanceTransform(np.asarray(mask, np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    near = np.minimum(distance, np.float32(FARTHEST))
     return np.asarray(np.sqrt(np.rint(near * near)), dtype=np.float32)

@@ -8,14 +8,13 @@ of the outline relative to the readings, and the covariance of the pose.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.distance_field import distance_within, rounded_distance, transformed
+from dvrk_cmaes import _kernel
+from dvrk_cmaes.evidence.distance_field import FARTHEST, distance_within
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.evidence.shaft_edges import Contour
 
@@ -27,9 +26,6 @@ _REMAP_WIDTH = 512  # points in a row; OpenCV limits each side of the array that
 _AROUND = 2  # px around a silhouette and pixels, so that the window has background and the samples their neighbours
 _CLIP = 3.0  # standard deviations; larger errors are outliers of the segmentation
 _NEXT = 1.0  # px, of margins for which pixels 2 px from the outline and farther count alike
-_RADII = (3, 5, 8, 12)  # px, up to which the nearest pixel of the other kind is looked up, one after the other
-_MOST = 100_000  # pixels that are looked at for each of these
-_NEITHER = 2  # outside the image
 _NEIGHBOURS = cv2.MORPH_CROSS, cv2.MORPH_RECT
 
 
@@ -114,64 +110,9 @@ def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
 
 
 def _signed_at(mask: NDArray[np.bool_], index: NDArray[np.intp]) -> NDArray[np.float32]:
-    """Compute `signed_distance` of M pixels of a mask (H, W) only, whose indices (M,) are of the flattened mask.
-
-    Nearly all of them are beside the outline: where the nearest pixel of the other kind is, is looked up around each,
-    and only for those farther away the whole mask, or what is outside it, is transformed.
-    """
-    inside = mask.take(index)
-    distance = np.sqrt(_squares_beside(mask, index, inside))
-    far = distance == 0
-    for part, of_part in ((mask, far & inside), (~mask, far & ~inside)):
-        if of_part.any():
-            distance[of_part] = rounded_distance(transformed(part).take(index[of_part]))
-    return np.where(inside, np.float32(0.5) - distance, distance - np.float32(0.5))
-
-
-def _around(least: int, most: int) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Return the pixels (n, 2) within ``most`` px and beyond ``least``, the nearest first, and their squared distances.
-
-    Pixels as near as each other are in no order.
-    """
-    sides = np.arange(-most, most + 1)
-    around = np.stack(np.meshgrid(sides, sides, indexing="ij"), axis=-1).reshape(-1, 2)
-    squared = (around**2).sum(axis=1)
-    order = np.argsort(squared, kind="stable")
-    order = order[(squared[order] > least**2) & (squared[order] <= most**2)]
-    return around[order].astype(np.intp), squared[order].astype(np.float32)
-
-
-_BESIDE: Final = _around(0, _RADII[0])
-_BEYOND: Final = [_around(least, most) for least, most in pairwise(_RADII)]
-
-
-def _squares_beside(mask: NDArray[np.bool_], index: NDArray[np.intp], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the squared distance (M,) of pixels to the nearest one of the other kind; 0 where that is not looked up.
-
-    It is up to the largest of ``_RADII`` px, but only among ``_MOST`` pixels for each of these.
-    """
-    height, width = mask.shape
-    edge = _RADII[-1]
-    padded = np.full((height + 2 * edge, width + 2 * edge), _NEITHER, dtype=np.uint8)
-    padded[edge:-edge, edge:-edge] = mask
-    image, stride = padded.ravel(), padded.shape[1]
-    found = np.zeros(len(index), dtype=np.float32)
-    left = np.arange(len(index))
-    at = index + index // width * (stride - width) + edge * (stride + 1)
-    other = (~inside).view(np.uint8)
-    for (down, right), squared in zip(_BESIDE[0].tolist(), _BESIDE[1].tolist(), strict=True):
-        beside = image.take(at + (down * stride + right)) == other
-        found[left[beside]] = squared
-        keep = np.flatnonzero(~beside)
-        left, at, other = left.take(keep), at.take(keep), other.take(keep)
-    for around, squares in _BEYOND:
-        if not 0 < len(left) * len(around) <= _MOST:
-            break
-        hit = image.take(at[:, None] + around @ np.array([stride, 1])) == other[:, None]
-        beside = hit.any(axis=1)
-        found[left[beside]] = squares[hit[beside].argmax(axis=1)]
-        left, at, other = left[~beside], at[~beside], other[~beside]
-    return found
+    """Compute `signed_distance` of M pixels of a mask (H, W) only, whose indices (M,) are of the flattened mask."""
+    distance = np.sqrt(_kernel.squares_to_other(mask, index, int(FARTHEST) ** 2))
+    return np.where(mask.take(index), np.float32(0.5) - distance, distance - np.float32(0.5))
 
 
 def sampled(image: NDArray[np.float32], at: Float64) -> Float64:

@@ -27,6 +27,7 @@
 #include "lines.hpp"
 #include "mesh.hpp"
 #include "moving.hpp"
+#include "nearest.hpp"
 #include "outline.hpp"
 #include "silhouette.hpp"
 #include "straight.hpp"
@@ -611,6 +612,20 @@ std::vector<std::tuple<Made<double>, Made<std::int64_t>, double>> fit_lines(
   return found;
 }
 
+Made<float> squares_to_other(const Given<bool>& mask, const Given<std::int64_t>& pixels, std::int64_t most) {
+  check_shape("mask", mask, {kAny, kAny}), check_shape("pixels", pixels, {kAny});
+  for (std::size_t i = 0; i < pixels.size(); ++i) {
+    if (pixels.data()[i] < 0 || std::size_t(pixels.data()[i]) >= mask.size()) {
+      throw std::invalid_argument("pixels: expected indices of the mask's, got " + std::to_string(pixels.data()[i]));
+    }
+  }
+  Made<float> out = zeros<float>({pixels.size()});
+  const nb::gil_scoped_release released;
+  const NearestOther nearest(mask.data(), std::int64_t(mask.shape(1)), std::int64_t(mask.shape(0)));
+  for (std::size_t i = 0; i < pixels.size(); ++i) out.data()[i] = float(nearest.square(pixels.data()[i], most));
+  return out;
+}
+
 }  // namespace
 }  // namespace kernel
 
@@ -709,6 +724,9 @@ NB_MODULE(_kernel, module) {
   module.def("normal_equations", &normal_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "change"_a,
              "Compute information (C, D, D) and slope (C, D) of half the robust loss of C poses in V views, each with its "
              "factor, after small changes (C, D).");
+  module.def("squares_to_other", &squares_to_other, "mask"_a, "pixels"_a, "most"_a,
+             "Compute the squared distances (N,), px^2, of pixels, indices into the flattened mask (H, W), to the nearest "
+             "one of the other kind, at most so many.");
   module.def("fit_lines", &fit_lines, "points"_a, "normals"_a, "lines"_a, "sigma"_a, "near"_a, "facing"_a, "gap"_a,
              "least_sigma"_a, "reach"_a, "least_reach"_a, "normal_median"_a, "iterations"_a, "least"_a,
              "Fit lines (M, 3) to the contour points (N, 2) near them, robustly: each line (3,), the numbers of its points "

@@ -87,20 +87,26 @@ def segment(
     check_prompts(image, box, points, not_points)
     if background is not None:
         check_background(background)
+    hints = Hints(box, tuple(points), tuple(not_points))
+
+    def classic() -> Segmentation:
+        from dvrk_cmaes.silhouette.threads import single_blas_thread
+
+        with single_blas_thread():
+            return _segment_classic(image, background, hints, instrument, camera, joints)
+
     if model == "classic":
         if weights is not None:
             raise InputError("weights: the classic model has none; expected them only with model sam2")
-        from dvrk_cmaes.silhouette.threads import single_blas_thread
-
-        hints = Hints(box, tuple(points), tuple(not_points))
-        with single_blas_thread():
-            return _segment_classic(image, background, hints, instrument, camera, joints)
+        return classic()
     if model == "sam2":
         if weights is None:
             raise InputError("weights: model sam2 needs the folder of an exported checkpoint")
         from dvrk_cmaes.segment.sam2 import segment_sam2
 
-        return segment_sam2(image, Path(weights), threads, box=box, points=points, not_points=not_points)
+        return segment_sam2(
+            image, Path(weights), threads, box=box, points=points, not_points=not_points, otherwise=classic
+        )
     raise InputError(f"model: expected one of {', '.join(nearest_first(str(model), MODELS))}, got {model!r}")
 
 

@@ -46,7 +46,7 @@ _EVALUATIONS: Final = 160
 _SCALE: Final = np.array([1e-3, 1e-3, 4e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
 _SEED: Final = 1
 _STRAIN: Final = 0.01  # of the score, for each squared unit of change
-_EVEN, _STEEPNESS = 1.6, 8.0  # score of a candidate that is as likely to be wrong as right, and slope of the log-odds
+_EVEN, _STEEPNESS = 1.6, 3.0  # score at which right and wrong are as likely, and slope of the log-odds there
 _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of different instruments may share
 
 

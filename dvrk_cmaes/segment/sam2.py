@@ -7,7 +7,7 @@ predicted overlap (IoU) with the true mask; the candidate with the largest predi
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -160,19 +160,19 @@ def segment_sam2(
     box: Box | None = None,
     points: Sequence[Pixel] = (),
     not_points: Sequence[Pixel] = (),
+    otherwise: Callable[[], Segmentation],
 ) -> Segmentation:
     """Segment the instrument as `Sam2.segment` does; without a box or a point, in the box of the ``classic`` mask.
 
     Parameters and errors are as in `Sam2` and `Sam2.segment`, except that without a prompt InputError is raised only if
-    ``classic`` finds no instrument.
+    ``otherwise``, which returns the ``classic`` mask, finds no instrument.
     """
     model = load_sam2(weights, threads)
     if box is not None or points:
         return model.segment(image, box=box, points=points, not_points=not_points)
     from dvrk_cmaes.evidence.gather import window_around
-    from dvrk_cmaes.segment.classic import segment_classic
 
-    guess = segment_classic(image, not_points=not_points)
+    guess = otherwise()
     if not guess.mask.any():
         raise InputError("prompt: Segment Anything 2 needs a box or a point; without one, classic found no instrument")
     left, top, width, height = window_around(guess.mask, margin=0)

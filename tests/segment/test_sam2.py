@@ -252,6 +252,16 @@ def test_classic_segmentation_gives_default_box(tmp_path: Path, monkeypatch: pyt
     assert found.notes == ("no prompt: asked for what is in the box of the classic segmentation (confidence 0.60)",)
 
 
+def test_instrument_found_by_its_model_gives_default_box(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    image, bar = picture()
+    by_model = Segmentation(bar & (np.arange(640) > 200), None, 0.7)
+    monkeypatch.setattr("dvrk_cmaes.segment.model_masks.segment_by_model", lambda *_: by_model)
+    weights = write_export(tmp_path, "osam")
+    found = segment(image, model="sam2", weights=weights, threads=1, instrument="lnd")
+    assert_alike(found, by_model.mask)
+    assert found.confidence == 0.7
+
+
 def test_prompt_is_passed_to_named_model(tmp_path: Path) -> None:
     image, bar = picture()
     box = (60, 0, 300, 479)
