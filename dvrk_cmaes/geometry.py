@@ -176,3 +176,9 @@ class Posed:
         """Return several candidates along a new first axis; there must be at least one."""
         several = list(candidates)
         return Posed(np.stack([each.pose for each in several]), np.stack([each.joints for each in several]))
+
+
+def quaternion_xyzw(pose: NDArray[np.float64]) -> list[float]:
+    """Convert the rotation of a pose (4, 4) to a quaternion x, y, z, w, the order of ROS and SciPy, with w >= 0."""
+    quaternion: list[float] = np.roll(quaternion_wxyz(pose[:3, :3]), -1).tolist()
+    return quaternion

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.done_once import done_once
+from helpers.named_failures import NamedFailures
 from helpers.places import SHARED
 from helpers.processes_here import processes_here, real_processes
 from helpers.shared_estimates import shared_estimates
@@ -64,6 +65,8 @@ def in_ci() -> bool:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[DESELECTED] = {}
+    if not hasattr(config, "workerinput"):  # the process with the terminal
+        config.pluginmanager.register(NamedFailures(config))
     gc.disable()  # until the tests are collected: what is made meanwhile stays
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in the background of a shell; commands would inherit it
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -191,7 +191,7 @@ class SessionCables:
                 value, std = self.coupling[j][k], self.coupling_std[j][k]
                 if abs(value) > max(_CERTAIN * std, _LEAST_COUPLING) and std <= _TOLD * spread[j, k]:
                     acts = f"{other} drags {name}" if j != k else f"{name} is scaled"
-                    text = f"{acts} by {np.degrees(value):+.0f} deg a rad, std {np.degrees(std):.0f}"
+                    text = f"{acts} by {np.degrees(value):+z.0f} deg a rad, std {np.degrees(std):.0f}"
                     texts.append((abs(value), text))
             texts += self._play_in_words(j, name, spread[j, len(self.joints) :])
         yield from (text for _, text in sorted(texts, reverse=True))

@@ -159,8 +159,8 @@ class SessionCamera(Document):
         """Describe the change in words, with standard deviations."""
         (right, down), (std_right, std_down) = self.principal_point_px, self.std_principal_point_px
         return (
-            f"focal length {100 * (self.focal_scale - 1):+.1f} % (std {100 * self.std_focal_scale:.1f}), principal "
-            f"point {right:+.0f} px right (std {std_right:.0f}), {down:+.0f} px down (std {std_down:.0f})"
+            f"focal length {100 * (self.focal_scale - 1):+z.1f} % (std {100 * self.std_focal_scale:.1f}), principal "
+            f"point {right:+z.0f} px right (std {std_right:.0f}), {down:+z.0f} px down (std {std_down:.0f})"
         )
 
     def of_the_camera_found(self) -> SessionCamera:

@@ -194,7 +194,7 @@ def unusual_insertion(calibration: SessionCalibration, config: SessionConfig) ->
     if abs(off) <= _FAR_INSERTION * float(np.hypot(own, usual)):
         return ""
     return (
-        f"offset of insertion: {off:+.1f} mm (std {own:.1f}), where {usual:.1f} mm are usual; likely causes: "
+        f"offset of insertion: {off:+z.1f} mm (std {own:.1f}), where {usual:.1f} mm are usual; likely causes: "
         f"{_CAUSES_OF_INSERTION}"
     )
 
@@ -211,7 +211,7 @@ def _far_offsets(calibration: SessionCalibration, config: SessionConfig) -> list
         most = next((most for start, most in _BEYOND_CABLES_DEG.items() if name.startswith(start)), np.inf)
         if abs(np.degrees(offset)) > most + own and name not in calibration.commanded:
             texts.append(
-                f"offset of {name}: {np.degrees(offset):+.1f} deg (std {own:.1f}), where {most:.1f} deg are the most "
+                f"offset of {name}: {np.degrees(offset):+z.1f} deg (std {own:.1f}), where {most:.1f} deg are the most "
                 f"that cables do; likely causes: {_CAUSES_OF_ROLL if name == 'roll' else _CAUSES_OF_CABLES}"
             )
     return texts

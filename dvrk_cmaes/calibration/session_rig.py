@@ -60,7 +60,7 @@ class ViewScale(Document):
         """Describe the difference from the file in words."""
         percent, std = self.percent
         if not self.applied:
-            return f"as in the file: {percent:+.1f} % (std {std:.1f})"
+            return f"as in the file: {percent:+z.1f} % (std {std:.1f})"
         return f"{abs(percent):.1f} % (std {std:.1f}) {'longer' if percent > 0 else 'shorter'} than in the file"
 
 

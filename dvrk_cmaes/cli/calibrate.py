@@ -54,6 +54,7 @@ def calibrate(
     out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
+    frames: Annotated[str | None, Parameter(group=FOLDER)] = None,
     every: Annotated[int, Parameter(group=FOLDER)] = 1,
     keyframes: Annotated[int | None, Parameter(group=FOLDER)] = None,
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
@@ -98,14 +99,16 @@ def calibrate(
     only
         Arm of a session.toml with several tools: calibrate this one only; by default all of them, each in OUT/ARM, and
         the poses of their bases relative to the first one's in OUT/arms.json. May be given several times.
+    frames
+        Calibrate only the frames whose names match this shell pattern, e.g. "00*", as of batch; all by default.
     every
-        Calibrate only every N-th frame of a recording; the lag is found with all rows of readings.
+        Calibrate only every N-th of these frames of a recording; the lag is found with all rows of readings.
     keyframes
         Calibrate at most N frames of a recording: those well in view, far from each other in time and pose.
     refine_camera
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
         written to OUT/camera.yaml; of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at
-        least 10 frames and 5 mm of insertion.
+        least 6 frames and 5 mm of insertion.
     instrument_candidates
         Folder of URDFs of other instruments. The session is solved with each of them, too, which takes as long each
         time, and the calibration is doubtful if its frames fit another one better.
@@ -147,7 +150,7 @@ def calibrate(
         arms: dict[str, ArmInSession] = {}
         solved: dict[str, SolvedSession] = {}
         for name, tool in session_tools(session, instrument, only, follow_links=follow_links).items():
-            arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), every, keyframes)
+            arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), frames, every, keyframes)
             if results is not None and (results / name).resolve() == (target / name).resolve():
                 raise InputError(
                     f"--out: expected another folder than --results, whose frames stay as they are, got {target / name}"
@@ -165,7 +168,7 @@ def calibrate(
                 )[name]
                 other = tool.read(session, camera, joints=joints, reading=reading)
                 if other.body.instrument.name != arm.body.instrument.name:
-                    with_other = _share(other, every, keyframes)
+                    with_other = _share(other, frames, every, keyframes)
                     found = _predicted_with(with_other, refine_camera=refine_camera, workers=workers, settings=settings)
                     if found is None:
                         return _INTERRUPTED
@@ -200,8 +203,11 @@ def calibrate(
         return _DOUBTFUL if any(_is_doubtful(solution) for solution in solved.values()) else 0
 
 
-def _share(arm: ArmInSession, every: int, keyframes: int | None) -> ArmInSession:
-    """Return an arm with every N-th frame of its session, or with at most some keyframes of it if that is given."""
+def _share(arm: ArmInSession, frames: str | None, every: int, keyframes: int | None) -> ArmInSession:
+    """Return an arm with the frames of its session that match a pattern, of these every N-th, or some keyframes."""
+    from dvrk_cmaes.runs.worklist import chosen_frames
+
+    arm = replace(arm, session=replace(arm.session, frames=chosen_frames(arm.session.frames, frames)))
     if keyframes is not None:
         from dvrk_cmaes.runs.recorded_keyframes import with_keyframes
 

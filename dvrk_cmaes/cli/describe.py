@@ -92,6 +92,6 @@ def _joints(result: Result) -> Iterator[Line]:
         found = math.degrees(value)
         std_text = "-" if std is None else f"{std:.2f}"
         read_text, difference = (
-            ("-", "-") if read is None else (f"{math.degrees(read):.2f}", f"{found - math.degrees(read):+.2f}")
+            ("-", "-") if read is None else (f"{math.degrees(read):.2f}", f"{found - math.degrees(read):+z.2f}")
         )
         yield Line(f"  {name:<15s} {found:>8.2f} {std_text:>8s} {read_text:>8s} {difference:>13s}")

@@ -320,7 +320,7 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
     if done.calibration is not None:
         lag = done.calibration.lag
         yield Line("lag: not determined" if lag is None else f"lag: {lag.describe()}")
-        offsets = ", ".join(f"{name} {np.degrees(v):+.1f}" for name, v in list(done.calibration.offsets.items())[1:])
+        offsets = ", ".join(f"{name} {np.degrees(v):+z.1f}" for name, v in list(done.calibration.offsets.items())[1:])
         yield Line(f"offsets, deg (true = reading + offset): {offsets}")
     yield Line(f"written: {out / 'tracks.jsonl'}")
     if (out / VIDEO).is_file() and not done.interrupted:

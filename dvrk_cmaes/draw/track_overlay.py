@@ -40,8 +40,8 @@ def draw_track(views: Sequence[TrackView], *, frame: str, status: str, reasons: 
 
 
 def draw_outlines(views: Sequence[TrackView]) -> Image:
-    """Draw the contours of mask (yellow) and silhouette (blue) in each view, beside each other, (H, W, 3) BGR."""
-    return _beside([_outlined(view, ((view.mask, YELLOW), (view.silhouette, SKY_BLUE))) for view in views])
+    """Draw the contours of mask (yellow, wide) and silhouette (blue) in each view, beside each other, (H, W, 3) BGR."""
+    return _beside([_outlined(view) for view in views])
 
 
 def draw_track_of_arms(
@@ -69,12 +69,12 @@ def draw_track_of_arms(
     return beside
 
 
-def _outlined(view: TrackView, regions: Sequence[tuple[Bool | None, Colour]]) -> Image:
-    """Draw the contours of regions, each in a colour, over a view."""
+def _outlined(view: TrackView) -> Image:
+    """Draw the contours of a view's mask and silhouette; the mask's is wider, to be seen beside the silhouette's."""
     drawn = _background(view.image, view.mask, view.size)
-    for region, colour in regions:
+    for region, colour, thickness in ((view.mask, YELLOW, 3), (view.silhouette, SKY_BLUE, 1)):
         if region is not None:
-            _contour(drawn, region, colour)
+            _contour(drawn, region, colour, thickness)
     return drawn
 
 
@@ -87,10 +87,10 @@ def _background(image: Image | None, mask: Bool | None, size: tuple[int, int]) -
     return drawn
 
 
-def _contour(picture: Image, region: Bool, colour: Colour) -> None:
-    """Draw the contours of a region (H, W) into a picture."""
+def _contour(picture: Image, region: Bool, colour: Colour, thickness: int = 1) -> None:
+    """Draw the contours of a region (H, W) into a picture, with lines of some px."""
     contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    cv2.drawContours(picture, contours, -1, colour, 1, cv2.LINE_AA)
+    cv2.drawContours(picture, contours, -1, colour, thickness, cv2.LINE_AA)
 
 
 def _beside(pictures: Sequence[Image]) -> Image:

@@ -201,6 +201,7 @@ def estimate_views(
         version=__version__,
         config={**settings.as_dict(), "instrument": model.describe_limits(arm)},
         model=model,
+        renderer=Renderer(body, reference.camera),
     )
     if session is None:
         return result

@@ -14,9 +14,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from dvrk_cmaes.export.frames import FrameNames, quaternion_xyzw
+from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import Exported, ExportRequest
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import inverse, quaternion_xyzw
 
 
 def calibration_file(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:

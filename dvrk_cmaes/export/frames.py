@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import log_rotation, quaternion_wxyz
+from dvrk_cmaes.geometry import log_rotation
 from dvrk_cmaes.io.short_text import shown
 
 
@@ -38,12 +38,6 @@ class FrameNames:
         for option, name in (("--camera-frame", self.camera), ("--base-frame", self.base)):
             if name.startswith("/"):
                 raise InputError(f"{option}: expected a name as tf2 knows them, without a leading slash, got {name!r}")
-
-
-def quaternion_xyzw(pose: NDArray[np.float64]) -> list[float]:
-    """Convert the rotation of a pose (4, 4) to a quaternion x, y, z, w, the order of ROS and SciPy, with w >= 0."""
-    quaternion: list[float] = np.roll(quaternion_wxyz(pose[:3, :3]), -1).tolist()
-    return quaternion
 
 
 def rotation_vector(pose: NDArray[np.float64]) -> NDArray[np.float64]:

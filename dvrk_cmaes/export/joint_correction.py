@@ -128,15 +128,15 @@ def _formula(model: CableModel) -> str:
                 place = f"{band}_{name}"
                 lines.append(f"{place} = min(max({place}, {name} - {size:.5f}), {name} + {size:.5f})")
     for j, name in enumerate(model.names):
-        terms = [f"{model.offset[j]:+.5f}"]
+        terms = [f"{model.offset[j]:+z.5f}"]
         for k, other in enumerate(model.names):
             if model.coupling[j, k]:
-                terms.append(f"{model.coupling[j, k]:+.5f} * ({other} - {model.reference[k]:.5f})")
+                terms.append(f"{model.coupling[j, k]:+z.5f} * ({other} - {model.reference[k]:.5f})")
         for k, other in enumerate(model.names):
             if model.play[j, k]:
-                terms.append(f"{model.play[j, k]:+.5f} * (wide_{other} - {other})")
+                terms.append(f"{model.play[j, k]:+z.5f} * (wide_{other} - {other})")
         if model.narrow[j]:
-            terms.append(f"{model.narrow[j]:+.5f} * (narrow_{name} - {name})")
+            terms.append(f"{model.narrow[j]:+z.5f} * (narrow_{name} - {name})")
         lines.append(f"{name}_correction = {' '.join(terms)}")
     return "\n".join(lines) + "\n"
 

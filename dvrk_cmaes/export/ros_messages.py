@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.export.frames import quaternion_xyzw
+from dvrk_cmaes.geometry import quaternion_xyzw
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 
 POSE_STAMPED: Final = "geometry_msgs/msg/PoseStamped"

@@ -7,8 +7,9 @@ import shlex
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.export.frames import FrameNames, quaternion_xyzw
+from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import Exported, ExportRequest
+from dvrk_cmaes.geometry import quaternion_xyzw
 
 
 def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) -> str:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from dvrk_cmaes.export.frames import quaternion_xyzw
 from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.export.ros_topics import times_or_rows
+from dvrk_cmaes.geometry import quaternion_xyzw
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.results.result import Result
 

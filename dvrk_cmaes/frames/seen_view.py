@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.io.arguments import checked_array
+from dvrk_cmaes.io.arguments import checked_array, checked_mask
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -86,17 +86,12 @@ def seen_by(
         view.name,
         view.camera,
         view.view_from_camera,
-        np.zeros((view.camera.height, view.camera.width), np.bool_) if mask is None else _flags("mask", mask),
-        None if ignore is None else _flags("ignore", ignore),
+        np.zeros((view.camera.height, view.camera.width), np.bool_) if mask is None else checked_mask("mask", mask),
+        None if ignore is None else checked_mask("ignore", ignore),
         image,
         None if keypoints is None else checked_array("keypoints", keypoints, np.float64, "two pixels, (2, 2)"),
         mask is not None,
     )
-
-
-def _flags(name: str, value: object) -> Bool:
-    """Return an argument as an array (H, W) of bool."""
-    return checked_array(name, value, np.bool_, "an array (H, W) of bool", dimensions=2)
 
 
 def shown_views(views: Sequence[SeenView]) -> tuple[SeenView, ...]:

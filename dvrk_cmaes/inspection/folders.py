@@ -15,6 +15,7 @@ from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry,
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
 from dvrk_cmaes.inspection.pictures import inspect_image
+from dvrk_cmaes.inspection.recordings import LEROBOT, inspect_lerobot, inspect_video, next_command
 from dvrk_cmaes.inspection.suffixes import VIDEOS
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.results.folder import is_followed, read_results
@@ -22,6 +23,8 @@ from dvrk_cmaes.results.folder import is_followed, read_results
 PICTURES = (".png", ".jpg", ".jpeg")
 
 _DESCRIPTIONS = ("readings: ", "camera: ")
+_FOLLOWED, _CALIBRATED = 12, 3  # least numbers of frames that are followed, and that are calibrated
+_CONSECUTIVE = 0.25  # s, between images that are taken for consecutive ones
 
 
 def inspect_folder(path: Path, options: Options) -> Finding:
@@ -32,6 +35,8 @@ def inspect_folder(path: Path, options: Options) -> Finding:
         return _results(path)
     if (path / "metadata.yaml").is_file():
         return inspect_recording(path)
+    if (path / LEROBOT).is_file():
+        return inspect_lerobot(path)
     if is_published_layout(path):
         if options.camera is None and not (path / "camera.yaml").exists():
             return _without_camera(path, OwnFiles(path, options.follow_links))
@@ -70,9 +75,10 @@ def _pictures(path: Path, pictures: Sequence[Path]) -> Finding:
 
 
 def inspect_recording(path: Path) -> Finding:
-    """Describe a recording by its name, without opening it."""
-    kind = "video" if path.suffix.lower() in VIDEOS else "ROS bag"
-    return Finding(kind, ("told by its name only: dvrk-cmaes import reads it",), {})
+    """Describe a video; a ROS recording by its name, without opening it."""
+    if path.suffix.lower() in VIDEOS:
+        return inspect_video(path)
+    return Finding("ROS bag", ("told by its name only: dvrk-cmaes import reads it",), {})
 
 
 def _session(path: Path, options: Options) -> Finding:
@@ -121,8 +127,10 @@ def _of_arm(session: Session) -> Finding:
         f"of these with {', '.join(f'{name} {count}' for name, count in parts.items())}",
         *(note for note in session.notes if note.startswith(_DESCRIPTIONS)),
         f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
+        *_clock(session),
         *session.rig.remarks,
         *problems.values(),
+        _next(session),
     ]
     rules = [note for note in session.notes if not note.startswith(_DESCRIPTIONS)]
     rules += dict.fromkeys(note for frame in frames for note in frame.notes if note not in session.notes)
@@ -133,6 +141,35 @@ def _of_arm(session: Session) -> Finding:
         "remarks": session.rig.remarks,
     }
     return Finding("session", tuple(lines), read, ("its layout is found by looking", *rules[1:]))
+
+
+def _clock(session: Session) -> list[str]:
+    """Say at which rates images and readings of a session follow each other, and by which clock."""
+    series = session.reading_series()
+    if series is None or not series.times:
+        return ["clock: none that images and readings share; rows belong to frames by their names"]
+    begin, end = (choose(times[at] for times in series.times.values()) for choose, at in ((min, 0), (max, -1)))
+    rows = max(map(len, series.times.values()))
+    if series.unit == "frames":
+        return [f"clock: none; {counted(rows, 'row')} of readings, in the order of the frames"]
+    images, span = sorted(series.frames.values()), end - begin
+    said = [f"{counted(rows, 'row')} of readings in {span:.2f} s"]
+    if span > 0:
+        said[0] += f", {(rows - 1) / span:.1f} a second"
+    if len(images) > 1 and images[-1] > images[0]:
+        said.append(f"images {(len(images) - 1) / (images[-1] - images[0]):.1f} a second")
+    return [f"clock: {'; '.join(said)}"]
+
+
+def _next(session: Session) -> str:
+    """Say what a session is likely to be, and which command to type next."""
+    frames, series = session.frames, session.reading_series()
+    read = sum({"yaw", "pitch", "insertion", "roll"} <= {*frame.readings} for frame in frames)
+    if len(frames) >= _FOLLOWED and series is not None and series.unit == "s" and 0 < series.interval <= _CONSECUTIVE:
+        return f"taken for a recording of consecutive frames; {next_command('track', session.folder)}"
+    if read >= _CALIBRATED:
+        return f"taken for frames of one arm and one camera; {next_command('calibrate', session.folder)}"
+    return f"taken for single frames; {next_command('batch', session.folder)}"
 
 
 def _without_camera(path: Path, own: OwnFiles) -> Finding:

@@ -42,6 +42,21 @@ def checked_array(name: str, value: object, dtype: type, expected: str, dimensio
     raise InputError(f"{name}: expected {expected}, got {described(value)}")
 
 
+def checked_mask(name: str, value: object) -> NDArray[np.bool_]:
+    """Return a mask (H, W) as bool; InputError, which names the argument, for anything else, such as an image.
+
+    An array of numbers may have two values, of which the one that is not zero is instrument.
+    """
+    flags = checked_array(name, value, np.bool_, "an array (H, W) of bool", dimensions=2)
+    given = np.asarray(value)
+    if given.dtype != np.bool_ and len(levels := np.unique(given)) > 2:
+        raise InputError(
+            f"{name}: expected bool, or two values, got {given.dtype} with {len(levels)} values, as of "
+            "an image; a mask that was read is compared first: mask > 127"
+        )
+    return flags
+
+
 def described(value: object) -> str:
     """Describe a value for a message: an array by its shape, text, paths, numbers and None as they are, or its type."""
     if isinstance(value, np.ndarray):

@@ -203,7 +203,7 @@ class Lag:
         if self.frames is not None and seconds is not None:
             amount = f"{amount} ({seconds})"
         std = "" if self.std_frames is None else f", std {self.std_frames:.2f} frames"
-        drift = f", drifting by {1e3 * self.drift:+.2f} parts per thousand" if self.drift else ""
+        drift = f", drifting by {1e3 * self.drift:+z.2f} parts per thousand" if self.drift else ""
         return f"images are {amount} {'later' if value > 0 else 'earlier'} than the readings{std}{drift}"
 
     @property

@@ -76,7 +76,7 @@ class ImageTimes:
         self._left_out = [*self._left_out[-_AGREEING:], time]
         if self._agreeing >= _AGREEING:
             jump = (time - self._last) / NANOSECONDS
-            line = f"header.stamp: the time of the images has jumped by {jump:+.1f} s; following begins anew"
+            line = f"header.stamp: the time of the images has jumped by {jump:+z.1f} s; following begins anew"
             return Judgement(used=True, restarts=True, line=line)
         status = self._what_was_left_out()
         says = not self._told and len(self._left_out) >= _AGREEING
@@ -91,7 +91,7 @@ class ImageTimes:
         """Describe the time of the first image that was left out since the last one that was followed."""
         assert self._last is not None
         distance = (self._left_out[0] - self._last) / NANOSECONDS
-        what = f"{distance:+.1f} s from the last one" if distance else "at the time of the last one"
+        what = f"{distance:+z.1f} s from the last one" if distance else "at the time of the last one"
         return f"header.stamp: images that are {what} are left out"
 
 

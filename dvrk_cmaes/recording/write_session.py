@@ -176,7 +176,7 @@ def write_session(
             warnings = (*warnings, f"the images do not fit the camera: {error}")
         write_text(folder / SESSION_FILE, session_toml(cameras, tools))
     seconds = 0.0 if lag is None else lag.in_unit("s")
-    drift = f", drifting by {lag.drift:+.3g} s a second" if lag is not None and lag.drift else ""
+    drift = f", drifting by {lag.drift:+z.3g} s a second" if lag is not None and lag.drift else ""
     notes = (*recording.notes, f"readings of {seconds:g} s before each image{drift}") if seconds else recording.notes
     if pairing is not None:
         apart = f"images at most {1e3 * pairing.farthest / NANOSECONDS:.1f} ms after or before those of the left"

@@ -231,13 +231,13 @@ def _camera_figures(camera: SessionCamera) -> Iterator[KeyFigure]:
     note = "applied" if camera.applied else "contradicts the camera file" if camera.contradicts else "not applied"
     yield KeyFigure(
         "Focal length, against its file",
-        f"{100 * (camera.focal_scale - 1):+.1f} %",
+        f"{100 * (camera.focal_scale - 1):+z.1f} %",
         f"standard deviation {100 * camera.std_focal_scale:.1f} %; {note}",
     )
     (right, down), std = camera.principal_point_px, max(camera.std_principal_point_px)
     yield KeyFigure(
         "Principal point, against its file",
-        f"{right:+.0f}, {down:+.0f} px",
+        f"{right:+z.0f}, {down:+z.0f} px",
         f"right, down; standard deviation {std:.0f} px; {note}",
     )
 
@@ -247,7 +247,7 @@ def _rotation_figure(rotation: ViewRotation) -> KeyFigure:
     done = "applied" if rotation.applied else "zero within its error, not applied"
     std = ", ".join(f"{value:.2f}" for value in rotation.std_deg)
     note = f"about the first camera's x (right), y (down), z (forward); standard deviations {std}°; {done}"
-    turned = ", ".join(f"{value:+.2f}" for value in rotation.rotation_deg)
+    turned = ", ".join(f"{value:+z.2f}" for value in rotation.rotation_deg)
     return KeyFigure(f"{rotation.view.capitalize()} eye turned, against its file", f"{turned}°", note)
 
 
@@ -260,7 +260,7 @@ def _mask_figures(masks: SessionMasks) -> Iterator[KeyFigure]:
     for name, margin, std, applied in margins:
         done = "taken off the masks" if applied else "zero within its error, not taken off"
         note = f"all round, negative if too narrow; standard deviation {std:.2f} px; {done}"
-        yield KeyFigure(f"{name} too wide", f"{margin:+.2f} px", note)
+        yield KeyFigure(f"{name} too wide", f"{margin:+z.2f} px", note)
     if masks.side_px is not None:
         note = f"of its whole length, in one frame; standard deviation {masks.std_side_px:.2f} px"
         yield KeyFigure("Errors of a side of the shaft", f"{masks.side_px:.2f} px", note)
@@ -278,7 +278,7 @@ def _scale_figures(view: ViewRotation) -> Iterator[KeyFigure]:
             done = "applied" if scale.applied else "not applied"
             yield KeyFigure(
                 f"{view.view.capitalize()} eye's {name}, against its file",
-                f"{percent:+.1f} %",
+                f"{percent:+z.1f} %",
                 f"standard deviation {std:.1f} %; {done}",
             )
 

@@ -11,6 +11,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.natural_order import in_order
 from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.results.data_frame import data_frame
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.followed import read_followed
 from dvrk_cmaes.results.result import Result
@@ -38,6 +39,22 @@ class ResultsFolder:
     frames: dict[str, Result]
     summary: dict[str, Any] | None
     session: dict[str, Any] | None
+
+    def to_rows(self) -> list[dict[str, Any]]:
+        """Return the rows of poses.csv: a number, a text or None by column, with the unit in the column's name."""
+        from dvrk_cmaes.results.pose_rows import pose_rows
+
+        return pose_rows(self.frames.values())
+
+    def to_frame(self) -> Any:
+        """Return these rows as a pandas DataFrame.
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+        """
+        return data_frame(self.to_rows())
 
 
 def read_results(folder: str | Path, *, summary: bool = True) -> ResultsFolder:

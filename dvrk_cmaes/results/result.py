@@ -25,6 +25,8 @@ from dvrk_cmaes.io.typed_document import (
     read_covariance,
     refused,
 )
+from dvrk_cmaes.results.data_frame import data_frame
+from dvrk_cmaes.results.drawn_over import Image, drawn_over
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
 from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck
 
@@ -88,6 +90,7 @@ class Result:
     seconds : from arrays in memory to the result, 0 if not stated.
     evaluations, rays : silhouettes computed and rays traced.
     model : the instrument, for `links`; it is not written to files.
+    renderer : of the instrument in the camera, for `overlay`; it is neither written nor pickled.
     """
 
     frame: str
@@ -124,6 +127,11 @@ class Result:
     version: str = ""
     config: dict[str, Any] = field(default_factory=dict)
     model: LinkModel | None = field(default=None, repr=False)
+    renderer: Any = field(default=None, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle all but the renderer, which has the meshes."""
+        return {**self.__dict__, "renderer": None}
 
     def __repr__(self) -> str:
         """Show the status, the pose and the joints, in the units of reports; all fields are in `to_dict`."""
@@ -224,6 +232,7 @@ class Result:
         covariance = fields.pop("covariance", None)
         std = fields.pop("std", None)
         fields.pop("model", None)
+        fields.pop("renderer", None)
         if isinstance(std, dict) and "tip_mm" in std:
             fields["expected_error"] = std
         if isinstance(fields.get("quality"), dict):
@@ -256,6 +265,46 @@ class Result:
             return None
         sigma = np.degrees(np.sqrt(np.diag(self.covariance)[6:]))
         return dict(zip(self.joints, sigma.tolist(), strict=True))
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes of ``covariance``: tx, ty, tz (m), rx, ry, rz (rad), then the joints (rad)."""
+        return (*POSE_AXES, *self.joints)
+
+    def overlay(self, image: Image, renderer: Any = None) -> Image:
+        """Return an image with the outline of the pose, (H, W, 3) uint8 RGB, as matplotlib shows it.
+
+        The outline is blue where the result is ok, and yellow where it is doubtful.
+
+        Parameters
+        ----------
+        image
+            (H, W, 3) uint8 BGR, as OpenCV reads it, or grey (H, W), of the first camera, in any size of its aspect.
+        renderer
+            Of the instrument in the camera, for a result that was read from a file.
+
+        Raises
+        ------
+        InputError
+            No such image, or a pose without a renderer.
+        """
+        return drawn_over(image, self.camera_from_root, self.joints, self.status, renderer or self.renderer)
+
+    def to_row(self) -> dict[str, Any]:
+        """Return the row of poses.csv: a number, a text or None by column, with the unit in the column's name."""
+        from dvrk_cmaes.results.pose_rows import pose_rows
+
+        return pose_rows([self])[0]
+
+    def to_frame(self) -> Any:
+        """Return the row of `to_row` as a pandas DataFrame.
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+        """
+        return data_frame([self.to_row()])
 
     def links(self, instrument: LinkModel | None = None) -> dict[str, Float64]:
         """Return camera_from_link (4, 4), m, of each link with geometry by name; empty without a pose.

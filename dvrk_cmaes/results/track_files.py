@@ -92,14 +92,19 @@ def _check_row(where: str, document: dict[str, Any]) -> None:
         raise refused(where, "std", "standard deviations of the pose and of all joints, and tips", document["std"])
 
 
-def write_table(path: Path, rows: Sequence[dict[str, Any]], joints: Sequence[str]) -> None:
-    """Write the lines of tracks.jsonl as a table; mm, degrees and seconds, cells without a value empty."""
+def table_cells(rows: Sequence[dict[str, Any]], joints: Sequence[str]) -> tuple[list[str], list[list[object]]]:
+    """Return columns and cells of a table of lines of tracks.jsonl: mm, degrees, seconds, an empty text for none."""
     stds = [f"std_{axis}_mm" for axis in "xyz"] + [f"std_r{axis}_deg" for axis in "xyz"]
     tips = sorted({len(row["tips"]) for row in rows if row["tips"] is not None}, reverse=True)[:1] or [0]
     header = ["frame", "time", "status", "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
     header += [f"{name}_deg" for name in joints] + stds + [f"std_{name}_deg" for name in joints]
     header += [f"tip_{k + 1}_{axis}_mm" for k in range(tips[0]) for axis in "xyz"] + ["seconds", "reasons"]
-    write_text(path, csv_text(header, (_cells(row, joints, tips[0]) for row in rows)))
+    return header, [_cells(row, joints, tips[0]) for row in rows]
+
+
+def write_table(path: Path, rows: Sequence[dict[str, Any]], joints: Sequence[str]) -> None:
+    """Write the lines of tracks.jsonl as a table."""
+    write_text(path, csv_text(*table_cells(rows, joints)))
 
 
 def _cells(row: dict[str, Any], joints: Sequence[str], tips: int) -> list[object]:

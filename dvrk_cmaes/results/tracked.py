@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_values
+from dvrk_cmaes.results.data_frame import data_frame
+from dvrk_cmaes.results.drawn_over import Image, drawn_over
+from dvrk_cmaes.results.result import POSE_AXES
 
 Float64 = NDArray[np.float64]
 TrackStatus = Literal["ok", "doubtful", "lost"]
@@ -45,7 +48,7 @@ class TrackResult:
     included a global search. residual_px : standard deviation, px, of the distances between the outline and the edges
     that support it; None where none do, and in images that were searched globally. base : how far the base is known, of
     a tracker that keeps keyframes. remarks : on the camera's file and the session that the result rests on; they do not
-    decide the status.
+    decide the status. renderer : of the instrument in the first camera, for `overlay`; it is not pickled.
     """
 
     time: float
@@ -63,6 +66,61 @@ class TrackResult:
     residual_px: float | None = None
     base: BaseKnown | None = None
     remarks: tuple[str, ...] = ()
+    renderer: Any = field(default=None, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle all but the renderer, which has the meshes."""
+        return {**self.__dict__, "renderer": None}
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes of ``covariance``: tx, ty, tz (m), rx, ry, rz (rad), then the joints (rad)."""
+        return (*POSE_AXES, *self.joints)
+
+    def overlay(self, image: Image) -> Image:
+        """Return an image with the outline of the pose, (H, W, 3) uint8 RGB, as matplotlib shows it.
+
+        The outline is blue where the result is ok, yellow where it is doubtful, and red where it is predicted.
+
+        Parameters
+        ----------
+        image
+            (H, W, 3) uint8 BGR, as OpenCV reads it, or grey (H, W), of the first camera, in any size of its aspect.
+
+        Raises
+        ------
+        InputError
+            No such image.
+        """
+        return drawn_over(image, self.camera_from_root, self.joints, self.status, self.renderer)
+
+    def to_row(self, frame: str = "") -> dict[str, Any]:
+        """Return the row of tracks.csv: a number or a text by column, with the unit in the column's name.
+
+        Parameters
+        ----------
+        frame
+            Name of the frame.
+        """
+        from dvrk_cmaes.results.track_files import table_cells
+
+        columns, (cells,) = table_cells([self.to_dict(frame)], tuple(self.joints))
+        return dict(zip(columns, cells, strict=True))
+
+    def to_frame(self, frame: str = "") -> Any:
+        """Return the row of `to_row` as a pandas DataFrame.
+
+        Parameters
+        ----------
+        frame
+            Name of the frame.
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+        """
+        return data_frame([self.to_row(frame)])
 
     def to_dict(self, frame: str, *, timed: bool = True) -> dict[str, Any]:
         """Return the line of a frame in tracks.jsonl; without ``timed``, its ``time`` is null.

@@ -15,7 +15,7 @@ from typing import Any
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.export.pose_table import pose_rows, table_text
+from dvrk_cmaes.export.pose_table import table_text
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
@@ -25,6 +25,7 @@ from dvrk_cmaes.io.output import Output, base, output
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
+from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.base_agreement import compare_bases

@@ -5,7 +5,7 @@ The kernel draws each pose by itself, so results do not depend on the number of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -13,14 +13,14 @@ from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.arguments import check_type, described
+from dvrk_cmaes.io.arguments import check_type, checked_array, described
 from dvrk_cmaes.silhouette.decimate import decimate
 from dvrk_cmaes.silhouette.outline import OutlinePoints
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
@@ -30,6 +30,8 @@ from dvrk_cmaes.silhouette.span_rays import SpanRays
 Float64 = NDArray[np.float64]
 T = TypeVar("T")
 S = TypeVar("S", bound=np.generic)
+Joints = Float64 | Mapping[str, ArrayLike]
+"""Joint values (C, J), rad, in the order of the instrument's joints, or by name, each a number or (C,)."""
 
 _DRAWN, _SUMMED = 16, 64
 """Largest number of poses that are drawn, and of those of which only sums are computed, in a slice of a long call."""
@@ -142,6 +144,7 @@ class Renderer:
 
     All methods take C poses at a time: ``camera_from_root`` (C, 4, 4), m, and ``joints`` (C, J), rad, in the order of
     ``body.instrument.joint_names`` (wrist_pitch, wrist_yaw, jaw of the bundled instrument). Images are (C, H, W).
+    `masks`, `coverage` and `trace` take a single pose (4, 4), too, and joints by name; their image is then (H, W).
 
     Parameters
     ----------
@@ -226,15 +229,15 @@ class Renderer:
 
         return _joined(self._in_batches(camera_from_root, joints, add, _SUMMED))
 
-    def coverage(self, camera_from_root: Float64, joints: Float64, *, lines_per_pixel: int = 4) -> NDArray[np.float32]:
+    def coverage(self, camera_from_root: Float64, joints: Joints, *, lines_per_pixel: int = 4) -> NDArray[np.float32]:
         """Render antialiased silhouettes of C poses: the covered fraction of each pixel, (C, H, W).
 
         Parameters
         ----------
         camera_from_root
-            Poses of the root link in the camera, (C, 4, 4), m.
+            Poses of the root link in the camera, (C, 4, 4), or one, (4, 4), m.
         joints
-            Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
+            Joint values, (C, J), rad, in the order of the instrument's `joint_names`, or by name.
         lines_per_pixel
             Lines of the image along which edges are found, for each row of pixels.
         """
@@ -243,7 +246,8 @@ class Renderer:
         def draw(links: Float64) -> NDArray[np.float32]:
             return mesh.coverage(camera, links, lines_per_pixel, self.threads, self._rays(links, lines_per_pixel))
 
-        return _joined(self._in_batches(camera_from_root, joints, draw, _DRAWN))
+        poses, values = self._arrays(camera_from_root, joints)
+        return _like(camera_from_root, _joined(self._in_batches(poses, values, draw, _DRAWN)))
 
     def outlines(self, camera_from_root: Float64, joints: Float64) -> list[OutlinePoints]:
         """Find points on the outlines of C poses, in the image and on the instrument, on all pixel rows and columns.
@@ -328,44 +332,62 @@ class Renderer:
         self._count(poses=len(links))
         return found
 
-    def masks(self, camera_from_root: Float64, joints: Float64) -> NDArray[np.bool_]:
+    def masks(self, camera_from_root: Float64, joints: Joints) -> NDArray[np.bool_]:
         """Render masks of C poses: whether each pixel's centre is covered, (C, H, W).
 
         Parameters
         ----------
         camera_from_root
-            (C, 4, 4), m: poses of the root link in the camera.
+            (C, 4, 4), or one, (4, 4), m: poses of the root link in the camera.
         joints
-            (C, J), rad, in the order of ``body.instrument.joint_names``.
+            (C, J), rad, in the order of ``body.instrument.joint_names``, or by name, each a number or (C,).
         """
         camera, mesh = kernel_camera(self.camera), self.body.mesh
 
         def draw(links: Float64) -> NDArray[np.bool_]:
             return mesh.masks(camera, links, self.threads, self._rays(links, 1, to_pixel=True))
 
-        return _joined(self._in_batches(camera_from_root, joints, draw, _DRAWN))
+        poses, values = self._arrays(camera_from_root, joints)
+        return _like(camera_from_root, _joined(self._in_batches(poses, values, draw, _DRAWN)))
 
-    def trace(self, camera_from_root: Float64, joints: Float64) -> NDArray[np.bool_]:
+    def trace(self, camera_from_root: Float64, joints: Joints) -> NDArray[np.bool_]:
         """Trace one ray through the centre of every pixel: the reference for ``masks``, (C, H, W).
 
         Parameters
         ----------
         camera_from_root
-            Poses of the root link in the camera, (C, 4, 4), m.
+            Poses of the root link in the camera, (C, 4, 4), or one, (4, 4), m.
         joints
-            Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
+            Joint values, (C, J), rad, in the order of the instrument's `joint_names`, or by name.
         """
         height, width = self.camera.height, self.camera.width
         v, u = np.mgrid[:height, :width]
         pixels = np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
         directions = np.c_[self.camera.normalise(pixels), np.ones(len(pixels))]
-        links = self.body.camera_from_links(camera_from_root, joints)
+        links = self.body.camera_from_links(*self._arrays(camera_from_root, joints))
         pose = np.zeros(len(pixels), dtype=np.intp)
         found = np.empty((len(links), height, width), dtype=np.bool_)
         for one, image in zip(links, found, strict=True):
             image[:] = self.body.scenes.covered(one[None], pose, directions).reshape(height, width)
         self._count(rays=found.size)
-        return found
+        return _like(camera_from_root, found)
+
+    def _arrays(self, camera_from_root: Float64, joints: Joints) -> tuple[Float64, Float64]:
+        """Return poses as (C, 4, 4), C = 1 of a single one, and joints as an array in the instrument's order."""
+        if isinstance(camera_from_root, np.ndarray) and camera_from_root.shape == (4, 4):
+            camera_from_root = camera_from_root[None]
+        if not isinstance(joints, Mapping):
+            return camera_from_root, joints
+        names = self.body.instrument.joint_names
+        if {*joints} != {*names}:
+            raise InputError(
+                f"joints: expected values of {', '.join(names)}, got {', '.join(map(str, joints)) or 'none'}"
+            )
+        columns = [checked_array(f"joints: {name}", joints[name], np.float64, "a number, or (C,)") for name in names]
+        count = len(camera_from_root) if isinstance(camera_from_root, np.ndarray) else 1
+        if wrong := [name for name, column in zip(names, columns, strict=True) if column.shape not in ((), (count,))]:
+            raise InputError(f"joints: {wrong[0]}: expected a number, or ({count},), got {described(joints[wrong[0]])}")
+        return camera_from_root, np.stack([np.broadcast_to(column, count) for column in columns], axis=1)
 
     def _outlines(
         self, camera_from_root: Float64, joints: Float64, lines_per_pixel: int, *, with_coverage: bool
@@ -411,6 +433,11 @@ class Renderer:
 def _joined(batches: Sequence[NDArray[S]]) -> NDArray[S]:
     """Return what was drawn in batches as one array; a single one is not copied."""
     return batches[0] if len(batches) == 1 else np.concatenate(batches)
+
+
+def _like(camera_from_root: Float64, images: NDArray[S]) -> NDArray[S]:
+    """Return the only image (H, W) of images (1, H, W) of a single pose (4, 4), all of others."""
+    return np.asarray(images[0]) if np.ndim(camera_from_root) == 2 else images
 
 
 def _check_poses(names: tuple[str, ...], camera_from_root: Float64, joints: Float64) -> None:

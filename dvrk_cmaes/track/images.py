@@ -26,8 +26,14 @@ class ImageCheck:
         """Checksum of the latest mask; None without one."""
 
     def check_size(self, name: str, array: NDArray[np.bool_] | NDArray[np.uint8] | None) -> None:
-        """Raise an InputError for an array that is not of the camera's size."""
-        if array is not None and array.shape[:2] != self.size:
+        """Raise an InputError for an array that is not of the camera's size, or for an image that is not (H, W, 3)."""
+        if array is None:
+            return
+        if name == "image" and (
+            array.dtype != np.uint8 or array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,))
+        ):
+            raise InputError(f"image: expected (H, W, 3) uint8, BGR, got {array.dtype} of shape {array.shape}")
+        if array.shape[:2] != self.size:
             raise InputError(
                 f"{name}: expected {self.size[1]} x {self.size[0]} pixels as the camera has, got an array of shape "
                 f"{array.shape}"

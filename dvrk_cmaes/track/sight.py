@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.io.arguments import check_type
+from dvrk_cmaes.io.arguments import check_type, checked_mask
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Box, Hints
@@ -134,6 +134,8 @@ class Sight:
         self, check: ImageCheck, mask: Mask | None, image: Image | None, ignore: Mask | None
     ) -> tuple[Mask | None, Image | None, Mask | None, str | None, bool, Mask | None]:
         """Check the arrays of one view, and return what `Seen` has of it."""
+        mask = None if mask is None else checked_mask("mask", mask)
+        ignore = None if ignore is None else checked_mask("ignore", ignore)
         for name, array in (("mask", mask), ("ignore", ignore), ("image", image)):
             check.check_size(name, array)
         used_mask = None if self._kind == "images" else mask

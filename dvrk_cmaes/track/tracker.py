@@ -24,7 +24,7 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.segment.segmentation import Hints
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
 from dvrk_cmaes.track.document import calibration_of
 from dvrk_cmaes.track.following import Following
@@ -140,6 +140,7 @@ class Tracker:
         known = KnownBase(rig, body, self._arm, settings, calibration, earlier=earlier) if keyframes else None
         self._known = known
         self._remarks, self._given = rig.remarks, calibration
+        self._renderer = Renderer(body, rig.views[0].camera)
         self._time: float | None = None
         self._by_filter: float | None = None  # s, the last image that was followed without a calibration
         self._recorder = Recorder() if record else None
@@ -395,6 +396,7 @@ class Tracker:
         if self._known is not None:
             self._known.note(result)
         result = replace(result, seconds=clock.perf_counter() - started, base=base, remarks=self._remarks)
+        result = replace(result, renderer=self._renderer)
         result = resting_on(result, self._session)
         if self._recorder is not None:
             late = self._sliced is not None and self._sliced.late

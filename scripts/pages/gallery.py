@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import Final
 
 from dvrk_cmaes.io.bundled import bundled_path
@@ -23,7 +24,8 @@ recordings are drawn, so that their truth is known. The pages are those that the
 """
 _DONE: Final = (0, 3)
 """Exit codes of commands whose output is shown: ok and doubtful."""
-_FOLLOWED: Final = "followed.webp"
+FOLLOWED: Final = "followed.webp"
+"""Name of the moving picture of a folder that `track` wrote."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,16 @@ EXHIBITS: Final = (
             "track recording --every 3 --out tracks",
         ),
         "tracks",
-        ((_FOLLOWED, "The silhouette of a followed instrument, drawn over the images of the recording"),),
+        ((FOLLOWED, "The silhouette of a followed instrument, drawn over the images of the recording"),),
         (("report.html", "the report of the recording"),),
+    ),
+    Exhibit(
+        "A hidden instrument",
+        "Another instrument and a piece of tissue pass before the one that is followed. The pose goes on, and is "
+        "called doubtful meanwhile.",
+        ("synth passing --motion video --level medium --frames 90 --seed 7", "track passing --every 2 --out hidden"),
+        "hidden",
+        ((FOLLOWED, "A followed instrument that others hide, drawn over the images of the recording"),),
     ),
     Exhibit(
         "Both eyes",
@@ -116,10 +126,10 @@ EXHIBITS: Final = (
     ),
     Exhibit(
         "Two arms",
-        "Two tools that cross, each without the pixels of the other one, or with it as background where it is behind.",
-        ("synth crossing --arms 2 --level easy --frames 2 --seed 2", "batch crossing --out arms"),
+        "Two tools in one recording, each followed without the pixels of the other one, and each in its colour.",
+        ("synth two --motion video --arms 2 --level easy --frames 30 --seed 1", "track two --every 2 --out arms"),
         "arms",
-        (("overlays/0000.jpg", "The poses of two tools that cross"),),
+        ((FOLLOWED, "The silhouettes of two followed instruments, drawn over the images of the recording"),),
         (("report.html", "the report of both arms"),),
     ),
 )
@@ -144,18 +154,21 @@ def gallery_page(out: Path, work: Path, exhibits: Sequence[Exhibit] = EXHIBITS) 
             if command not in ran:
                 _run(command, work)
                 ran.add(command)
-        if _FOLLOWED in dict(exhibit.pictures):
-            data = moving_picture(work / exhibit.shown, width=560, milliseconds=100, quality=70)
-            (work / exhibit.shown / _FOLLOWED).write_bytes(data)
+        if FOLLOWED in dict(exhibit.pictures):
+            data = moving_picture(work / exhibit.shown, width=960, milliseconds=100, quality=60)
+            (work / exhibit.shown / FOLLOWED).write_bytes(data)
         shutil.copytree(work / exhibit.shown, out / exhibit.shown)
         parts.append(_entry(exhibit, out.name))
     return "\n".join(parts)
 
 
 def _run(command: str, work: Path) -> None:
-    """Run a command, whose messages are shown only if it fails."""
+    """Run a command, whose messages are shown only if it fails; say which one it is, and how long it took."""
+    print(f"  dvrk-cmaes {command}", end="", file=sys.stderr, flush=True)
+    began = monotonic()
     line = [sys.executable, "-m", "dvrk_cmaes", *shlex.split(command)]
     ran = subprocess.run(line, cwd=work, capture_output=True, text=True, check=False)
+    print(f": {monotonic() - began:.0f} s", file=sys.stderr, flush=True)
     if ran.returncode not in _DONE:
         raise RuntimeError(f"dvrk-cmaes {command}: exit code {ran.returncode}\n{ran.stderr}")
 

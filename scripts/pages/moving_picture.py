@@ -25,7 +25,7 @@ def moving_picture(tracks: Path, *, width: int, milliseconds: int, quality: int)
     Parameters
     ----------
     tracks
-        The folder, with tracks.mp4 and tracks.jsonl.
+        The folder, with tracks.mp4, and tracks.jsonl, of several arms in a folder for each.
     width
         Width of the picture, px.
     milliseconds
@@ -33,8 +33,7 @@ def moving_picture(tracks: Path, *, width: int, milliseconds: int, quality: int)
     quality
         Quality of the WebP, 0 to 100.
     """
-    lines = (tracks / "tracks.jsonl").read_text(encoding="utf-8").splitlines()
-    said = [_said(json.loads(line)) for line in lines]
+    said = _statuses(tracks)
     images = [_labelled(image, *of, width) for image, of in zip(_frames(tracks / "tracks.mp4"), said, strict=True)]
     animation = cv2.Animation()
     animation.frames = images
@@ -54,6 +53,24 @@ def _frames(video: Path) -> Iterator[Image]:
         if not read:
             return
         yield np.asarray(image, np.uint8)
+
+
+def _statuses(tracks: Path) -> list[tuple[str, str]]:
+    """Return the status and a text of each frame; of several arms, the worst status and those of all."""
+    if (tracks / "tracks.jsonl").is_file():
+        return [_said(frame) for frame in _lines(tracks)]
+    arms = sorted(path.parent for path in tracks.glob("*/tracks.jsonl"))
+    of_frames = zip(*([frame["status"] for frame in _lines(arm)] for arm in arms), strict=True)
+    worst = [*_COLOURS].index
+    return [
+        (max(said, key=worst), ", ".join(f"{arm.name} {one}" for arm, one in zip(arms, said, strict=True)))
+        for said in of_frames
+    ]
+
+
+def _lines(tracks: Path) -> list[dict[str, Any]]:
+    """Return the lines of tracks.jsonl in a folder."""
+    return [json.loads(line) for line in (tracks / "tracks.jsonl").read_text(encoding="utf-8").splitlines()]
 
 
 def _said(frame: dict[str, Any]) -> tuple[str, str]:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.export.pose_table import pose_rows, table_text
+from dvrk_cmaes.export.pose_table import table_text
 from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import ExpectedError, Quality, Result
 
 POSE = moved(np.eye(4), [0.01, -0.02, 0.1, 0.3, -0.2, 0.9])

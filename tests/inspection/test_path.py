@@ -143,7 +143,6 @@ def test_instrument_is_summarised() -> None:
         ("c.xml", "<opencv_storage><K1>1 0 0 0 1 0 0 0 1</K1></opencv_storage>", None),
         ("s.toml", "seed = 3\n", "settings"),
         ("x.bag", "anything", "ROS bag"),
-        ("x.mp4", "anything", "video"),
         (
             "r.json",
             '{"base-frame": {"reference-frame": "/c", "transform": [[1,0,0,1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}',

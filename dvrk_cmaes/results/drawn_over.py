@@ -1,0 +1,81 @@
+"""The silhouette of a result drawn over an image, for a look at it from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.arguments import checked_array
+
+Float64 = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_COLOURS = {"ok": (86, 180, 233), "doubtful": (240, 200, 60), "lost": (213, 94, 0)}  # RGB, of the silhouette's outline
+_TIPS = (255, 255, 255)
+
+
+class SilhouetteModel(Protocol):
+    """What draws silhouettes of an instrument in a camera, as `dvrk_cmaes.Renderer` does."""
+
+    def at(self, width: int, height: int) -> Self:
+        """Return the same for another image size in pixels.
+
+        Parameters
+        ----------
+        width
+            Width of the images, px.
+        height
+            Height of the images, px.
+        """
+
+    def masks(self, camera_from_root: Float64, joints: Mapping[str, float]) -> NDArray[np.bool_]:
+        """Render the mask of a pose, (H, W).
+
+        Parameters
+        ----------
+        camera_from_root
+            (4, 4), m.
+        joints
+            Joint values by name, rad.
+        """
+
+
+def drawn_over(
+    image: Image,
+    camera_from_root: Float64 | None,
+    joints: Mapping[str, float],
+    status: str,
+    renderer: SilhouetteModel | None,
+) -> Image:
+    """Return an image, (H, W, 3) RGB, with the outline of a pose in the colour of its status.
+
+    ``image`` is (H, W, 3) BGR, as OpenCV reads it, or grey (H, W), of any size of the camera's aspect.
+
+    Raises
+    ------
+    InputError
+        The image is none, or there is a pose and no renderer.
+    """
+    given = checked_array("image", image, np.uint8, "an image (H, W, 3) of uint8, BGR, or a grey one (H, W)")
+    if given.ndim not in (2, 3) or given.shape[2:] not in ((), (3,)) or not given.size:
+        raise InputError(f"image: expected (H, W, 3) BGR or (H, W), got an array of shape {given.shape}")
+    code = cv2.COLOR_GRAY2RGB if given.ndim == 2 else cv2.COLOR_BGR2RGB
+    drawn = np.asarray(cv2.cvtColor(np.ascontiguousarray(given), code), np.uint8)
+    if camera_from_root is None:
+        return drawn
+    if renderer is None:
+        raise InputError("overlay: expected renderer=Renderer(body, camera) for a result that was read from a file")
+    height, width = drawn.shape[:2]
+    mask = renderer.at(width, height).masks(camera_from_root, joints)
+    thick = max(round(width / 400), 1)
+    beyond = 4 * thick  # px, so that no line is drawn where the silhouette leaves the image
+    padded = cv2.copyMakeBorder(mask.astype(np.uint8), beyond, beyond, beyond, beyond, cv2.BORDER_REPLICATE)
+    lines, _ = cv2.findContours(padded, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE, offset=(-beyond, -beyond))
+    cv2.drawContours(drawn, lines, -1, (0, 0, 0), 3 * thick, cv2.LINE_AA)
+    cv2.drawContours(drawn, lines, -1, _COLOURS.get(status, _TIPS), thick, cv2.LINE_AA)
+    return drawn

@@ -1,0 +1,98 @@
+"""README and reference pages are plain: short sentences, short pages, and a first screen that says what to type."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from importlib import import_module
+from types import ModuleType
+
+import pytest
+from helpers.places import ROOT, SCRIPTS
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.io.toml_file import leaves
+
+PAGES = sorted((ROOT / "data" / "reference").glob("*.md"))
+METHOD = [path for path in PAGES if path.stem.startswith("how_")]
+USE = [
+    path
+    for path in PAGES
+    if path.stem in ("accuracy", "arms", "problems", "recordings", "segmentation", "sessions", "tracking", "live")
+    or path.stem in ("uncalibrated", "bench", "results", "exports", "testing", "formats")
+]
+FIRST_SCREEN = 40  # lines
+
+
+@pytest.fixture
+def prose(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script that counts."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    return import_module("prose")
+
+
+def test_sentences_are_short(prose: ModuleType) -> None:
+    counted = [number for text in prose.pages().values() for number in prose.lengths(text)]
+    assert len(counted) > 1000
+    assert statistics.median(counted) <= 16
+    assert prose.long_share(counted) <= 0.02
+
+
+def test_pages_are_short_but_those_of_methods(prose: ModuleType) -> None:
+    methods = {path.stem for path in METHOD}
+    lines = {name: prose.lines_of_prose(text) for name, text in prose.pages().items() if name not in methods}
+    assert {name: number for name, number in lines.items() if number > 150 and name != "README"} == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("# A title of many words\n\nTwo words. And three more.\n", [2, 3]),
+        ("- An item\n  of two lines\n- another\n", [5, 1]),
+        ("Give `a b c d` or [this one](x.md) (e.g. here).\n\n    code is not counted\n\n| nor | tables |\n", [7]),
+        ("A value of 0.5 mm, as said.\n<!-- no\ncomments -->\n", [7]),
+    ],
+)
+def test_words_of_sentences_are_counted(prose: ModuleType, text: str, expected: list[int]) -> None:
+    assert prose.lengths(text) == expected
+
+
+@pytest.mark.parametrize("page", USE, ids=lambda page: page.stem)
+def test_first_screen_has_a_command_and_when_to_trust_what_comes_out(page: object) -> None:
+    text = "\n".join(page.read_text(encoding="utf-8").splitlines()[:FIRST_SCREEN])  # type: ignore[attr-defined]
+    assert re.search(r"^    (?:\$ )?(?:\S*/)?dvrk-cmaes \w", text, flags=re.MULTILINE)
+    assert re.search(r"^\*\*(?:What comes out, and )?[Ww]hen to trust (?:it|a result)\.\*\*", text, flags=re.MULTILINE)
+
+
+def test_texts_that_the_page_on_problems_names_are_printed_by_the_program() -> None:
+    source = " ".join(path.read_text(encoding="utf-8") for path in (ROOT / "dvrk_cmaes").rglob("*.py"))
+    source = re.sub(r'"\s+f?"', "", source)
+    table = [
+        line for line in (ROOT / "data/reference/problems.md").read_text(encoding="utf-8").splitlines() if "|" in line
+    ]
+    named = {code for line in table for code in re.findall(r"`([^`]+)`", line.split("|")[1])}
+    assert len(named) > 20
+    patterns = {code: re.sub(r"\b[NM]\b", ".{1,60}?", re.escape(code.removesuffix(": ..."))) for code in named}
+    assert [code for code, pattern in patterns.items() if not re.search(pattern, source)] == []
+
+
+def test_values_in_pages_are_those_of_the_settings() -> None:
+    settings = dict(leaves(EstimateConfig()))
+    stated = {
+        "results": (
+            ("trust.tip_mm", r"`trust\.tip_mm` \((\S+) mm\)"),
+            ("trust.least_probability", r"`tip_probability` is below (\S+),"),
+        ),
+        "how_sessions": (
+            ("session.focal_length_percent", r"standard deviation of (\S+) % and 10 px"),
+            ("session.principal_point_px", r"standard deviation of 1 % and (\S+) px"),
+            ("session.rounds", r"solved in turn, in (\w+) rounds"),
+        ),
+    }
+    words = {"four": 4.0}
+    for page, figures in stated.items():
+        text = " ".join((ROOT / "data" / "reference" / f"{page}.md").read_text(encoding="utf-8").split())
+        for name, pattern in figures:
+            found = re.findall(pattern, text)
+            assert found, (page, name)
+            assert {words.get(each) or float(each) for each in found} == {float(settings[name])}, (page, name)
