@@ -176,7 +176,7 @@ class LiveLoop:
 
         Where the time is too short for all arms, those are followed that have waited longest.
         """
-        began, followed, waiting = self._inputs.now(), False, list[str]()
+        began, followed = self._inputs.now(), False
 
         def age() -> float:
             return self._ages.age(frame.time, self._inputs.now())
@@ -184,17 +184,17 @@ class LiveLoop:
         for arm in self._arms:
             self.counts.refused += arm.add_readings(self._inputs.readings[arm.name].take_all(), frame.time)
         for arm in sorted(self._arms, key=lambda arm: arm.stepped):
-            if followed and self._inputs.now() - began + arm.seconds > _BUDGET:
-                waiting.append(arm.name)
+            steps = self._inputs.now() - began + arm.seconds
+            if followed and steps > _BUDGET:
+                self._report(
+                    f"arms take turns: the steps of all take {1e3 * steps:.0f} ms, more than {1e3 * _BUDGET:.0f}"
+                )
                 continue
             done, anew = arm.follow(frame, arrays, age, silent)
             followed |= done
             if anew and self._rig is not None:
                 arm.begin(self._rig)
                 self.counts.restarts += 1
-        if waiting:
-            steps = 1e3 * sum(arm.seconds for arm in self._arms)
-            self._report(f"arms take turns: the steps of all take {steps:.0f} ms, more than {1e3 * _BUDGET:.0f}")
         self.counts.published = sum(arm.published for arm in self._arms)
         self.counts.followed += followed
         self.counts.refused += not followed
