@@ -107,15 +107,14 @@ PYTHON = of_kind("from |import ")
 TOML = of_kind(r"\[|seed = ")
 LISTINGS = of_kind(r"recording/\n")
 LINES = of_kind("warning: ")
-CAMERAS = of_kind("width: ")
 SHOWN = of_kind("dvrk-cmaes: ")  # of `live`, as are its commands: tests/live/test_page.py
 
 
 def test_every_block_is_known() -> None:
-    known = [*COMMANDS, *PYTHON, *TOML, *LISTINGS, *LINES, *CAMERAS, *SHOWN]
+    known = [*COMMANDS, *PYTHON, *TOML, *LISTINGS, *LINES, *SHOWN]
     shells = [each for each in EXAMPLES if each.block.text.startswith(OTHER_PROGRAMS)]
     assert [each.name for each in EXAMPLES if each not in [*known, *shells]] == []
-    assert [len(kind) for kind in (PYTHON, TOML, LISTINGS, LINES, CAMERAS, SHOWN)] == [4, 2, 1, 2, 1, 1]
+    assert [len(kind) for kind in (PYTHON, TOML, LISTINGS, LINES, SHOWN)] == [4, 2, 1, 2, 1]
     assert len(COMMANDS) > 20
     for each in COMMANDS:
         shell = each.block.text.startswith("$ ")  # followed by its output, which tests/test_readme.py compares
@@ -179,10 +178,6 @@ def test_python_runs_as_printed(example: Example, folder: Path) -> None:
     names |= {"image": np.zeros((*left.shape, 3), np.uint8)}
     exec(compile(example.block.text, example.name, "exec"), names)
     assert names["result"].status in ("ok", "doubtful", "lost", "predicted")
-
-
-def test_camera_is_the_one_that_the_commands_read(folder: Path) -> None:
-    assert CAMERAS[0].block.text == (folder / "guess.yaml").read_text()
 
 
 def test_toml_is_read_as_printed(folder: Path) -> None:

@@ -344,6 +344,10 @@ def _session_frames(
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
     views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
     folders = (mask_folder, root / "images", root / "ignore")
+    for folder in folders:
+        own.check(folder)
+        if folder.is_symlink() and not folder.exists():
+            raise InputError(f"{folder}: expected a folder, got a link to nothing")
     of_views = [[image_files(folder / view) for folder in folders] for view in views]
     masks, images, ignore = of_views[0]
     if views == (".",) and not masks:

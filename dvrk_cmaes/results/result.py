@@ -26,7 +26,7 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.results.data_frame import data_frame
-from dvrk_cmaes.results.drawn_over import Image, SilhouetteModel, drawn_over
+from dvrk_cmaes.results.drawn_over import Image, drawn_over
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
 from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck
 
@@ -127,7 +127,7 @@ class Result:
     version: str = ""
     config: dict[str, Any] = field(default_factory=dict)
     model: LinkModel | None = field(default=None, repr=False)
-    renderer: SilhouetteModel | None = field(default=None, repr=False)
+    renderer: Any = field(default=None, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle all but the renderer, which has the meshes."""
@@ -271,7 +271,7 @@ class Result:
         """Names of the axes of ``covariance``: tx, ty, tz (m), rx, ry, rz (rad), then the joints (rad)."""
         return (*POSE_AXES, *self.joints)
 
-    def overlay(self, image: Image, renderer: SilhouetteModel | None = None) -> Image:
+    def overlay(self, image: Image, renderer: Any = None) -> Image:
         """Return an image with the outline of the pose, (H, W, 3) uint8 RGB, as matplotlib shows it.
 
         The outline is blue where the result is ok, and yellow where it is doubtful.

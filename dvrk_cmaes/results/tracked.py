@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_values
 from dvrk_cmaes.results.data_frame import data_frame
-from dvrk_cmaes.results.drawn_over import Image, SilhouetteModel, drawn_over
+from dvrk_cmaes.results.drawn_over import Image, drawn_over
 from dvrk_cmaes.results.result import POSE_AXES
 
 Float64 = NDArray[np.float64]
@@ -66,7 +66,7 @@ class TrackResult:
     residual_px: float | None = None
     base: BaseKnown | None = None
     remarks: tuple[str, ...] = ()
-    renderer: SilhouetteModel | None = field(default=None, repr=False)
+    renderer: Any = field(default=None, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle all but the renderer, which has the meshes."""

@@ -82,6 +82,15 @@ def test_link_to_nothing_and_loops_are_refused() -> None:
         read_session("session")
 
 
+@pytest.mark.parametrize("place", ["images", "masks", "ignore"])
+def test_folder_that_is_a_link_to_nothing_is_not_left_out(place: str) -> None:
+    linked(place, "../elsewhere/none")
+    with pytest.raises(InputError, match="leaves"):
+        read_session("session")
+    with pytest.raises(InputError, match="a link to nothing"):
+        read_session("session", follow_links=True)
+
+
 def test_folder_of_masks_of_another_tool_is_checked(session: Path) -> None:
     shutil.copytree("session/masks", "session/masks_other")
     (session / "session.toml").write_text(

@@ -36,7 +36,6 @@ def make_examples(folder: Path) -> Path:
 
 def _sessions(folder: Path) -> None:
     """Make session, what was made of it, and a frame of two eyes."""
-    (folder / "guess.yaml").write_text("width: 320\nheight: 240\nfx: 480\nfy: 480\ncx: 160\ncy: 120\n")
     small = folder / "small.yaml"
     small.write_text(SMALL_CAMERA)
     motion = f"--motion video --level easy --frames {FRAMES} --no-images --seed 5 --camera {small}"
