@@ -26,6 +26,7 @@ from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes
 from dvrk_cmaes.segment.segmentation import Hints, Segmentation
+from dvrk_cmaes.segment.shaft_pairs import pair_of_mask
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Bool = NDArray[np.bool_]
@@ -124,7 +125,7 @@ def segment_by_model(
     found = [each for each in candidates if each.confidence >= GUESS and _fits(each, prompts, image)]
     other = otherwise()
     if not found:
-        if prompts.given or other.confidence < GUESS or any(_overlap(each, other.mask) > _ALIKE for each in candidates):
+        if prompts.given or other.confidence < GUESS or _is_alike(other.mask, candidates, body, camera):
             return other
         return replace(other, confidence=_UNLIKE, notes=("a guess", *other.notes, "its shape is not the instrument's"))
     reduced = ReducedImage.of(image, prompts)
@@ -141,6 +142,13 @@ def segment_by_model(
         return other
     notes = (*first.notes, _taken(first.mask, [each.mask for each in others])) if others else first.notes
     return replace(first, notes=notes, others=others)
+
+
+def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: Camera) -> bool:
+    """Whether a mask (H, W) is like a candidate, or has straight sides as a shaft, which may be blurred in the image."""
+    shaft = body.instrument.shaft
+    sides = None if shaft is None else pair_of_mask(mask, camera, shaft.radius)
+    return sides is not None or any(_overlap(each, mask) > _ALIKE for each in candidates)
 
 
 def _overlap(found: Candidate, mask: Bool) -> float:

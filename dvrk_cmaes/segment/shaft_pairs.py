@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence.shaft_edges import shaft_axis
+from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges, shaft_axis
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -69,6 +69,19 @@ def find_pairs(image: Image, camera: Camera, radius: float, outside: Bool, most:
     ]
     pairs.sort(key=lambda pair: -pair.support)
     return pairs[:most]
+
+
+def pair_of_mask(mask: Bool, camera: Camera, radius: float) -> Pair | None:
+    """Return the two straight sides of a mask (H, W), of the camera's size, if they may bound a shaft; or else None."""
+    edges = find_shaft_edges(mask, find_contour(mask, camera), camera, radius)
+    if isinstance(edges, str):
+        return None
+    lines = []
+    for first, last in edges[0].ends:
+        length = float(np.linalg.norm(last - first))
+        stretch = np.array([[-length / 2, length / 2]])
+        lines.append(_Line((last - first) / max(length, 1e-9), (first + last) / 2, stretch))
+    return _pair(lines[0], lines[1], camera, radius, np.array([camera.width - 1, camera.height - 1]))
 
 
 def _segments(image: Image, outside: Bool) -> Float64:
