@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.frames.frame import with_tool
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Report
 from dvrk_cmaes.live.mailbox import Mailbox
@@ -113,11 +114,11 @@ class Decoded:
     masks: Mapping[str, Mapping[str, NDArray[np.bool_]]]
 
     def ignored(self, arm: str) -> dict[str, NDArray[np.bool_]]:
-        """Return the pixels of the other arms by eye: those in front are not known to be before or behind."""
+        """Return the pixels of the other arms, and beside them, by eye: they are not known to be in front or behind."""
         found: dict[str, NDArray[np.bool_]] = {}
         for other, masks in self.masks.items():
             for eye, mask in masks.items() if other != arm else ():
-                found[eye] = found[eye] | mask if eye in found else mask
+                found[eye] = with_tool(found.get(eye), mask)
         return found
 
     @property

@@ -18,7 +18,7 @@ all the time. Ten minutes with one loss a minute, and five of two arms and two e
 
     python scripts/bench.py live --seconds 600 --losses 60 --solve
     dvrk-cmaes synth two --motion video --arms 2 --stereo --level easy --frames 150
-    python scripts/bench.py live --session two --seconds 300 --solve
+    python scripts/bench.py live --session two --instrument lnd --seconds 300 --solve
 """
 
 from __future__ import annotations
