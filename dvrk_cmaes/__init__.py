@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from dvrk_cmaes.silhouette import Body, Renderer
     from dvrk_cmaes.silhouette.prepare import prepare
     from dvrk_cmaes.track import Tracker
+    from dvrk_cmaes.track.calibration_lag import FoundLag
     from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, Solution
-    from dvrk_cmaes.track.lag import FoundLag
 
 _HOMES = {
     "Alternative": "results.result",
@@ -61,7 +61,7 @@ _HOMES = {
     "DvrkCmaesError": "errors",
     "EstimateConfig": "config",
     "ExpectedError": "results.result",
-    "FoundLag": "track.lag",
+    "FoundLag": "track.calibration_lag",
     "FrameData": "frames.frame",
     "FrameFiles": "frames.frame",
     "Hints": "segment.segmentation",

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-__version__ = "1.0.0"
+__version__ = "2.0.0.dev0"
 
 
 @dataclass(frozen=True)
@@ -395,79 +395,23 @@ class TrackConfig:
 
     Attributes
     ----------
-    points, draws, steps
-        Points of the outline that are compared with the mask; largest number of drawings of the outline for an image;
-        steps of the correction after each drawing.
-    reach_px, support_px
-        Farthest distance of the mask's edge from the predicted outline; distance below which an edge supports a point
-        of the outline.
-    sigma_px, correlation_px, frame_correlation
-        Standard deviation of a mask's edge at the start, and its least one; length of edge that counts as one
-        measurement; number of images that count as one, because masks err alike for many images.
-    outlier_sigmas
-        Scale of the robust weight, in standard deviations.
-    arm_deg, insertion_mm
-        Standard deviations of the readings of the outer yaw and pitch, and of insertion.
-    slack_mm, slack_deg, slack_seconds
-        Standard deviations of the root's position and rotation that no joint explains, and the time over which they
-        and the errors of the outer readings change.
-    base_drift_mm, base_drift_deg
-        Change of the arm's base, along and about each axis, in a second.
-    offset_drift_deg, offset_play_deg
-        Change of a cable-driven joint's offset in a second, and its variance in degrees squared for each degree that
-        the reading moves.
+    points
+        Points of the outline that are compared with the edges that an image's colours show.
     lag_std
         Standard deviation of the lag at the start, s, if it is not given.
-    acceleration_mm, swing_acceleration_deg, joint_acceleration_deg, rate_seconds
-        Without readings: change of the root's velocity in a second, of its rotation about its x and y axes, of its
-        roll and of the joints; time over which a velocity that is not seen any more decays.
-    least_support, good_support
-        Share of the outline in the image that has an edge within ``support_px``: least one at which the image counts,
-        and least one of an ok pose.
-    most_unexplained, good_unexplained
-        Share of the mask's edges that are farther than twice ``support_px`` from the outline: largest one at which the
-        image counts, and largest one of an ok pose.
-    largest_tip_mm
-        Largest standard deviation of the jaw tips of an ok pose.
     modes
         Largest number of modes of the first frame that are followed until one is decided.
     black_level
         Value of the brightest pixel below which an image counts as black.
     colour_share
-        Share of an image's colours in those that were learned, each time that a pose is trusted.
+        Share of an image's colours in those that were learned, each time that they are learned anew.
     reading_gap, still_seconds
         Longest time between readings, s, over which they are interpolated; time after which unchanged readings of all
         outer joints count as frozen.
     """
 
     points: int = 350
-    draws: int = 3
-    steps: int = 2
-    reach_px: float = 12.0
-    support_px: float = 3.0
-    sigma_px: float = 0.2
-    correlation_px: float = 8.0
-    frame_correlation: float = 2.0
-    outlier_sigmas: float = 2.0
-    arm_deg: float = 0.1
-    insertion_mm: float = 0.3
-    slack_mm: float = 0.2
-    slack_deg: float = 0.2
-    slack_seconds: float = 0.1
-    base_drift_mm: float = 0.02
-    base_drift_deg: float = 0.01
-    offset_drift_deg: float = 0.5
-    offset_play_deg: float = 0.3
     lag_std: float = 0.1
-    acceleration_mm: float = 50.0
-    swing_acceleration_deg: float = 20.0
-    joint_acceleration_deg: float = 90.0
-    rate_seconds: float = 0.5
-    least_support: float = 0.35
-    good_support: float = 0.65
-    most_unexplained: float = 0.5
-    good_unexplained: float = 0.2
-    largest_tip_mm: float = 1.2
     modes: int = 3
     black_level: int = 16
     colour_share: float = 0.15

@@ -150,7 +150,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--estimated", action="store_true", help="for cables: estimate the frames, instead of results about the truth"
     )
-    parser.add_argument("--evidence", choices=EVIDENCE, help="for track: follow by masks (default), images or both")
+    parser.add_argument("--evidence", choices=EVIDENCE, help="for track: follow by masks (default) or images")
     parser.add_argument(
         "--calibrate-every", type=int, metavar="N", help="for fleet: calibrate every N-th frame of each recording, too"
     )

@@ -32,15 +32,14 @@ NAMED: Final = {
         calibration/solve.py:solve                      calibration/solve.py:solve_with_modes
         calibration/variances.py:solve_with_variances   calibration/alternation.py:solved
         calibration/constants.py:linearise              calibration/lag.py:LagRefiner.refine_value
-        track/update.py:OutlineUpdate.__call__""",
+        track/colour_edges.py:fit_edges""",
     "drivers of a fit": """
         calibration/frame_fit.py:fit_frame
         track/recorded_frames.py:fit_followed           track/quick_fit.py:quick_fit""",
     "predictions from readings": """
         calibration/prediction.py:fit_session_pose      track/prediction.py:Prediction""",
     "followers": """
-        track/following.py:Following                    track/calibrated_following.py:CalibratedFollowing
-        runs/recorded.py:follow_window""",
+        track/window.py:solve_window""",
 }
 """What there is of each kind, as FILE:NAME in dvrk_cmaes."""
 POSES: Final = re.compile(r"(camera|view|rig|base)_from_\w+|\w*_from_(root|base)|poses?|Posed")

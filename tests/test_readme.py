@@ -16,7 +16,6 @@ import yaml
 from cyclopts import App
 from helpers.places import ROOT, TESTS
 
-from dvrk_cmaes import __version__
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.cli.app import app
@@ -194,10 +193,10 @@ def test_map_of_packages_is_complete() -> None:
     assert {path.parent.name for path in (ROOT / "dvrk_cmaes").glob("*/__init__.py")} <= mapped
 
 
-def test_citation_names_version_and_paper() -> None:
+def test_citation_names_the_paper() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["cff-version"] == "1.2.0"
-    assert (citation["type"], citation["title"], citation["version"]) == ("software", "dvrk-cmaes", __version__)
+    assert (citation["type"], citation["title"]) == ("software", "dvrk-cmaes")
     (paper,) = citation["references"]
     assert paper["title"] == "Differentiable Rendering-based Pose Estimation for Surgical Robotic Instruments"
     assert paper["title"] in " ".join(README.split())

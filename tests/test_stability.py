@@ -44,12 +44,16 @@ def test_schemas_are_those_that_are_written() -> None:
 
 
 def test_version_is_that_of_the_changelog_and_of_semantic_versioning() -> None:
-    assert re.fullmatch(r"\d+\.\d+\.\d+", dvrk_cmaes.__version__)
+    """Between releases, the version is a development one of the next."""
+    version = re.fullmatch(r"(\d+)\.(\d+)\.(\d+)(\.dev\d+)?", dvrk_cmaes.__version__)
+    assert version is not None
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     entries = re.findall(r"^## (\d+\.\d+\.\d+), (\d{4}-\d\d-\d\d)$", changes, flags=re.MULTILINE)
-    assert entries[0][0] == dvrk_cmaes.__version__
+    released = tuple(int(part) for part in entries[0][0].split("."))
+    now = tuple(int(part) for part in version.groups()[:3])
+    assert now > released if version[4] else now == released
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"date-released: {entries[0][1]}\n" in citation
+    assert f"version: {entries[0][0]}\ndate-released: {entries[0][1]}\n" in citation
 
 
 def test_exit_codes_are_those_of_the_errors_and_of_results() -> None:

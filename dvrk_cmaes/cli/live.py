@@ -250,9 +250,8 @@ def live(
     for of_arm in names.values():
         of_arm.check_tf()
     body = instrument.load()
-    keeps = inputs.masked and lag is None
-    if out is not None and not keeps:
-        raise InputError("--out: expected masks (--mask-topic) and no --lag, from which a calibration is found")
+    if out is not None and lag is not None:
+        raise InputError("--out: expected no --lag: the calibration that is found has a lag of its own")
     rig = _rig_of_files(camera, camera_right, inputs, rectified=rectified)
     report = RepeatedLines(note)  # of the connection; follow has its own
     with ExitStack() as stack:
@@ -269,7 +268,7 @@ def live(
                     body,
                     instrument.kinematics,
                     calibrated,
-                    stack.enter_context(SolverProcess(body.instrument, background=True)) if keeps else None,
+                    stack.enter_context(SolverProcess(body.instrument, background=True)),
                     earlier,
                     partial(_save, save_calibration, folder),
                 )

@@ -62,13 +62,12 @@ def track(
     lag: Annotated[str, Parameter(group=FOLDER, allow_leading_hyphen=True)] = AUTO,
     fps: Annotated[float, Parameter(group=FOLDER)] = 30.0,
     causal: Annotated[Flag, Parameter(group=FOLDER)] = False,
-    smooth: Annotated[Flag, Parameter(group=FOLDER, show=False)] = False,
     workers: Annotated[int | None, Parameter(group=FOLDER)] = None,
     resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
     video: Annotated[bool, Parameter(group=FOLDER)] = True,
     page: Annotated[bool, Parameter(group=FOLDER)] = True,
     rerun: Annotated[Path | None, Parameter(group=FOLDER)] = None,
-    evidence: Annotated[Literal["masks", "images", "both"] | None, Parameter(group=FOLDER)] = None,
+    evidence: Annotated[Literal["masks", "images"] | None, Parameter(group=FOLDER)] = None,
     first_mask: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     prompts: PromptOptions = DEFAULT_PROMPTS,
     recording: VideoOptions = DEFAULT_VIDEO,
@@ -85,15 +84,16 @@ def track(
 
     Keyframes over the whole recording are solved together, as by `calibrate`; every frame is then fitted with what
     that solution and its neighbours expect. With --causal, and where keyframes cannot be solved, the first frame is
-    solved as by `estimate`, and the others start from what the readings did since the frame before: no result depends
-    on later frames, and a lost instrument is searched for. The table [track] of the settings file configures that.
+    solved as by `estimate`, the others start from what the readings did since the frame before, and keyframes are
+    solved as they come: no result depends on later frames, and none is ok before keyframes tell the arm's base. The
+    table [track] of the settings file configures that.
 
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
-    lost, 130 interrupted; the same command then goes on.
+    lost, 130 interrupted; the same command then goes on after the keyframes, or begins anew with --causal.
 
     Without masks, those of the keyframes are found in their images, and those of all frames by the colours that the
-    keyframes tell. With --causal, the instrument is segmented in the first frame alone; the others are followed by the
-    colours along its outline, which are learned on the way.
+    keyframes tell. With --causal, the instrument is segmented in the first frame alone; in the others its mask is found
+    by colours, which are learned on the way.
 
     Example:
 
@@ -129,13 +129,11 @@ def track(
     causal
         Follow from image to image: no frame's result uses later ones. So are recordings without readings, and those
         of which fewer than 12 keyframes are usable or agree.
-    smooth
-        Was replaced: without --causal, every result uses all frames.
     workers
         Number of processes that fit the frames; by default the number of cores. With --causal, threads that solve
         keyframes.
     resume
-        --resume goes on after the keyframes or the last frames of an interrupted run; --overwrite begins anew.
+        --resume goes on after the keyframes of an interrupted run; --overwrite begins anew.
     video
         --no-video leaves out the overlay video.
     page
@@ -144,7 +142,7 @@ def track(
         File .rrd for the Rerun viewer: images, masks, meshes, camera and joints on a timeline. Needs rerun-sdk (pip
         install '.[viewer]').
     evidence
-        masks, images or both; by default the masks of frames that have one, and the images of the others.
+        masks or images; by default the masks of frames that have one, and the images of the others.
     first_mask
         Mask of the first frame, if that has none.
     prompts
@@ -154,7 +152,7 @@ def track(
         The video.
     calibration
         A session.json written by `calibrate` or by this command, or the folder that has one for each of several arms:
-        it is used instead of the keyframes' solution. With --causal its base, offsets and lag are the start.
+        it is used instead of the keyframes' solution. With --causal it is followed by from the first frame on.
     doubtful_session
         Use the session.json of --session even if it predicts frames badly that it has not seen.
     reading
@@ -171,8 +169,6 @@ def track(
         Print only the numbers of frames by status, as JSON, on stdout.
     """
     check_range("--every", every, 1, MOST_SKIPPED)
-    if smooth:
-        raise InputError("--smooth: expected no such option: by default, each result uses all frames; leave it out")
     if workers is not None:
         check_range("--workers", workers, 1, MOST_WORKERS)
     if not (math.isfinite(fps) and fps > 0):

@@ -88,7 +88,7 @@ class Source:
             return Source(_imported(path, out / _IMPORTED, camera, joints))
         if not path.is_dir():
             raise InputError(f"{path}: expected a session folder, a video or a ROS recording, got neither")
-        needed = evidence in ("images", "both") or not (path / "masks").is_dir()
+        needed = evidence == "images" or not (path / "masks").is_dir()
         video = own_video(path) if needed else None
         OwnFiles(path, follow_links).check_all([video])
         return Source(path, video)

@@ -71,7 +71,7 @@ class LiveSetup:
     def arm(self, own: ArmSetup, inputs: Inputs, connection: Connection, report: Report) -> LiveArm:
         """Return an arm that publishes on a connection."""
         solutions = None
-        if own.solver is not None and self.topics.masked and self.lag is None:
+        if own.solver is not None:
             solutions = LiveSolutions(own.solver, report, own.save, own.earlier, waits=self.waits)
 
         def make_tracker(rig: Rig) -> Tracker:
@@ -83,7 +83,6 @@ class LiveSetup:
                 self.config,
                 arm=own.kinematics,
                 lag=self.lag,
-                keyframes=solutions is not None,
                 earlier=earlier is not None,
                 sliced=True,
             )

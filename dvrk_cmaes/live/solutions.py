@@ -72,7 +72,7 @@ class LiveSolutions:
             return
         if asked is not self.tracker or not asked.use(solution):
             return
-        self.earlier = asked.calibration(0.0)
+        self.earlier = asked.calibration
         if self.earlier is not None:
             self._save(self.earlier)
 

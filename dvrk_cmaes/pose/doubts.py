@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,8 @@ In 17 followed recordings with known truth, frames that only the limits of conto
 accurate as others; so were those of four hard ones that only the overlap did.
 """
 
+TIPS_NOT_ACCURATE: Final = "tips not accurate"
+"""What the reason begins with for which the expected error of the tips is too large."""
 _CLEAR = 4.0  # standard deviations of a rotation
 _CERTAIN_MODE = 0.97  # probability of a mode that is not what makes the tips doubtful
 _MINOR = 0.15  # probability that may be missing from the modes found, before they are not named
@@ -147,8 +150,8 @@ def doubts_of_tips(expected: ExpectedError, trust: TrustConfig) -> list[str]:
     if probability >= trust.least_probability:
         return []
     return [
-        f"tips not accurate: their expected error is {error:.1f} mm, the probability that they are within {limit:g} mm "
-        f"{probability:.2f}"
+        f"{TIPS_NOT_ACCURATE}: their expected error is {error:.1f} mm, the probability that they are within {limit:g} "
+        f"mm {probability:.2f}"
     ]
 
 

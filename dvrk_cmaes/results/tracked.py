@@ -155,3 +155,8 @@ class TrackResult:
                 else {"base": encoded_fields(self.base, "keyframes", "solved", "tip_mm", "used")}
             ),
         }
+
+
+def without_pose(time: float, reason: str, *, searched: bool = False) -> TrackResult:
+    """Return the result of an image of a time, s, of whose pose nothing is known, for a reason."""
+    return TrackResult(time, "lost", (reason,), None, {}, None, None, None, searched=searched)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -42,14 +41,6 @@ BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
 
 _CONTINUED: Final = 6  # frames beyond the first or last readings, as far as these are taken to go on
-
-
-@dataclass(frozen=True, eq=False)
-class Beside:
-    """Fits of N frames by other evidence, and its weight beside the first one, at most 1."""
-
-    fits: Sequence[FittedFrame | None]
-    weight: float
 
 
 def predict(
@@ -139,19 +130,19 @@ def follow_window(
     config: EstimateConfig,
     run: Run[Any, Any],
     source: str = "mask",
-    beside: Beside | None = None,
 ) -> list[TrackResult]:
     """Solve all frames as one window, judge their poses, and describe them, in order.
 
-    ``sparse`` is as of `predict`; ``source`` is what the evidence is taken from, for reasons. ``beside`` are fits of
-    the same frames by other evidence.
+    ``sparse`` is as of `predict`; ``source`` is what the evidence is taken from, for reasons.
     """
     camera, instrument, images = recorded.rig.views[0].camera, body.instrument, []
     for i, fitted in enumerate(fits):
         at, spread = predicted.at[i], predicted.spread[i]
-        told = Told.of(fitted, at, spread)
-        if beside is not None:
-            told = told.plus(Told.of(beside.fits[i], at, spread), beside.weight)
+        told = (
+            Told.of(None, at, spread, holds=False)
+            if fitted is None
+            else Told.of(fitted.fit, at, spread, inflation=fitted.inflation, holds=fitted.fit.explains_mask)
+        )
         images.append(WindowImage(float(recorded.times[i]), at, predicted.prior[i], predicted.jacobian[i], told))
     found = solve_window(images, session, camera, instrument)
     shown = [(fitted, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
@@ -170,13 +161,14 @@ def follow_window(
                 status,
                 reasons,
                 found[i],
-                quality,
+                None if quality is None else quality.error,
                 predicted,
                 i,
                 session,
                 instrument,
                 camera,
                 seconds=0.0 if fitted is None else fitted.seconds,
+                residual_px=None if quality is None else quality.residual_px,
                 remarks=recorded.rig.remarks,
             )
         )

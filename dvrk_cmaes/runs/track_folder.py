@@ -1,6 +1,6 @@
 """Following an instrument through a session folder: tracks.jsonl, tracks.csv, session.json, overlay video and page.
 
-The state of the tracker is saved from time to time, so that a run that was interrupted goes on with the same results.
+What an interrupted run has solved of a recording's keyframes is used again; frames are followed anew, from the first.
 """
 
 from __future__ import annotations
@@ -17,14 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.handles import not_written
-from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.output import appended, base, output, remove
-from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.report.track_page import PAGE, FollowedRecording
 from dvrk_cmaes.results.folder import MANIFEST, SESSION
@@ -32,7 +29,6 @@ from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.digests import frame_digests
-from dvrk_cmaes.runs.image_start import mirrored, starting_frame
 from dvrk_cmaes.runs.manifest import (
     Manifest,
     check_same_frames,
@@ -47,18 +43,14 @@ from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
-from dvrk_cmaes.runs.track_recorded import follow_recorded, why_causal
+from dvrk_cmaes.runs.track_recorded import follow_recorded, why_causal, with_lag
 from dvrk_cmaes.runs.worker import BatchSetup
-from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 
-CHECKPOINT: Final = "checkpoint.json"
 UNREAD: Final = "no readings: nothing tells the pose from its mirror twin"
 """Reason of every frame of an instrument with a mirror twin that is followed without any readings."""
-
-_SAVED_EVERY: Final = 100  # frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,25 +90,22 @@ class _Run:
         """Frames a second that are followed."""
         return 1 / (self.clock.interval * self.settings.every)
 
-    def followed(
-        self, tracker: Tracker, schedule: SolutionSchedule | None, *, done: int = 0
-    ) -> Iterator[tuple[FrameFiles, TrackResult]]:
-        """Follow the frames after the first ``done`` ones."""
+    def followed(self, tracker: Tracker, schedule: SolutionSchedule | None) -> Iterator[tuple[FrameFiles, TrackResult]]:
+        """Follow the frames."""
         with_images = self.settings.evidence != "masks"
         return followed(
             tracker,
             self.frames,
             self.clock,
             self.session.rig,
-            done=done,
             with_images=with_images,
             schedule=schedule,
         )
 
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
-        """Return the row of a frame in tracks.jsonl; without any readings, it is not ok."""
-        if not self.clock.readings and self.body.instrument.has_twin and result.status == "ok":
-            result = replace(result, status="doubtful", reasons=(UNREAD,))
+        """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
+        if not self.clock.readings and self.body.instrument.has_twin and result.status == "doubtful":
+            result = replace(result, reasons=(UNREAD, *result.reasons))
         return result.to_dict(files.name, timed=self.clock.unit == "s")
 
 
@@ -175,7 +164,7 @@ def track_folder(
         notice(f"warning: {text}")
     check_writable(out)
     with base(out), output(out, "track", replaces=not resume) as own:
-        own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION, CHECKPOINT))
+        own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION))
         manifest = _manifest(session, frames, body, settings)
         old = read_manifest(out)
         if old is not None and resume:
@@ -188,20 +177,18 @@ def track_folder(
             for name in (KEYFRAMES, KEYFRAMES_BY_IMAGES):
                 remove(out / name)
         followed = _finished(run) if kept else None
-        tracker = settings.tracker(session.rig, body)
-        rows = _restored(out, tracker, body.instrument.joint_names) if kept and followed is None else []
-        remove(out / SESSION)
+        for name in (SESSION, TABLE):
+            remove(out / name)
         write_manifest(out, manifest)
         followed = followed or _by_keyframes(run, notice)
         if followed is None:
-            rows = rows or _before_start(run, notice)
-            _forwards(run, tracker, rows)
-            calibration = tracker.calibration(clock.interval, clock.unit)
-            late = 0.0 if tracker.lag is None else tracker.lag.seconds
-        else:
-            rows, calibration = followed
-            lag = None if calibration is None else calibration.applied_lag
-            late = 0.0 if lag is None else lag.in_seconds(1 / clock.interval)
+            tracker = settings.tracker(session.rig, body)
+            rows = _forwards(run, tracker)
+            found = tracker.calibration
+            followed = rows, None if found is None else with_lag(found, settings.lag, clock)
+        rows, calibration = followed
+        lag = None if calibration is None else calibration.applied_lag
+        late = (settings.lag or 0.0) if lag is None else lag.in_seconds(1 / clock.interval)
         interrupted = len(rows) < len(frames)
         if calibration is not None:
             new = tuple(text for text in remarks if text not in calibration.remarks)
@@ -217,75 +204,38 @@ def track_folder(
     return TrackSummary(dict(counts), interrupted, calibration, run.frames_a_second, readings)
 
 
-def _before_start(run: _Run, notice: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Return the rows of the frames before the one from which a recording without masks is followed: backwards.
-
-    There are none with ``--causal``, nor where a mask or a prompt tells where the instrument is at first. Without a
-    given lag, which is negative on a clock that runs backwards, the readings are not used.
-    """
-    settings, rig = run.settings, run.session.rig
-    if settings.causal or settings.hints not in (None, Hints()):
-        return []
-    config, arm = replace(settings.config, threads=usable_cores()), settings.arm
-    start = starting_frame(run.frames, rig, run.body, arm, config, use_joints=settings.use_joints)
-    if start == 0:
-        return []
-    name = run.frames[start].name
-    notice(f"the images before frame {name} do not show the instrument clearly: followed from there in both directions")
-    read = settings.use_joints and settings.lag is not None
-    clock = mirrored(run.clock if read else replace(run.clock, readings=()))
-    lag = None if settings.lag is None else -settings.lag
-    tracker = replace(settings, lag=lag if read else None, use_joints=read).tracker(rig, run.body)
-    found = []
-    for files, result in followed(tracker, run.frames[start::-1], clock, rig, with_images=True):
-        if run.stopped:
-            return []
-        if not read and run.body.instrument.has_twin and result.status == "ok":
-            result = replace(result, status="doubtful", reasons=(UNREAD,))
-        found.append(run.row(files, replace(result, time=run.clock.times[files.name])))
-    return found[:0:-1]
-
-
-def _forwards(run: _Run, tracker: Tracker, rows: list[dict[str, Any]]) -> None:
-    """Follow the frames after those that have rows; add each row to them, and write it, when it is there.
-
-    The state is saved only where no keyframes are being solved and no image is being searched: an interrupted run does
-    that again.
-    """
-    kept, total = len(rows), len(run.frames)
-    run.progress(kept, total, None)
+def _forwards(run: _Run, tracker: Tracker) -> list[dict[str, Any]]:
+    """Follow the frames from image to image, and write the row of each when it is there; returns the rows."""
+    rows: list[dict[str, Any]] = []
+    total = len(run.frames)
+    run.progress(0, total, None)
     with ExitStack() as stack:
         schedule = None
         if run.settings.keeps_keyframes:
             threads = run.settings.workers or usable_cores()
             solver = stack.enter_context(SolverProcess(run.body.instrument, threads=threads))
             schedule = SolutionSchedule(tracker, solver)
-        append = stack.enter_context(_lines(run.out, rows))
-        saved = kept
-        for files, result in run.followed(tracker, schedule, done=kept):
+        append = stack.enter_context(_lines(run.out))
+        for files, result in run.followed(tracker, schedule):
             rows.append(run.row(files, result))
             append(rows[-1])
             run.progress(len(rows), total, result)
-            if len(rows) == total and schedule is not None and not run.stopped:
-                schedule.finish()
-            due = run.stopped or len(rows) - saved >= _SAVED_EVERY or len(rows) == total
-            busy = tracker.searching or (schedule is not None and schedule.waiting)
-            if due and not busy:
-                write_json(run.out / CHECKPOINT, {"frames": len(rows), "state": tracker.checkpoint()})
-                saved = len(rows)
             if run.stopped:
-                break
+                return rows
+        if schedule is not None:
+            schedule.finish()
+    return rows
 
 
 def _finished(run: _Run) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
-    """Return rows and calibration of a recording that was followed by its keyframes to the end; None otherwise."""
+    """Return rows and calibration of a recording that was followed to the end, as its table tells; None otherwise."""
     tracks, session = run.out / TRACKS, run.out / SESSION
-    if (run.out / CHECKPOINT).exists() or not (tracks.exists() and session.exists()):
+    if not ((run.out / TABLE).exists() and tracks.exists()):
         return None
     rows = read_tracks(tracks)
     if [row["frame"] for row in rows] != [files.name for files in run.frames]:
         return None
-    return rows, read_calibration(session)
+    return rows, read_calibration(session) if session.exists() else None
 
 
 def _by_keyframes(
@@ -306,7 +256,6 @@ def _by_keyframes(
             return [], None
         if not isinstance(done, str):
             rows = [run.row(files, result) for files, result in zip(run.frames, done.results, strict=True)]
-            remove(run.out / CHECKPOINT)
             write_text(run.out / TRACKS, "".join(line_of(row) for row in rows))
             run.progress(len(rows), len(rows), done.results[-1] if done.results else None)
             return rows, done.calibration
@@ -375,30 +324,12 @@ def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settin
     return manifest_of(setup, {files.name: frame_digests(files) for files in frames}) | {"track": followed}
 
 
-def _restored(out: Path, tracker: Tracker, joints: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the rows of an interrupted run that the saved state of its tracker belongs to, and restore that state."""
-    path = out / CHECKPOINT
-    if not path.exists() or not (out / TRACKS).exists():
-        return []
-    saved = read_json_object(path, expected="the state of a tracker (checkpoint.json)")
-    rows = read_tracks(out / TRACKS)
-    count = saved.get("frames")
-    if not isinstance(count, int) or not isinstance(saved.get("state"), dict) or not 0 <= count <= len(rows):
-        raise InputError(f"{path}: expected the state after a number of frames, got another: begin with --overwrite")
-    located = [row for row in rows if row["camera_from_root"] is not None]
-    strange = next((row["frame"] for row in located if {*row["joints"]} != {*joints}), None)
-    if strange is not None:
-        raise InputError(f"{out / TRACKS}: frame {shown(strange)}: expected the joints {', '.join(joints)}")
-    tracker.restore(saved["state"])
-    return rows[:count]
-
-
 @contextmanager
-def _lines(out: Path, kept: Sequence[dict[str, Any]]) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Open tracks.jsonl with the rows that are kept, and give a function that appends one."""
+def _lines(out: Path) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Begin tracks.jsonl, and give a function that appends a row."""
     path = out / TRACKS
     try:
-        with appended(path, "".join(line_of(row) for row in kept).encode()) as file:
+        with appended(path, b"") as file:
 
             def append(row: dict[str, Any]) -> None:
                 file.write(line_of(row).encode())

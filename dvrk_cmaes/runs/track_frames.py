@@ -56,8 +56,8 @@ class TrackSettings:
 
     @property
     def keeps_keyframes(self) -> bool:
-        """Whether a tracker solves keyframes beside its steps: by masks and readings whose lag is not given."""
-        return self.causal and self.evidence == "masks" and self.use_joints and self.outer_read and self.lag is None
+        """Whether a tracker's keyframes are solved beside its steps: there are readings that tell of a base."""
+        return self.use_joints and self.outer_read
 
     def tracker(self, rig: Rig, body: Body) -> Tracker:
         """Return a tracker with these settings."""
@@ -70,8 +70,7 @@ class TrackSettings:
             lag=self.lag,
             evidence=self.evidence,
             hints=self.hints,
-            keyframes=self.keeps_keyframes,
-            sliced=self.keeps_keyframes,
+            sliced=self.causal,
         )
 
 
@@ -90,9 +89,9 @@ def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Sessi
     parts = [(files, *files.others.values()) for files in session.frames]
     with_mask = [any(part.mask is not None for part in of_frame) for of_frame in parts]
     masked, shown = any(with_mask), any(part.has_image for of_frame in parts for part in of_frame)
-    if evidence in ("masks", "both") and not masked:
+    if evidence == "masks" and not masked:
         raise InputError(f"{session.folder}: --evidence {evidence}: expected masks of the frames, got none")
-    if evidence in ("images", "both") and not shown:
+    if evidence == "images" and not shown:
         raise InputError(f"{session.folder}: --evidence {evidence}: expected images or video.mp4, got neither")
     if evidence is None and all(with_mask):
         return session, "masks"
@@ -162,11 +161,10 @@ def followed(
     clock: TrackClock,
     rig: Rig,
     *,
-    done: int = 0,
     with_images: bool = False,
     schedule: SolutionSchedule | None = None,
 ) -> Iterator[tuple[FrameFiles, TrackResult]]:
-    """Follow the frames after the first ``done`` ones; readings are given to the tracker when their time has come.
+    """Follow the frames; readings are given to the tracker when their time has come.
 
     ``rig`` has the views of the frames; ``with_images`` tells to give the tracker the images of frames that have a
     mask, too. ``schedule`` has the tracker's keyframes solved beside the steps.
@@ -177,13 +175,11 @@ def followed(
         A file of a frame is wrong, or a mask is not of the camera's size.
     """
     fed = 0
-    for number, files in enumerate(frames):
+    for files in frames:
         time = clock.times[files.name]
         while fed < len(clock.readings) and clock.readings[fed][0] <= time + _SAME_TIME:
             tracker.add_readings(*clock.readings[fed])
             fed += 1
-        if number < done:
-            continue
         if files.problem is not None:
             raise InputError(files.problem)
         masks, images, ignored = {}, {}, {}

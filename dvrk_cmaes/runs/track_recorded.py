@@ -23,7 +23,7 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.processes import usable_cores
-from dvrk_cmaes.runs.recorded import Beside, fit_all, follow_window, predict
+from dvrk_cmaes.runs.recorded import fit_all, follow_window, predict
 from dvrk_cmaes.runs.recorded_images import ImageSolution, fit_images, solve_images
 from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
@@ -119,56 +119,31 @@ def follow_recorded(
             recorded, calibration = solved.recorded, solved.calibration
             notice(f"fitting {len(frames)} frames")
             predicted, sparse = predict(recorded, calibration, body.instrument.joint_names)
-            fits, beside = solved.fits(predicted, run)
-            results = follow_window(
-                recorded, calibration, predicted, sparse, fits, body, config, run, solved.source, beside
-            )
+            fits = solved.fits(predicted, run)
+            results = follow_window(recorded, calibration, predicted, sparse, fits, body, config, run, solved.source)
         except _StoppedError:
             return None
-    return RecordedTracks(results, _with_lag(calibration, settings.lag, clock))
+    return RecordedTracks(results, with_lag(calibration, settings.lag, clock))
 
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A recording's frames and their calibration; with ``colours``, masks are found in the images.
-
-    ``beside`` is the same recording by its other evidence, with a weight beside this one.
-    """
+    """A recording's frames and their calibration; with ``colours``, masks are found in the images."""
 
     recorded: RecordedFrames
     calibration: SessionCalibration
     colours: Mapping[str, ColourModel] | None = None
-    beside: _Solved | None = None
-    weight: float = 0.0
 
-    def fits(
-        self, predicted: Prediction, run: Callable[..., list[Any]]
-    ) -> tuple[list[FittedFrame | None], Beside | None]:
-        """Fit all frames to what the calibration predicts, by each evidence; of the first, a missing fit is filled."""
-        own = self._own_fits(predicted, self.calibration, run)
-        if self.beside is None:
-            return own, None
-        other = self.beside._own_fits(predicted, self.calibration, run)
-        filled = [second if first is None else first for first, second in zip(own, other, strict=True)]
-        others = [None if first is None else second for first, second in zip(own, other, strict=True)]
-        return filled, Beside(others, self.weight)
-
-    def _own_fits(
-        self, predicted: Prediction, calibration: SessionCalibration, run: Callable[..., list[Any]]
-    ) -> list[FittedFrame | None]:
+    def fits(self, predicted: Prediction, run: Callable[..., list[Any]]) -> list[FittedFrame | None]:
+        """Fit all frames to what the calibration predicts."""
         if self.colours is None:
-            return fit_all(self.recorded, calibration, predicted, run)
-        return fit_images(self.recorded, ImageSolution(calibration, self.colours), predicted, run)
+            return fit_all(self.recorded, self.calibration, predicted, run)
+        return fit_images(self.recorded, ImageSolution(self.calibration, self.colours), predicted, run)
 
     @property
     def source(self) -> str:
         """What the evidence is taken from, for reasons."""
-        return "mask" if self.colours is None and self.beside is None else "image"
-
-    @property
-    def contour(self) -> float:
-        """Median distance, px, of the contours of keyframes from the silhouettes that the others predict."""
-        return float(np.median([px for _, px in self.calibration.leave_one_out.values()]))
+        return "mask" if self.colours is None else "image"
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,25 +164,7 @@ class _Recording:
         """Solve the keyframes by the evidence that is used; a text says why that is not possible."""
         if self.settings.evidence == "masks":
             return self.by_masks()
-        return self.by_both() if self.settings.evidence == "both" else self.by_images(self.frames)
-
-    def by_both(self) -> _Solved | str:
-        """Solve the keyframes by masks and by images: that which predicts them better is used, the other one beside it.
-
-        The other one's weight is the square of the ratio of the distances of their contours from those predicted.
-        """
-        without = tuple(own.changed(mask=None) for own in self.frames)
-        masks, images = self.by_masks(), self.by_images(without)
-        if isinstance(masks, str):
-            return images
-        if isinstance(images, str):
-            self.notice(f"by masks alone: {images}")
-            return masks
-        first, second = (masks, images) if masks.contour <= images.contour else (images, masks)
-        weight = (first.contour / max(second.contour, 1e-9)) ** 2
-        names = ("masks", "images") if first is masks else ("images", "masks")
-        self.notice(f"{names[0]} predict keyframes better: weight of {names[1]} beside them {weight:.2f}")
-        return replace(first, beside=second, weight=weight)
+        return self.by_images()
 
     @property
     def config(self) -> EstimateConfig:
@@ -224,9 +181,9 @@ class _Recording:
             found = write_keyframes(path, found)
         return found if isinstance(found, str) else _Solved(recorded, found)
 
-    def by_images(self, frames: tuple[FrameFiles, ...]) -> _Solved | str:
+    def by_images(self) -> _Solved | str:
         """Return the same of frames without masks, with the colours of instrument and surroundings."""
-        recorded = RecordedFrames.of_readings(frames, self.rig, self.series, self.times)
+        recorded = RecordedFrames.of_readings(self.frames, self.rig, self.series, self.times)
         path = self.out / KEYFRAMES_BY_IMAGES
         given = self._given(recorded)
         if isinstance(given, str):
@@ -297,7 +254,7 @@ def _less_lag(
     return read, replace(series, frames={name: time - shift for name, time in series.frames.items()})
 
 
-def _with_lag(calibration: SessionCalibration, given: float | None, clock: TrackClock) -> SessionCalibration:
+def with_lag(calibration: SessionCalibration, given: float | None, clock: TrackClock) -> SessionCalibration:
     """Return a calibration with the lag that was given added to the one that it has found beside that."""
     if given is None:
         return calibration

@@ -145,7 +145,7 @@ def segment_by_model(
 
 
 def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: Camera) -> bool:
-    """Whether a mask (H, W) is like a candidate, or has straight sides as a shaft, which may be blurred in the image."""
+    """Whether a mask (H, W) is like a candidate, or has straight sides as a shaft, blurred or not."""
     shaft = body.instrument.shaft
     sides = None if shaft is None else pair_of_mask(mask, camera, shaft.radius)
     return sides is not None or any(_overlap(each, mask) > _ALIKE for each in candidates)

@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.track.lag import FoundLag
+
+
+@dataclass(frozen=True)
+class FoundLag:
+    """A lag and its standard deviation, s."""
+
+    seconds: float
+    std: float
 
 
 def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:

@@ -20,7 +20,6 @@ from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.window import covariance_of_margin, mean_of_tips_mm
 
 _KNOWN: Final = 2.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
-_OWN_ERROR: Final = 2.5  # factor on the errors of an image's own result, for those that the images near it share
 _AGREES: Final = 4.0  # largest squared misfit per parameter
 
 
@@ -36,9 +35,8 @@ def confirmed_by(
     """Return the result of an image with the error that is expected of it, if a calibration expects it there.
 
     ``reading`` is that of the time of the image less the calibration's lag, whose standard deviation is ``lag_std``, s.
-    The error of the result counts 2.5 times, since images near each other err alike, and that by the margin of the
-    masks is added, as far as the keyframes tell it. None if the calibration expects the instrument elsewhere, or too
-    little is known to say.
+    The error by the margin of the masks is added, as far as the keyframes tell it. None if the calibration expects the
+    instrument elsewhere, or too little is known to say.
     """
     if result.camera_from_root is None or result.covariance is None or not reading.has_outer or reading.still:
         return None
@@ -53,13 +51,13 @@ def confirmed_by(
     if float(apart @ np.linalg.solve(spread, apart)) > _AGREES * len(apart):
         return None
     camera = calibration.corrected(rig.views[0].camera)
-    covariance = _OWN_ERROR**2 * result.covariance + covariance_of_margin(at, calibration.masks, camera, instrument)
+    covariance = result.covariance + covariance_of_margin(at, calibration.masks, camera, instrument)
     error = expected_error(instrument, at, covariance)
     reasons = doubts_of_tips(error, config.trust)
     return replace(
         result,
-        status="doubtful" if reasons else result.status,
-        reasons=tuple(reasons) or result.reasons,
+        status="doubtful" if reasons else "ok",
+        reasons=tuple(reasons),
         covariance=covariance,
         tip_std_mm=mean_of_tips_mm(instrument, error),
     )

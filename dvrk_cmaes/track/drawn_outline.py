@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Posed, rotation_angle
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.track.clearance import Clearance
 
 Float64 = NDArray[np.float64]
@@ -26,13 +26,11 @@ class DrawnOutline:
 
     ``views`` are the indices of the views that were drawn, ``at`` where the instrument was then, in the reference
     camera. ``parts`` are the points of each of those views in which enough of the instrument is seen, at least one.
-    ``all_pixels`` (M, 2), by view, are all points of the outline, before some of them were chosen.
     """
 
     views: tuple[int, ...]
     at: Posed
     parts: Mapping[int, slice]
-    all_pixels: Mapping[int, Float64]
     link: NDArray[np.intp]
     points: Float64
     normals: Float64
@@ -44,10 +42,9 @@ class DrawnOutline:
         """Return the outlines that were ``drawn`` in single views as one; ``views`` are all that were to be drawn."""
         ends = list(accumulate((len(outline.points) for outline in drawn), initial=0))
         parts = {outline.views[0]: slice(*pair) for outline, pair in zip(drawn, pairwise(ends), strict=True)}
-        all_pixels = {view: pixels for outline in drawn for view, pixels in outline.all_pixels.items()}
         names = ("link", "points", "normals", "lengths", "pixels")
         arrays = (np.concatenate([getattr(outline, name) for outline in drawn]) for name in names)
-        return DrawnOutline(views, drawn[0].at, parts, all_pixels, *arrays)
+        return DrawnOutline(views, drawn[0].at, parts, *arrays)
 
     @cached_property
     def by_view(self) -> dict[int, DrawnOutline]:
@@ -57,7 +54,6 @@ class DrawnOutline:
                 self,
                 views=(view,),
                 parts={view: slice(None)},
-                all_pixels={view: self.all_pixels[view]},
                 link=self.link[part],
                 points=self.points[part],
                 normals=self.normals[part],
@@ -75,7 +71,3 @@ class DrawnOutline:
     def split(self, values: NDArray[Any]) -> dict[int, NDArray[Any]]:
         """Return values (N, ...) of the points by view."""
         return {view: values[part] for view, part in self.parts.items()}
-
-    def turned(self, now: Posed) -> float:
-        """Return the largest angle, rad, by which the root or a joint has turned since it was drawn."""
-        return max(float(rotation_angle(self.at.pose, now.pose)), float(np.abs(self.at.joints - now.joints).max()))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.session_masks import SessionMasks
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, View
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
@@ -35,7 +35,9 @@ _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from w
 _LARGEST_SPREAD, _SPREAD_OF_FIT = 12.0, 2.0  # px, of an outline that is expected, and of a fitted one
 _REACH = 0.015  # m from the root, of the outline whose place depends on angles
 _PREDICTED = 0.6  # intersection over union of a mask and a predicted silhouette, from which on colours are learned
-_UNSUPPORTED = 0.3  # share of the silhouette without the instrument's colours, from which on a pose is doubtful
+UNSUPPORTED = 0.3
+"""Share of the silhouette without the instrument's colours, from which on a pose is doubtful."""
+NO_COLOURS = "{share:.0f} % of the silhouette are without the instrument's colours"
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,7 @@ def around_task(body: Body, config: EstimateConfig, task: AroundTask) -> FrameDa
     data = with_outside(data)
     drawn = [silhouette_of(expected.mean, view, body) for view in data.views]
     found, unsupported = _masked(data, drawn, task.colours, _spread(expected, data.camera))
-    return found if unsupported < _UNSUPPORTED else None
+    return found if unsupported < UNSUPPORTED else None
 
 
 def _fit_by_images(
@@ -144,8 +146,8 @@ def _fit_by_images(
         if settled:
             break
     assert fitted is not None
-    doubts = (f"{100 * unsupported:.0f} % of the silhouette are without the instrument's colours",)
-    return replace(fitted, seconds=seconds, doubts=doubts if unsupported > _UNSUPPORTED else ())
+    doubts = (NO_COLOURS.format(share=100 * unsupported),)
+    return replace(fitted, seconds=seconds, doubts=doubts if unsupported > UNSUPPORTED else ())
 
 
 def _given(data: FrameData) -> FrameData:
@@ -191,7 +193,7 @@ def _with_outside(view: SeenView) -> SeenView:
     return replace(view, ignore=outside if view.ignore is None else view.ignore | outside)
 
 
-def silhouette_of(at: Posed, view: SeenView, body: Body) -> Bool:
+def silhouette_of(at: Posed, view: View, body: Body) -> Bool:
     """Return the silhouette (H, W) in a view of an instrument that is given in the reference camera."""
     seen = at.seen_from(view.view_from_camera)
     return np.asarray(Renderer(body, view.camera, threads=1).masks(seen.pose[None], seen.joints[None])[0])

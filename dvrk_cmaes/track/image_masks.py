@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import cv2
 import numpy as np
@@ -42,7 +43,8 @@ _COLOURS_WEIGHT = 0.6  # of the log-odds of a pixel's colour: neighbours are ali
 _LEAST_ODDS = 0.2  # log-odds by colour, from which on a pixel has the instrument's colours
 _NOWHERE = 0.8  # share of the silhouette without these, from which on it shows nothing of the instrument
 _NOISE = 1.0  # px, standard deviation of the Gaussian that smooths these log-odds
-_PASSES = 2  # in each of which the local colours are those about the outline of the one before
+PASSES: Final = 2
+"""Passes in which a mask is found, where the silhouette is that of a prediction."""
 _REDUCED = 320  # px, longer side at which an image is segmented without a silhouette
 _GAP = 0.06  # of that side, between pieces of an instrument
 _LEAST_WITHIN = 0.5  # share of a piece of the mask that lies within the expected silhouette, with its band
@@ -81,7 +83,12 @@ def pooled_colours(models: Sequence[ColourModel]) -> ColourModel:
 
 
 def mask_around(
-    image: Image, silhouette: Bool, colours: ColourModel, outside: Bool | None = None, spread: float = 0.0
+    image: Image,
+    silhouette: Bool,
+    colours: ColourModel,
+    outside: Bool | None = None,
+    spread: float = 0.0,
+    passes: int = PASSES,
 ) -> FoundMask | None:
     """Find the mask of the instrument in an image around the silhouette that is expected.
 
@@ -97,6 +104,8 @@ def mask_around(
         (H, W), pixels that are not instrument, such as those outside the field of view.
     spread
         Standard deviation of the expected outline, px.
+    passes
+        How often the mask is found, each time by the local colours about the outline of the one before.
 
     Returns
     -------
@@ -108,7 +117,7 @@ def mask_around(
         return None
     longer = max(silhouette.shape)
     if longer > _FINEST:
-        return _in_reduced(image, silhouette, colours, outside, spread, _FINEST / longer)
+        return _in_reduced(image, silhouette, colours, outside, spread, _FINEST / longer, passes)
     band = _FREE_BAND + spread
     left, top, width, height = window_around(silhouette, round(band + _FAR) + _MARGIN)
     window = np.s_[top : top + height, left : left + width]
@@ -125,7 +134,7 @@ def mask_around(
     by_colour = _COLOURS_WEIGHT * cv2.GaussianBlur(of_pixels, (0, 0), _NOISE)
     guide = _guide(part)
     mask = expected
-    for _ in range(_PASSES):
+    for _ in range(passes):
         total = by_colour + prior + edge_log_odds(part, mask)
         mask = cut(np.asarray(total, np.float32), guide, background=never)
         if not mask.any() or mask.all():
@@ -173,7 +182,7 @@ def _within(mask: Bool, near: Bool) -> Bool:
 
 
 def _in_reduced(
-    image: Image, silhouette: Bool, colours: ColourModel, outside: Bool | None, spread: float, scale: float
+    image: Image, silhouette: Bool, colours: ColourModel, outside: Bool | None, spread: float, scale: float, passes: int
 ) -> FoundMask | None:
     """Find a mask in an image reduced by a scale, and return it at the original size."""
     height, width = silhouette.shape
@@ -184,7 +193,7 @@ def _in_reduced(
 
     reduced = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
     beside = None if outside is None else small(outside)
-    found = mask_around(reduced, small(silhouette), colours, beside, spread * scale)
+    found = mask_around(reduced, small(silhouette), colours, beside, spread * scale, passes)
     if found is None:
         return None
     mask = cv2.resize(found.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
@@ -200,7 +209,7 @@ def _guide(image: Image) -> Float32:
 
 def colours_document(colours: Mapping[str, ColourModel]) -> dict[str, dict[str, str]]:
     """Return the colours of views, by name, as plain values."""
-    return {name: model.checkpoint() for name, model in colours.items()}
+    return {name: model.as_text() for name, model in colours.items()}
 
 
 def read_colours(document: Mapping[str, Mapping[str, str]]) -> dict[str, ColourModel]:

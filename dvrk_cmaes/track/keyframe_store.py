@@ -6,10 +6,8 @@ one of the two that are nearest to each other is dropped, so that they stay spre
 
 from __future__ import annotations
 
-import zlib
-from base64 import b64decode, b64encode
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,10 +52,8 @@ class KeyframeStore:
         self._kept: list[Keyframe] = []
         self._places = np.zeros((0, len(self._names) + 1))
         self._shapes: list[MaskShape] = []
-        self._joint_names = joint_names
         self._rows = ReadingRows(joint_names)
         self._added = 0
-        self._known_until = -np.inf  # s, of the readings that were there when the store was restored
         self._last: float | None = None
         self._interval: list[float] = []
 
@@ -69,9 +65,7 @@ class KeyframeStore:
         self._kept, self._places = [], self._places[:0]
 
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
-        """Keep the readings of one time, s; after `restore`, those that were known then may be given again."""
-        if time <= self._known_until:
-            return
+        """Keep the readings of one time, s."""
         self._rows.add(time, joints)
         self._added += 1
         if self._added % _PRUNED_EVERY == 0:
@@ -86,6 +80,20 @@ class KeyframeStore:
         """Return the mask (H, W) of the first view that has one."""
         mask = next((masks[name] for name in self._rig.names if name in masks), None)
         return mask if mask is not None and mask.any() else None
+
+    def is_new(self, time: float, readings: Mapping[str, float]) -> bool:
+        """Whether an image of a time, s, with readings differs from all that are kept."""
+        if not set(OUTER_JOINTS) <= set(readings) or (self._kept and time - self._kept[-1].time < _LEAST_SECONDS):
+            return False
+        return (
+            float(np.linalg.norm(self._places - self._place(time, readings), axis=1).min(initial=np.inf))
+            >= _LEAST_APART
+        )
+
+    def _place(self, time: float, readings: Mapping[str, float]) -> Float64:
+        """Return where an image lies among others, in units of the distance between keyframes."""
+        values = np.array([readings.get(name, 0.0) for name in self._names])
+        return np.array([*(values / distance_units(self._names)), time / _SECONDS])
 
     def offer(
         self,
@@ -103,17 +111,13 @@ class KeyframeStore:
             self._interval = [*self._interval[-50:], time - self._last]
         self._last = time
         mask = self._first_of(masks)
-        if mask is None or not set(OUTER_JOINTS) <= set(readings):
+        if mask is None:
             return False
         self._shapes = [*self._shapes[-_SHAPES:], MaskShape.of(mask)]
-        if not well_in_view(self._shapes)[-1] or (self._kept and time - self._kept[-1].time < _LEAST_SECONDS):
+        if not well_in_view(self._shapes)[-1] or not self.is_new(time, readings):
             return False
-        units = distance_units(self._names)
-        values = np.array([readings.get(name, 0.0) for name in self._names])
-        place = np.array([*(values / units), time / _SECONDS])
+        place = self._place(time, readings)
         nearest = float(np.linalg.norm(self._places - place, axis=1).min(initial=np.inf))
-        if nearest < _LEAST_APART:
-            return False
         if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(nearest):
             return False
         self._kept.append(Keyframe(time, packed(masks), packed(ignored), dict(readings), dict(rates)))
@@ -155,37 +159,6 @@ class KeyframeStore:
         known_alone = {name: alone[name] for name in self.names if name in alone}
         return KeyframeProblem(tuple(self._kept), series, self._rig, arm, config, known_alone, base)
 
-    def checkpoint(self) -> dict[str, Any]:
-        """Return the state as plain values."""
-        return {
-            "keyframes": [
-                [one.time, _written(one.masks), _written(one.ignored), dict(one.readings), dict(one.rates)]
-                for one in self._kept
-            ],
-            "places": self._places.tolist(),
-            "taken": self.taken,
-            "shapes": [[shape.area, shape.on_border] for shape in self._shapes],
-            "rows": [[time, joints] for time, joints in self._rows.rows],
-            "last": self._last,
-            "interval": self._interval,
-        }
-
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
-        self._kept = [
-            Keyframe(float(time), _read(masks), _read(ignored), dict(readings), dict(rates))
-            for time, masks, ignored, readings, rates in saved["keyframes"]
-        ]
-        self._places = np.array(saved["places"], dtype=np.float64).reshape(len(self._kept), len(self._names) + 1)
-        self.taken = int(saved["taken"])
-        self._shapes = [MaskShape(float(area), float(share)) for area, share in saved["shapes"]]
-        self._rows = ReadingRows(self._joint_names)
-        for time, joints in saved["rows"]:
-            self._rows.add(time, joints)
-        self._known_until = max(self._rows.series.times, default=-np.inf)
-        self._last = None if saved["last"] is None else float(saved["last"])
-        self._interval = [float(value) for value in saved["interval"]]
-
     def _prune(self) -> None:
         """Drop old readings that are near no keyframe."""
         times = self._rows.series.times
@@ -193,13 +166,3 @@ class KeyframeStore:
         for keyframe in self._kept:
             kept |= np.abs(times - keyframe.time) < _AROUND
         self._rows.keep(kept)
-
-
-def _written(masks: Mapping[str, NDArray[np.uint8]]) -> dict[str, str]:
-    """Return packed bits by view as text."""
-    return {name: b64encode(zlib.compress(bits.tobytes())).decode("ascii") for name, bits in masks.items()}
-
-
-def _read(masks: Mapping[str, str]) -> dict[str, NDArray[np.uint8]]:
-    """Return packed bits by view of their text."""
-    return {name: np.frombuffer(zlib.decompress(b64decode(text)), np.uint8) for name, text in masks.items()}

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.pose.doubts import TIPS_NOT_ACCURATE
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.calibrated_following import CalibratedFollowing
-from dvrk_cmaes.track.calibration_lag import lag_and_std, lag_of
+from dvrk_cmaes.track.calibration_lag import FoundLag, lag_and_std, lag_of
 from dvrk_cmaes.track.confirmed_image import confirmed_by
+from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeStore
-from dvrk_cmaes.track.lag import FoundLag
 from dvrk_cmaes.track.prediction import calibration_covariance
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.sight import Seen, Sight
@@ -36,6 +33,7 @@ _RELIED_ON = 8  # keyframes of a solution, from which on its stated errors held;
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
 _NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 _LATELY = 0.5  # s, since an image from which fits by a new calibration start
+_SOON = 1.0  # s, since following by a calibration began
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
 
@@ -67,8 +65,9 @@ class KnownBase:
         self._bases = 0  # that were given up
         self._own = False  # whether the calibration is that of the keyframes
         self._agreeing: int | None = 0 if earlier else None  # images so far; None where none need to agree
-        self._following: CalibratedFollowing | None = None
+        self._following: Following | None = None
         self._confirms: SessionCalibration | None = None  # that does not tell the lag: images are not followed by it
+        self._began = 0.0  # s, the image from which the calibration has been followed by
         self._last: tuple[float, Posed] | None = None  # time, s, pose and joints of the last image that has some
         if calibration is not None:
             self._begin(calibration)
@@ -176,40 +175,42 @@ class KnownBase:
         return not same or float(np.trace(after[:3, :3])) < float(np.trace(before[:3, :3]))
 
     def _begin(self, calibration: SessionCalibration) -> None:
-        """Follow by a calibration, in the digits of its document, so that an interrupted run goes on alike."""
-        written = SessionCalibration.from_dict(calibration.to_dict())
-        _, std = lag_and_std(written, self._config.track.lag_std)
-        self._following = CalibratedFollowing(
-            self._rig, self._body, self._config, written, lag_std=std, uncertain=self._is_of_few
+        """Follow by a calibration."""
+        _, std = lag_and_std(calibration, self._config.track.lag_std)
+        self._following = Following(
+            self._rig, self._body, self._config, calibration, lag_std=std, uncertain=self._is_of_few
         )
 
-    def can_follow(self, time: float, readings: ReadingBuffer) -> bool:
-        """Whether there is a calibration, and the outer joints have been read at an image or are at a time, s."""
-        if self._following is None:
+    def can_follow(self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight) -> bool:
+        """Whether an image of a time, s, can be followed by a calibration.
+
+        There must be one, the outer joints must have been read at an image or be read now, and masks must be there, or
+        colours by which they are found.
+        """
+        if self._following is None or not sight.is_ready(seen):
             return False
         late = 0.0 if self.lag is None else self.lag.seconds
         return self._following.has_readings or readings.at(time - late).has_outer
 
-    def follow(
-        self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight, *, alone: bool = False
-    ) -> TrackResult:
+    def follow(self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight) -> TrackResult:
         """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more.
 
-        Fewer are enough for one of an earlier run and, where the instrument can be followed ``alone`` from where it was
-        lately, for one of few keyframes.
+        Fewer are enough for one of an earlier run and, soon after it was found, for one of few keyframes.
         """
         following, lag = self._following, self.lag
         assert following is not None
         late = 0.0 if lag is None else lag.seconds
-        if not following.begun and self._last is not None and time - self._last[0] <= _LATELY:
-            following.start_from(self._last[1], readings.at(self._last[0] - late))
-        in_view = self.store.shows_well(self._masks(seen))
-        result = following.follow(time, readings.at(time - late), seen, sight, in_view=in_view)
+        if not following.begun:
+            self._began = time
+            if self._last is not None and time - self._last[0] <= _LATELY:
+                following.start_from(self._last[1], readings.at(self._last[0] - late))
+        result = following.follow(time, readings.at(time - late), seen, sight, shows_well=self.store.shows_well)
         wrong = following.contradicted or (self._agreeing is not None and following.disagrees)
-        if wrong or (alone and self._is_of_few and following.explains_little):
+        soon = time - self._began <= _SOON
+        if wrong or (soon and self._is_of_few and following.explains_little):
             self._give_up()
             return replace(result, status="doubtful" if result.status == "ok" else result.status)
-        kept = self.offer(time, readings.at(time), seen, sight)
+        kept = self.offer(time, readings.at(time), seen, sight, following)
         if result.status == "ok" and self._agreeing is not None:
             self._agreeing += kept and following.misfit < _AGREES
             if self._agreeing >= _CONFIRMING:
@@ -253,82 +254,43 @@ class KnownBase:
             self.store.clear()
         self._own, self._agreeing, self._confirms = False, None, None
 
-    def offer(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight) -> bool:
+    def offer(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight, following: Following | None) -> bool:
         """Keep an image as a keyframe, if it is worth that; returns whether it is.
 
-        Where readings are too sparse for the motion, they do not tell what the image shows.
+        Where it has no masks, they are found about the pose to which it was followed, if that explains it. Where
+        readings are too sparse for the motion, they do not tell what the image shows.
         """
         names = (*OUTER_JOINTS, *self._body.instrument.joint_names)
-        masks = self._masks(seen)
-        if not masks or reading.still or (reading.sparse is not None and reading.sparse.reason):
+        if reading.still or (reading.sparse is not None and reading.sparse.reason):
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
         readings = {name: value for name, value in values if not np.isnan(value)}
         rates = dict(zip(names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=True))
-        return self.store.offer(time, masks, sight.ignored(seen), readings, rates)
-
-    def _masks(self, seen: Seen) -> dict[str, NDArray[np.bool_]]:
-        """Return the masks (H, W) of an image's clear views by name."""
-        return {self._rig.names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
+        masks = sight.given(seen)
+        if not masks and following is not None and following.explained and self.store.is_new(time, readings):
+            masks = following.masks_of(seen, sight)
+        return bool(masks) and self.store.offer(time, masks, sight.ignored(seen), readings, rates)
 
     def unconfirmed(self, result: TrackResult, readings: ReadingBuffer) -> TrackResult:
         """Return the result of an image that is not followed by a calibration, whether readings tell the base or not.
 
         It is ok only if a solution whose lag is not told expects it there.
         """
-        if result.status != "ok":
+        if result.status == "lost":
             return result
-        if self._confirms is not None:
+        only_tips = all(reason.startswith(TIPS_NOT_ACCURATE) for reason in result.reasons)
+        if only_tips and self._confirms is not None:
             late, std = lag_and_std(self._confirms, self._config.track.lag_std)
             reading = readings.at(result.time - late)
             instrument = self._body.instrument
             confirmed = confirmed_by(self._confirms, result, reading, std, self._rig, self._config, instrument)
-            if confirmed is not None:
+            if confirmed is not None and confirmed.status == "ok":
                 return confirmed
         if self.calibration is not None:
-            return replace(result, status="doubtful", reasons=("no readings of the outer joints so far",))
-        known = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
-        why = f" ({self._reason})" if self._reason else ""
-        far = f" ({self._how_far()})" if np.isfinite(self._known_mm) and not why else ""
-        reason = f"base not known yet: {len(self.store)} keyframes{known}{why}{far}"
-        return replace(result, status="doubtful", reasons=(reason,))
-
-    def checkpoint(self) -> dict[str, Any]:
-        """Return the state as plain values."""
-        last = self._last
-        return {
-            "store": self.store.checkpoint(),
-            "alone": {name: result.to_dict() for name, result in self._alone.items()},
-            "solved": self._solved,
-            "asked": self._asked,
-            "asked_taken": self._asked_taken,
-            "reason": self._reason,
-            "known_mm": self._known_mm if np.isfinite(self._known_mm) else None,
-            "bases": self._bases,
-            "own": self._own,
-            "agreeing": self._agreeing,
-            "confirms": None if self._confirms is None else self._confirms.to_dict(),
-            "last": None if last is None else [last[0], last[1].pose.tolist(), last[1].joints.tolist()],
-            "following": None if self._following is None else self._following.checkpoint(),
-        }
-
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from the values of `checkpoint`; KeyError, TypeError, ValueError if they are not those."""
-        self.store.restore(saved["store"])
-        self._alone = {name: Result.from_dict(document) for name, document in saved["alone"].items()}
-        self._solved, self._reason = int(saved["solved"]), str(saved["reason"])
-        self._asked, self._asked_taken = int(saved["asked"]), int(saved["asked_taken"])
-        self._known_mm = np.inf if saved["known_mm"] is None else float(saved["known_mm"])
-        self._bases, self._own = int(saved["bases"]), bool(saved["own"])
-        self._agreeing = None if saved["agreeing"] is None else int(saved["agreeing"])
-        self._following = None
-        if saved["following"] is not None:
-            self._begin(SessionCalibration.from_dict(saved["following"]["calibration"]))
-            assert self._following is not None
-            self._following.restore(saved["following"])
-        self._last = None
-        confirms = saved["confirms"]
-        self._confirms = None if confirms is None else SessionCalibration.from_dict(confirms)
-        if saved["last"] is not None:
-            seconds, pose, joints = saved["last"]
-            self._last = float(seconds), Posed(np.array(pose, dtype=np.float64), np.array(joints, dtype=np.float64))
+            reason = "no readings of the outer joints so far"
+        else:
+            known = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
+            why = f" ({self._reason})" if self._reason else ""
+            far = f" ({self._how_far()})" if np.isfinite(self._known_mm) and not why else ""
+            reason = f"base not known yet: {len(self.store)} keyframes{known}{why}{far}"
+        return replace(result, status="doubtful", reasons=(*result.reasons, reason))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.silhouette.moving_points import MovingPoints, moving_points, placed_points
+from dvrk_cmaes.silhouette.moving_points import MovingPoints, moving_points
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 
 Float64 = NDArray[np.float64]
@@ -56,34 +56,12 @@ class OutlineModel:
             views=(view,),
             at=at,
             parts={view: slice(None)},
-            all_pixels={view: pixels[inside]},
             link=outline.link[chosen].astype(np.intp),
             points=outline.points[chosen],
             normals=outline.normals[chosen] / length[:, None],
             lengths=length * every * float(scale.mean()),
             pixels=pixels[chosen],
         )
-
-    def draw_anew(
-        self, last: DrawnOutline | None, at: Posed, tolerance: float, views: tuple[int, ...]
-    ) -> DrawnOutline | None:
-        """Return the last outlines if root and joints have turned by at most ``tolerance`` rad since; else draw them.
-
-        Those of other views than ``views`` are drawn, too.
-        """
-        if last is not None and last.views == views and last.turned(at) <= tolerance:
-            return last
-        return self.draw(at, views)
-
-    def place(self, outline: DrawnOutline, at: Posed) -> Float64 | None:
-        """Project the points at a pose, (N, 2); None if one is not in front of its camera."""
-        pixels = []
-        for view, drawn in outline.by_view.items():
-            points = placed_points(self.instrument, drawn, self._seen(view, at))
-            if points[:, 2].min() < _NEAREST:
-                return None
-            pixels.append(self.rig.views[view].camera.project(points))
-        return np.concatenate(pixels)
 
     def move(self, outline: DrawnOutline, at: Posed) -> MovingPoints | None:
         """Project the points at a pose, and compute their motion; None if one of them is not in front of its camera.

@@ -18,26 +18,20 @@ from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, without_lasting
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
-from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.frames.seen_view import SeenView, shown_views
+from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import split_readings
-from dvrk_cmaes.pose.doubts import doubts_in_views
-from dvrk_cmaes.pose.expected_error import expected_error
-from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.track.recorded_frames import JudgedFrame
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.recorded_frames import starts_of, views_that_show
 
 Float64 = NDArray[np.float64]
 
-_LEAST_SHOWN = 40  # px of mask, from which on an image is fitted
-_ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
 LINES_PER_PIXEL: Final = 1
 """Lines of the image, for each row of pixels, by which silhouettes are drawn while a recording runs."""
 
@@ -75,11 +69,10 @@ def quick_fit(
     ``before`` (D,) is the deviation of the image before from its prediction, None without one; ``lengths`` are the
     correlation lengths, px, of its contours by view. ``masks`` states the margin that is taken off each view's mask.
     """
-    shown = shown_views(seen)
-    if max((int(np.count_nonzero(view.mask)) for view in shown), default=0) < _LEAST_SHOWN:
+    views = views_that_show(seen, body)
+    if not views:
         return None
     outline = replace(config.refine.outline, lines_per_pixel=LINES_PER_PIXEL, cauchy=config.session.cauchy)
-    views = [_frame_view(view, body) for view in shown]
     margins = margins_of(masks, [view.name for view in views])
     sized = [SizedView(view, blur=outline.blur, margin=margin) for view, margin in zip(views, margins, strict=True)]
     coverage = Coverage(sized, outline, correlations=[lengths.get(view.name, outline.correlation) for view in views])
@@ -97,28 +90,11 @@ def quick_fit(
     return QuickFit(tuple(views), found, own.lengths, own.noises[0].inflation)
 
 
-def judged(
-    views: Sequence[FrameView], at: Posed, covariance: Float64, body: Body, config: EstimateConfig
-) -> JudgedFrame:
-    """Measure how a pose with a covariance (D, D) explains the views' masks, and list the reasons to doubt it."""
-    qualities = [measure_overlap(view, at) for view in views]
-    error = expected_error(body.instrument, at, covariance)
-    doubts, remarks = doubts_in_views(at, views, qualities, error, config.trust, followed=True)
-    return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks), error)
-
-
-def _frame_view(view: SeenView, body: Body) -> FrameView:
-    """Gather the evidence of a view, and make its renderer."""
-    evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, features=False)
-    return FrameView(view.name, evidence, Renderer(body, evidence.camera, threads=1), view.view_from_camera)
-
-
 def _starts(expected: Expected, before: Float64 | None, outline: OutlineConfig) -> tuple[Posed, Steps]:
     """Return where a fit starts, and its steps."""
+    starts = starts_of(expected, before)
     if before is None:
-        return Posed.stacked([expected.mean]), Steps(_FOUND, outline.inner_steps, outline.tolerance, "long")
-    apart = float(np.sqrt(before @ expected.information @ before / len(before)))
-    near = expected.mean.moved(before)
-    if apart > _ANOTHER_START:
-        return Posed.stacked([near, expected.mean]), Steps(_FOLLOWED, _INNER, outline.tolerance, "long")
-    return Posed.stacked([near]), Steps(_FOLLOWED, _INNER, _SETTLED, "none", _LARGEST_CHANGE)
+        return Posed.stacked(starts), Steps(_FOUND, outline.inner_steps, outline.tolerance, "long")
+    if len(starts) > 1:
+        return Posed.stacked(starts), Steps(_FOLLOWED, _INNER, outline.tolerance, "long")
+    return Posed.stacked(starts), Steps(_FOLLOWED, _INNER, _SETTLED, "none", _LARGEST_CHANGE)

@@ -18,8 +18,9 @@ from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame, StoredView
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.seen_view import shown_views
+from dvrk_cmaes.frames.seen_view import SeenView, shown_views
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import doubts_in_views
@@ -69,6 +70,27 @@ class FittedFrame:
     doubts: tuple[str, ...] = ()
 
 
+def views_that_show(seen: Sequence[SeenView], body: Body) -> list[FrameView]:
+    """Return the views whose masks show the instrument, with evidence and renderer; none where they show too little."""
+    shown = shown_views(seen)
+    if max((int(np.count_nonzero(view.mask)) for view in shown), default=0) < _LEAST_SHOWN:
+        return []
+    views = []
+    for view in shown:
+        evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, features=False)
+        views.append(FrameView(view.name, evidence, Renderer(body, evidence.camera, threads=1), view.view_from_camera))
+    return views
+
+
+def starts_of(expected: Expected, before: Float64 | None) -> list[Posed]:
+    """Return where a fit starts, given the deviation (D,) of the frame before from its prediction."""
+    if before is None:
+        return [expected.mean]
+    near = expected.mean.moved(before)
+    apart = float(np.sqrt(before @ expected.information @ before / len(before)))
+    return [near, expected.mean] if apart > _ANOTHER_START else [near]
+
+
 def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[FittedFrame | None]:
     """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
 
@@ -96,19 +118,11 @@ def fit_followed(
     data, expected = frame.read(), frame.expected
     if data is None:
         return None
-    shown = shown_views(data.views)
-    if max((int(view.mask.sum()) for view in shown), default=0) < _LEAST_SHOWN:
+    views = views_that_show(data.views, body)
+    if not views:
         return None
-    views = []
-    for view in shown:
-        evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, features=False)
-        views.append(FrameView(view.name, evidence, Renderer(body, evidence.camera, threads=1), view.view_from_camera))
     limits = split_readings(body.instrument, {}, config)[0]
-    starts = [expected.mean]
-    if before is not None:
-        apart = float(np.sqrt(before @ expected.information @ before / len(before)))
-        near = expected.mean.moved(before)
-        starts = [near, expected.mean] if apart > _ANOTHER_START else [near]
+    starts = starts_of(expected, before)
     margins = margins_of(masks, [view.name for view in views])
     fit, own = fit_frame(views, limits, config, expected, starts, None, margins=margins, preset=FOLLOWED)
     stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
@@ -138,11 +152,22 @@ class JudgedFrame:
     remarks: tuple[str, ...]
     error: ExpectedError
 
+    @property
+    def residual_px(self) -> float:
+        """Standard deviation, px, of the contour's distances from the outline, by their median."""
+        return NORMAL_MEDIAN * self.quality.contour_px_median
+
 
 def judge_frame(body: Body, config: EstimateConfig, task: JudgeTask) -> JudgedFrame:
-    """Measure how a frame's pose explains the masks, and list the reasons to doubt it."""
-    views: Sequence[FrameView] = [view.restored(body) for view in task.stored.views]
-    qualities = [measure_overlap(view, task.at) for view in views]
-    error = expected_error(body.instrument, task.at, task.covariance)
-    doubts, remarks = doubts_in_views(task.at, views, qualities, error, config.trust, followed=True)
+    """Judge a frame's pose, as `judged` does."""
+    return judged([view.restored(body) for view in task.stored.views], task.at, task.covariance, body, config)
+
+
+def judged(
+    views: Sequence[FrameView], at: Posed, covariance: Float64, body: Body, config: EstimateConfig
+) -> JudgedFrame:
+    """Measure how a pose with a covariance (D, D) explains the views' masks, and list the reasons to doubt it."""
+    qualities = [measure_overlap(view, at) for view in views]
+    error = expected_error(body.instrument, at, covariance)
+    doubts, remarks = doubts_in_views(at, views, qualities, error, config.trust, followed=True)
     return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks), error)

@@ -1,4 +1,4 @@
-"""What a tracker sees of the images of a rig's views at one time: evidence, and masks to solve them by themselves."""
+"""What a tracker sees of the images of a rig's views at one time: masks that are given, or found in the images."""
 
 from __future__ import annotations
 
@@ -9,20 +9,23 @@ from typing import Any, Final, Literal, TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.camera import Rig, View
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.frames.field_of_view import outside_view
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.arguments import check_type, checked_mask
+from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Box, Hints
-from dvrk_cmaes.track.appearance import Appearance
-from dvrk_cmaes.track.drawn_outline import DrawnOutline
-from dvrk_cmaes.track.edges import OWN_VARIANCE
-from dvrk_cmaes.track.evidence import Evidence
-from dvrk_cmaes.track.image_evidence import ImageEvidence, learned
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.colour_edges import Appearance, EdgeFit, ImageEvidence, fit_edges, learned
+from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.image_frames import UNSUPPORTED, silhouette_of
+from dvrk_cmaes.track.image_masks import learned_colours, mask_around
 from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
-from dvrk_cmaes.track.mask_evidence import MaskEvidence
+from dvrk_cmaes.track.outline_model import OutlineModel
 
 A = TypeVar("A", bound=NDArray[Any])
 Float64 = NDArray[np.float64]
@@ -31,11 +34,11 @@ Masks = Mask | Mapping[str, Mask | None] | Sequence[Mask | None]
 """The mask (H, W) of a camera, or those of a rig's views: by name, or in the rig's order; None for a missing one."""
 Images = Image | Mapping[str, Image | None] | Sequence[Image | None]
 """The same of images (H, W, 3)."""
-EvidenceKind = Literal["masks", "images", "both"]
+EvidenceKind = Literal["masks", "images"]
 KINDS: Final[tuple[EvidenceKind, ...]] = get_args(EvidenceKind)
 
-_WORTH_RANGE = (0.05, 9.0)  # px^2, bounds of the variance of one kind of edges
 _MARGIN = 0.04  # of the image's width, around an expected silhouette
+_SPREAD_PX = 2.0  # standard deviation of an outline that the colours' edges tell
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +102,16 @@ class Seen:
         return replace(self, problems=tuple(problems))
 
 
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """How the instrument and its surroundings look in a view: colours on the whole, and along the outline."""
+
+    colours: ColourModel
+    along: Appearance
+
+
 class Sight:
-    """Turns the arrays of the views' images into evidence, and keeps how the instrument looks in them.
+    """Turns the arrays of the views' images into masks, and keeps how the instrument looks in them.
 
     ``kind`` is the evidence that is used; None for the mask of an image that has one, and else its colours. ``hints``
     state where the instrument is in the first image of the first view, if that is segmented.
@@ -111,15 +122,16 @@ class Sight:
         Another kind of evidence.
     """
 
-    def __init__(self, rig: Rig, config: TrackConfig, kind: EvidenceKind | None, hints: Hints | None) -> None:
+    def __init__(
+        self, rig: Rig, body: Body, config: TrackConfig, kind: EvidenceKind | None, hints: Hints | None
+    ) -> None:
         if kind is not None and kind not in KINDS:
             raise InputError(f"evidence: expected one of {', '.join(nearest_first(str(kind), KINDS))}, got {kind!r}")
-        self._names = rig.names
+        self._names, self._body = rig.names, body
         self._checks = [ImageCheck(view.camera, config.black_level) for view in rig.views]
-        self._appearances: list[Appearance | None] = [None] * len(rig.views)
+        self._looks: list[_Look | None] = [None] * len(rig.views)
+        self._outlines = OutlineModel(body, rig, config.points)
         self._colour_share = config.colour_share
-        self._reach = config.reach_px
-        self._worth = [(OWN_VARIANCE, OWN_VARIANCE)] * len(rig.views)
         self._kind = kind
         self._hints = hints or Hints()
 
@@ -161,28 +173,51 @@ class Sight:
             raise InputError(f"{name}: expected one by view ({', '.join(self._names)}), got {len(arrays)}")
         return arrays
 
-    def evidence(self, seen: Seen) -> Evidence | None:
-        """Return the evidence of the images; None without masks, if colours and masks are found in none of them.
+    def is_ready(self, seen: Seen) -> bool:
+        """Whether the images have masks, or show nothing, or masks can be found in them by colours that are known."""
+        if not seen.clear:
+            return True
+        return any(seen.masks[view] is not None or self._looks[view] is not None for view in seen.clear)
 
-        An image without mask or learned colours is segmented only where no other view tells anything.
+    def given(self, seen: Seen) -> dict[str, Mask]:
+        """Return the masks of the clear views by name, of those that are given and used."""
+        return {self._names[view]: mask for view in seen.clear if (mask := seen.masks[view]) is not None}
+
+    def fit(self, seen: Seen, start: Posed, expected: Expected, *, near: bool) -> EdgeFit | None:
+        """Fit a pose to the edges of the clear images, whose colours are known; None without any.
+
+        Where the start is not as ``near`` as an image before tells, or the edges there do not support the pose, they
+        are looked for farther away.
         """
-        ready = [view for view in seen.clear if self._is_ready(seen, view)]
-        of_views = {view: sources for view in ready or seen.clear if (sources := self._sources(seen, view))}
-        return Evidence(of_views, dict(enumerate(self._worth))) if of_views else None
+        images = {
+            view: ImageEvidence(image, look.along, seen.ignored[view])
+            for view in seen.clear
+            if (image := seen.images[view]) is not None and (look := self._looks[view]) is not None
+        }
+        if not images:
+            return None
+        found = fit_edges(self._outlines, images, start, expected, far=not near)
+        if near and (found is None or found.doubts):
+            far = fit_edges(self._outlines, images, start, expected, far=True)
+            if far is not None and (found is None or far.supported - far.beside > found.supported - found.beside):
+                return far
+        return found
 
-    def _is_ready(self, seen: Seen, view: int) -> bool:
-        """Whether a view's image has evidence without being segmented."""
-        return seen.masks[view] is not None or (seen.images[view] is not None and self._appearances[view] is not None)
-
-    def _sources(self, seen: Seen, view: int) -> tuple[MaskEvidence | ImageEvidence, ...]:
-        """Return the evidence of a view; none if it has no mask, and neither colours nor a mask are found in it."""
-        mask, image, ignored, known = seen.masks[view], seen.images[view], seen.ignored[view], self._appearances[view]
-        if mask is None and known is None:
-            mask = self._mask(seen, view, Hints(), hinted=False)
-        sources: list[MaskEvidence | ImageEvidence] = [] if mask is None else [MaskEvidence(mask, ignored)]
-        if image is not None and known is not None and (mask is None or self._kind == "both"):
-            sources.append(ImageEvidence(image, known, ignored))
-        return tuple(sources)
+    def masks_at(self, seen: Seen, views: Sequence[View], at: Posed) -> dict[str, Mask]:
+        """Find masks in the clear images about a pose that they support; those of views that show it without doubt."""
+        masks = {}
+        for view in seen.clear:
+            image, look, ignored = seen.images[view], self._looks[view], seen.ignored[view]
+            if image is None or look is None:
+                continue
+            outside = outside_view(image)
+            if ignored is not None:
+                outside = outside | ignored
+            silhouette = silhouette_of(at, views[view], self._body)
+            found = mask_around(image, silhouette, look.colours, outside, _SPREAD_PX, passes=1)
+            if found is not None and found.unsupported <= UNSUPPORTED:
+                masks[self._names[view]] = found.mask
+        return masks
 
     def _mask(self, seen: Seen, view: int, hints: Hints, *, hinted: bool) -> Mask | None:
         """Return the mask of a view, found by its colours if none was given; None if nothing is found, or a guess.
@@ -196,7 +231,7 @@ class Sight:
         sure = hinted or segmentation.confidence >= GUESS
         return segmentation.mask if segmentation.mask.any() and sure else None
 
-    def masks(self, seen: Seen, *, hinted: bool, around: Mapping[int, Box]) -> dict[str, Mask]:
+    def first_masks(self, seen: Seen, *, hinted: bool, around: Mapping[int, Box]) -> dict[str, Mask]:
         """Return the masks by name of the view: those given, or that of the first image in which one is found.
 
         If the images are ``hinted``, the hints hold for that of the first view. ``around``, by view, are boxes that
@@ -218,56 +253,30 @@ class Sight:
         """Return the ignored pixels by name of the view."""
         return {name: ignored for name, ignored in zip(self._names, seen.ignored, strict=True) if ignored is not None}
 
-    def learn(self, seen: Seen, outline: DrawnOutline, pixels: Float64, *, anew: bool) -> None:
-        """Learn how the instrument looks along an outline whose points are at ``pixels`` (N, 2) of their views.
-
-        ``anew`` forgets what was learned before.
-        """
-        now = outline.split(pixels)
-        for view, drawn in outline.by_view.items():
-            image, before = seen.images[view], self._appearances[view]
-            if image is not None:
-                latest = learned(image, now[view], drawn, seen.ignored[view])
-                mixed = latest if anew or before is None else before.mixed(latest, self._colour_share)
-                self._appearances[view] = mixed
-
-    def judge(self, evidence: Evidence, outline: DrawnOutline, pixels: Float64) -> None:
-        """Learn in views with two kinds of edges how far each lie from a predicted outline, at ``pixels`` (N, 2)."""
-        now, share = outline.split(pixels), self._colour_share
-        for view, drawn in outline.by_view.items():
-            sources = evidence.of_views[view]
-            if len(sources) < len(self._worth[view]):
+    def learn(self, seen: Seen, views: Sequence[View], at: Posed) -> None:
+        """Learn how the instrument, of a pose that is trusted, looks in the images."""
+        for view in seen.clear:
+            image, ignored, before = seen.images[view], seen.ignored[view], self._looks[view]
+            if image is None:
                 continue
-            latest = [source.distances(now[view], drawn, self._reach).robust_variance for source in sources]
-            mask, image = (
-                before if found is None else (1 - share) * before + share * float(np.clip(found, *_WORTH_RANGE))
-                for before, found in zip(self._worth[view], latest, strict=True)
-            )
-            self._worth[view] = (mask, image)
+            drawn = self._outlines.draw(at, (view,))
+            colours = learned_colours(image, silhouette_of(at, views[view], self._body), ignored)
+            if drawn is None or colours is None:
+                continue
+            look = _Look(colours, learned(image, drawn.pixels, drawn, ignored))
+            if before is not None:
+                share = self._colour_share
+                look = _Look(before.colours.mixed(look.colours, share), before.along.mixed(look.along, share))
+            self._looks[view] = look
 
-    def boxes_of(self, outline: DrawnOutline) -> dict[int, Box]:
-        """Return a box around the outline in each view with a margin."""
+    def boxes_around(self, at: Posed, views: Sequence[View]) -> dict[int, Box]:
+        """Return a box around the silhouette of a pose in each view that shows it, with a margin."""
         boxes = {}
-        for view, pixels in outline.all_pixels.items():
-            height, width = self._checks[view].size
-            margin, high = _MARGIN * width, np.array([width, height]) - 1
-            left, top = np.maximum(pixels.min(axis=0) - margin, 0).tolist()
-            right, bottom = np.minimum(pixels.max(axis=0) + margin, high).tolist()
-            boxes[view] = (left, top, right, bottom)
+        for number, view in enumerate(views):
+            rows, columns = np.nonzero(silhouette_of(at, view, self._body))
+            if len(rows):
+                height, width = self._checks[number].size
+                low = np.maximum(np.array([columns.min(), rows.min()]) - _MARGIN * width, 0)
+                high = np.minimum(np.array([columns.max(), rows.max()]) + _MARGIN * width, [width - 1, height - 1])
+                boxes[number] = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
         return boxes
-
-    def checkpoint(self) -> list[dict[str, Any]]:
-        """Return what is kept of the images of each view so far as plain values."""
-        return [
-            {"last": check.last, "appearance": None if known is None else known.checkpoint(), "worth": list(worth)}
-            for check, known, worth in zip(self._checks, self._appearances, self._worth, strict=True)
-        ]
-
-    def restore(self, saved: Sequence[Mapping[str, Any]]) -> None:
-        """Go on from the values of `checkpoint`; KeyError, TypeError or ValueError if they are not those."""
-        for view, (check, values) in enumerate(zip(self._checks, saved, strict=True)):
-            last, known = values["last"], values["appearance"]
-            check.last = None if last is None else int(last)
-            mask, image = (float(variance) for variance in values["worth"])
-            self._worth[view] = (mask, image)
-            self._appearances[view] = None if known is None else Appearance.restored(known)

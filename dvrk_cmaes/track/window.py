@@ -12,22 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import Posed, apply, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
+from dvrk_cmaes.track.colour_edges import EdgeFit
 from dvrk_cmaes.track.deviations import FrameDeviations
 from dvrk_cmaes.track.prediction import Prediction, calibration_covariance
-from dvrk_cmaes.track.quick_fit import QuickFit
-from dvrk_cmaes.track.recorded_frames import EMPTY, FittedFrame, JudgedFrame
+from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
 
 Float64 = NDArray[np.float64]
 
@@ -54,25 +54,24 @@ class Told:
     misfit: float
 
     @classmethod
-    def of(cls, fitted: FittedFrame | QuickFit | None, predicted: Posed, spread: Float64) -> Told:
-        """Weigh a fit by how it agrees with the prediction, whose covariance is ``spread`` (D, D)."""
+    def of(
+        cls, fit: FrameFit | EdgeFit | None, predicted: Posed, spread: Float64, *, inflation: float = 1.0, holds: bool
+    ) -> Told:
+        """Weigh a fit by how it agrees with the prediction, whose covariance is ``spread`` (D, D).
+
+        ``inflation`` is the factor by which the contour's roughness widens the covariance of the fit; one that does not
+        hold tells nothing.
+        """
         size = len(spread)
-        if fitted is None:
+        if fit is None:
             return cls(np.zeros((size, size)), np.zeros(size), 0.0)
-        fit, deviation = fitted.fit, fitted.fit.at.minus(predicted)
+        deviation = fit.at.minus(predicted)
         own = np.linalg.pinv(fit.information, rcond=1e-9, hermitian=True)
         least = deviation - own @ fit.slope
         misfit = float(least @ np.linalg.solve(spread + own, least)) / size
-        weight = float(robust_weights(np.array([misfit * size]), size)[0])
-        weight /= fitted.inflation * CORRELATED_FRAMES
-        if not fit.explains_mask:
-            weight = 0.0
+        weight = float(robust_weights(np.array([misfit * size]), size)[0]) if holds else 0.0
+        weight /= inflation * CORRELATED_FRAMES
         return cls(weight * fit.information, weight * (fit.information @ deviation - fit.slope), misfit)
-
-    def plus(self, other: Told, weight: float) -> Told:
-        """Return this with what other evidence of the same image tells, which has a weight."""
-        information, optimum = weight * other.information, weight * other.optimum
-        return Told(self.information + information, self.optimum + optimum, self.misfit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,23 +116,26 @@ def solve_window(
     return found
 
 
-def covariance_of_margin(at: Posed, masks: SessionMasks | None, camera: Camera, instrument: Instrument) -> Float64:
-    """Return the covariance (D, D) of a pose by a margin that all masks share: the tool seems nearer or farther.
+def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float64:
+    """Return the change (D,) of a pose, per px, by which an outline seems wider on every side: the tool is nearer.
 
     A shaft that looks wider by twice the margin is nearer in the same proportion.
     """
-    size = 6 + len(at.joints)
-    if instrument.shaft is None:
-        return np.zeros((size, size))
+    along = np.zeros(6 + len(at.joints))
+    if instrument.shaft is not None:
+        tips = apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
+        width = camera.fx * 2 * instrument.shaft.radius / float(np.linalg.norm(tips))
+        along[:3] = at.pose[:3, :3].T @ tips * 2 / width
+    return along
+
+
+def covariance_of_margin(at: Posed, masks: SessionMasks | None, camera: Camera, instrument: Instrument) -> Float64:
+    """Return the covariance (D, D) of a pose by a margin that all masks share: the tool seems nearer or farther."""
     margin = _MARGIN_PX**2
     if masks is not None:  # what was found but is not clear counts as one more standard deviation, at most
         left = min(abs(masks.margin_px - masks.taken_off), masks.std_margin_px)
         margin += masks.std_margin_px**2 + left**2
-    tips = apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
-    distance = float(np.linalg.norm(tips))
-    width = camera.fx * 2 * instrument.shaft.radius / distance
-    along = np.zeros(size)
-    along[:3] = at.pose[:3, :3].T @ tips * 2 / width
+    along = change_by_margin(at, camera, instrument)
     return np.asarray(margin * np.outer(along, along))
 
 
@@ -165,7 +167,7 @@ def result_of(
     status: TrackStatus,
     reasons: Sequence[str],
     found: tuple[Posed, Float64],
-    judged: JudgedFrame | None,
+    error: ExpectedError | None,
     predicted: Prediction,
     number: int,
     calibration: SessionCalibration,
@@ -173,18 +175,19 @@ def result_of(
     camera: Camera,
     *,
     seconds: float = 0.0,
+    residual_px: float | None = None,
     remarks: tuple[str, ...] = (),
 ) -> TrackResult:
     """Describe an image of the window; one for whose pose there is any reason to doubt it is not ok.
 
     Parameters
     ----------
-    time, status, reasons, seconds, remarks
+    time, status, reasons, seconds, residual_px, remarks
         As in `TrackResult`; the reasons are those of the status and any others.
     found
         Pose and joints, and their covariance (D, D).
-    judged
-        How the pose explains the image; None where it shows nothing.
+    error
+        The error that is expected of the pose, if that is known already.
     predicted, number
         What was expected of some images, and the number of this one among them.
     calibration
@@ -194,7 +197,7 @@ def result_of(
     """
     at, covariance = found
     tips, _ = locate_tips(instrument, camera, at)
-    error = expected_error(instrument, at, covariance) if judged is None else judged.error
+    error = expected_error(instrument, at, covariance) if error is None else error
     result = TrackResult(
         time=time,
         status="doubtful" if reasons and status == "ok" else status,
@@ -207,7 +210,7 @@ def result_of(
         camera_from_base=np.asarray(at.pose @ inverse(predicted.base_from_root[number])),
         offsets=predicted.offsets(number, at, instrument.joint_names),
         seconds=seconds,
-        residual_px=None if judged is None else NORMAL_MEDIAN * judged.quality.contour_px_median,
+        residual_px=residual_px,
         remarks=remarks,
     )
     return resting_on(result, calibration)

@@ -21,6 +21,8 @@ def main(folder: str) -> None:
         tracker.add_readings(files.time, files.readings)  # at any rate, also between the images
         mask = read_frame(files, session.camera).mask  # (H, W) bool
         pose = tracker.step(files.time, mask)
+        if tracker.solution_due:  # beside a running robot, by another process: tracker.problem() can be pickled
+            tracker.use(tracker.solve())
         if pose.status == "lost" or pose.tips is None:
             print(f"{files.name}: lost")
             continue

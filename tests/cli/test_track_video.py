@@ -81,7 +81,7 @@ def test_video_of_a_session_is_followed(
 ) -> None:
     rows = follow(capsys, session, tmp_path / "out", "--first-mask", session / "first.png")
     assert [row["frame"] for row in rows] == [f"{k:04d}" for k in range(FRAMES)]
-    assert rows[-1]["status"] == "ok"
+    assert rows[-1]["status"] == "doubtful"  # of so few frames, nothing tells the base
     assert max(error_mm(world, row, k) for k, row in enumerate(rows)) < 2
     film = cv2.VideoCapture(str(tmp_path / "out" / "tracks.mp4"))
     assert film.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
@@ -168,12 +168,10 @@ def test_masks_count_where_there_are_any(
     shutil.copytree(session, tmp_path / "masked")
     for k in range(FRAMES):
         write_image(tmp_path / "masked" / "masks" / f"{k:04d}.png", world.masks[k])
-    for evidence in ((), ("--evidence", "both")):
-        out = tmp_path / f"out{len(evidence)}"
-        rows = follow(capsys, tmp_path / "masked", out, "--no-video", *evidence)
-        assert max(error_mm(world, row, k) for k, row in enumerate(rows)) < (1.2 if evidence else 1.0)
-        used = json.loads((out / "run.json").read_text(encoding="utf-8"))["track"]["evidence"]
-        assert used == (evidence[1] if evidence else "masks")
+    out = tmp_path / "out"
+    rows = follow(capsys, tmp_path / "masked", out, "--no-video")
+    assert max(error_mm(world, row, k) for k, row in enumerate(rows)) < 1.0
+    assert json.loads((out / "run.json").read_text(encoding="utf-8"))["track"]["evidence"] == "masks"
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -14,16 +15,19 @@ from helpers.batch_sessions import QUICK
 from helpers.commands import run_command
 from helpers.moving_worlds import SMALL, MovingWorld, moving_world
 
-from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.cli import main
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.arms_overlay import COLOURS
-from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.geometry import Posed, transform
+from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan
 from dvrk_cmaes.synth.truth import exact_mask
+from dvrk_cmaes.track.reading_buffer import ReadingBuffer
+from dvrk_cmaes.track.unknown_base import wide_calibration
 
 FRAMES = 6
 ARMS = {"PSM1": 3, "PSM2": 2}
@@ -91,7 +95,7 @@ def test_both_eyes_are_followed_and_shown(
 ) -> None:
     out = tmp_path / "out"
     ran = run_command(capsys, "track", stereo, "--out", out, "--lag", "0", "--config", quick)
-    assert ran.code == 0, ran.err
+    assert ran.code == 3, ran.err  # of so few frames, nothing tells the base
     rows = read_tracks(out / "tracks.jsonl")
     golden = json.loads((stereo / "golden.json").read_text(encoding="utf-8"))["frames"]
     true = np.array([golden[row["frame"]]["tips_camera_m"] for row in rows])
@@ -122,12 +126,10 @@ def test_every_arm_is_followed(two_arms: Path, tracks: Path, capsys: pytest.Capt
     for arm in ARMS:
         rows = read_tracks(tracks / arm / "tracks.jsonl")
         errors = np.linalg.norm(tips_of(rows) - [truth.tips for truth in world_of(arm).truths], axis=2).mean(axis=1)
-        ok = [row["status"] == "ok" for row in rows]
-        assert any(ok)
-        assert errors[ok].max() < 1.5e-3
-        assert read_calibration(tracks / arm / "session.json").lag is not None
+        assert errors.max() < 1.5e-3
+        assert {row["status"] for row in rows} == {"doubtful"}  # of so few frames, nothing tells the base
         assert {"tracks.csv", "tracks.mp4", "report.html"} <= {path.name for path in (tracks / arm).iterdir()}
-    assert ran.code in (0, 3)
+    assert ran.code == 3
 
 
 def test_arms_have_a_common_video_and_page(two_arms: Path, tracks: Path) -> None:
@@ -145,8 +147,18 @@ def test_arms_have_a_common_video_and_page(two_arms: Path, tracks: Path) -> None
 
 
 def test_base_of_an_arm_is_exported(tracks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ("--to", "tf", "--arm", "PSM2", "--out", tmp_path, "--json")
-    ran = run_command(capsys, "export", tracks, *arguments)
+    shutil.copytree(tracks, tmp_path / "tracks")
+    world = world_of("PSM2")
+    truth, names = world.truths[0], world.body.instrument.joint_names
+    readings = ReadingBuffer(names, 0.2, 1.0)
+    readings.add(0.0, world.readings[0])
+    at = Posed(truth.camera_from_root, truth.values)
+    found = wide_calibration(
+        at, 1e-6 * np.eye(6 + len(names)), readings.at(0.0), world.body.instrument, "classic", EstimateConfig()
+    )
+    write_json(tmp_path / "tracks" / "PSM2" / "session.json", found.to_dict())
+    arguments = ("--to", "tf", "--arm", "PSM2", "--out", tmp_path / "tf", "--json")
+    ran = run_command(capsys, "export", tmp_path / "tracks", *arguments)
     assert ran.code == 0, ran.err
     written = json.loads(ran.out)["written"]
     assert "PSM2_base" in Path(written[0]).read_text(encoding="utf-8")

@@ -18,7 +18,6 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.output import output, write_bytes
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
@@ -138,23 +137,3 @@ def test_given_calibration_needs_images_only_for_colours(made: Recording, tracks
     assert follow(made[0], tmp_path, given) == [f"finding masks: {FRAMES} frames", f"fitting {FRAMES} frames"]
     pairs = zip(shown(tmp_path), shown(tracks), strict=True)
     assert all(np.allclose(own["tips"], other["tips"], atol=4e-4) for own, other in pairs)
-
-
-def test_images_count_more_than_masks_that_keyframes_predict_worse(
-    made: Recording, tracks: Path, tmp_path: Path
-) -> None:
-    masks, both = tmp_path / "masks", tmp_path / "both"
-    follow(made[0], masks, replace(SETTINGS, evidence="masks"))
-    document = read_json_object(masks / "run.json", expected="a run")
-    document["track"]["evidence"] = "both"
-    with output(both, "track"):
-        for kept in (masks / "keyframes.json", tracks / "keyframes_images.json"):
-            write_bytes(both / kept.name, kept.read_bytes())
-        write_json(both / "run.json", document)
-    said = follow(made[0], both, replace(SETTINGS, evidence="both"))
-    weight = next(text for text in said if "weight of masks beside them" in text)
-    assert weight.startswith("images predict keyframes better")
-    error = {
-        place: np.median([tip_error_mm(row, made[1][row["frame"]]) for row in shown(place)]) for place in (masks, both)
-    }
-    assert error[both] < error[masks]

@@ -1,4 +1,4 @@
-"""`track --causal`: keyframes are solved beside the following, and an interrupted run goes on with the same results."""
+"""`track --causal`: keyframes are solved beside the following, and an interrupted run is begun anew."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_solution_is_written_and_shown_on_the_page(tracks: Path) -> None:
     assert "from frame " in page
 
 
-def test_interrupted_run_goes_on_with_the_same_results(recording: Path, tracks: Path, tmp_path: Path) -> None:
+def test_interrupted_run_begins_anew_with_the_same_results(recording: Path, tracks: Path, tmp_path: Path) -> None:
     session, body, stop = read_session(recording), prepare("lnd"), threading.Event()
 
     def interrupt(done: int, total: int, result: object) -> None:

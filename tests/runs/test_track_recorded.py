@@ -157,7 +157,7 @@ def test_given_calibration_is_used_instead_of_keyframes(
     assert read_calibration(tmp_path / "session.json").status == "doubtful"
 
 
-@pytest.mark.parametrize("evidence", ["masks", "images", "both", None])
+@pytest.mark.parametrize("evidence", ["masks", "images", None])
 def test_recording_without_readings_is_followed_from_image_to_image(evidence: EvidenceKind | None) -> None:
     settings = replace(SETTINGS, evidence=evidence)
     assert why_causal(replace(settings, use_joints=False)) == "without readings"

@@ -87,6 +87,8 @@ def test_example_page_has_sentence_and_text_of_each_script() -> None:
         "Calibrate session",
         "Estimate frame",
         "Follow recording",
+        "Live launch",
+        "Sam2 mask node",
     ]
     assert all(path.read_text(encoding="utf-8") in page for path in paths)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 from dataclasses import replace
 
@@ -13,7 +12,6 @@ from helpers.moving_worlds import SMALL, MovingWorld, moving_world
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.results.tracked import TrackResult
@@ -39,7 +37,7 @@ def world() -> MovingWorld:
 @pytest.fixture(scope="module")
 def before(world: MovingWorld) -> tuple[Tracker, list[TrackResult]]:
     """A tracker that has followed until its keyframes are to be solved for the first time, and its results."""
-    tracker, results = Tracker(world.camera, world.body, config=CONFIG, keyframes=True), []
+    tracker, results = Tracker(world.camera, world.body, config=CONFIG), []
     for k in range(len(world.masks)):
         tracker.add_readings(world.time(k), world.readings[k])
         results.append(tracker.step(world.time(k), world.masks[k]))
@@ -63,7 +61,7 @@ def test_no_pose_is_ok_before_a_solution(before: tuple[Tracker, list[TrackResult
 @pytest.mark.parametrize("outer", ["never read", "read 2 s before the images", "standing still"])
 def test_no_pose_is_ok_before_the_base_is_known_whatever_is_read(world: MovingWorld, outer: str) -> None:
     """Each of these leaves the base unknown, and the images are followed by their masks and the wrist's readings."""
-    tracker = Tracker(world.camera, world.body, config=CONFIG, keyframes=True)
+    tracker = Tracker(world.camera, world.body, config=CONFIG)
     for k in range(-15, 0) if outer != "never read" else ():
         tracker.add_readings(world.time(k) - (2 if outer.startswith("read") else 0), world.readings[0])
     read = OUTER_JOINTS if outer == "standing still" else world.body.instrument.joint_names
@@ -78,7 +76,7 @@ def test_readings_that_are_too_sparse_for_the_motion_are_a_reason(
     world: MovingWorld, speed: int, *, sparse: bool
 ) -> None:
     """Every fourth image has readings, which come 50 ms late; the arm's own motion is slow, and a swing is added."""
-    tracker = Tracker(world.camera, world.body, config=CONFIG, keyframes=True)
+    tracker = Tracker(world.camera, world.body, config=CONFIG)
     results = []
     for k in range(24):
         if k % 4 == 0 and k:
@@ -95,7 +93,7 @@ def test_readings_that_are_too_sparse_for_the_motion_are_a_reason(
 @pytest.fixture(scope="module")
 def solved(world: MovingWorld) -> tuple[Tracker, dict[int, Solution], list[TrackResult]]:
     """A tracker that has used its solutions up to that of 12 keyframes, these, and the results until then."""
-    tracker, solutions, results = Tracker(world.camera, world.body, config=CONFIG, keyframes=True), {}, []
+    tracker, solutions, results = Tracker(world.camera, world.body, config=CONFIG), {}, []
     for k in range(len(world.masks)):
         results.append(step(tracker, world, k))
         if tracker.solution_due:
@@ -124,7 +122,6 @@ def test_images_are_not_followed_by_few_keyframes_that_do_not_tell_the_lag(
     assert all(result.base is not None and not result.base.used for result in results)
     before = [result for result in results if result.base is not None and result.base.solved < 8]
     assert all(result.status != "ok" for result in before)
-    assert min(result.tip_std_mm or 0 for result in by_eight) > 3 * (before[-1].tip_std_mm or np.inf)
 
 
 def test_image_is_not_confirmed_where_the_keyframes_expect_another_place(
@@ -176,26 +173,16 @@ def test_solution_is_followed_within_the_error_that_it_states(
     world: MovingWorld, solved: tuple[Tracker, dict[int, Solution], list[TrackResult]]
 ) -> None:
     tracker, _, results = solved
-    saved = json.loads(json.dumps(tracker.checkpoint()))
+    again = pickle.loads(pickle.dumps(tracker))
     later = range(len(results), len(results) + 5)
     followed = [step(tracker, world, k) for k in later]
     errors = [world.error_mm(k, result) for k, result in zip(later, followed, strict=True)]
     assert max(errors) < 1.0
     assert all(error < 2 * (result.tip_std_mm or 0) for error, result in zip(errors, followed, strict=True))
     assert {result.status for result in followed} == {"ok"}
-
-    again = Tracker(world.camera, world.body, config=CONFIG, keyframes=True)
-    for k in range(len(results)):
-        again.add_readings(world.time(k), world.readings[k])
-    again.restore(saved)
     assert [step(again, world, k).to_dict("") | {"seconds": 0} for k in later] == [
         result.to_dict("") | {"seconds": 0} for result in followed
     ]
-
-
-def test_tracker_without_keyframes_has_nothing_to_solve(world: MovingWorld) -> None:
-    with pytest.raises(InputError, match="keyframes=True"):
-        Tracker(world.camera, world.body).solve()
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +195,7 @@ def calibration(before: tuple[Tracker, list[TrackResult]], world: MovingWorld) -
 def test_earlier_calibration_is_ok_only_after_images_that_differ_agree(
     world: MovingWorld, calibration: SessionCalibration
 ) -> None:
-    tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True, earlier=True)
+    tracker = Tracker(world.camera, world.body, calibration, CONFIG, earlier=True)
     results = world.follow(tracker)
     first = next(k for k, result in enumerate(results) if result.status == "ok")
     assert results[0].status == "doubtful"
@@ -219,7 +206,7 @@ def test_earlier_calibration_is_ok_only_after_images_that_differ_agree(
 
 def test_earlier_calibration_is_given_up_where_the_camera_was_moved(calibration: SessionCalibration) -> None:
     elsewhere = moving_world(right=0.012)
-    tracker = Tracker(elsewhere.camera, elsewhere.body, calibration, CONFIG, keyframes=True, earlier=True, sliced=True)
+    tracker = Tracker(elsewhere.camera, elsewhere.body, calibration, CONFIG, earlier=True, sliced=True)
     results = elsewhere.follow(tracker, frames=range(12))
     assert all(result.status != "ok" for result in results)
     assert tracker.base_state.startswith("calibrating: ")
@@ -229,7 +216,7 @@ def test_earlier_calibration_is_given_up_where_the_camera_was_moved(calibration:
 def test_images_that_show_little_of_the_instrument_do_not_tell_against_a_calibration(
     world: MovingWorld, calibration: SessionCalibration
 ) -> None:
-    tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True)
+    tracker = Tracker(world.camera, world.body, calibration, CONFIG)
     world.follow(tracker, frames=range(12))
 
     def sliver(k: int) -> np.ndarray:
@@ -248,7 +235,7 @@ def test_poses_by_a_doubtful_calibration_are_doubtful_for_its_reason(
     world: MovingWorld, calibration: SessionCalibration
 ) -> None:
     doubtful = replace(calibration, doubts=("the camera file is contradicted",), remarks=("lag: taken out",))
-    results = world.follow(Tracker(world.camera, world.body, doubtful, CONFIG, keyframes=True), frames=range(4))
+    results = world.follow(Tracker(world.camera, world.body, doubtful, CONFIG), frames=range(4))
     assert {result.status for result in results} == {"doubtful"}
     assert {result.reasons for result in results} == {("session: the camera file is contradicted",)}
     assert {result.remarks for result in results} == {("lag: taken out",)}
@@ -264,11 +251,11 @@ def test_solution_of_a_base_that_was_given_up_is_not_used(before: tuple[Tracker,
 def test_instrument_whose_readings_are_missing_is_followed_without_the_calibration(
     world: MovingWorld, calibration: SessionCalibration
 ) -> None:
-    tracker = Tracker(world.camera, world.body, calibration, CONFIG, keyframes=True, earlier=True)
+    tracker = Tracker(world.camera, world.body, calibration, CONFIG, earlier=True)
     wrist = [{name: world.readings[k][name] for name in world.body.instrument.joint_names} for k in range(4)]
     results = world.follow(tracker, frames=range(4), readings=lambda k: wrist[k])
     assert all(result.camera_from_root is not None for result in results)
-    assert {result.reasons for result in results} == {("no readings of the outer joints so far",)}
+    assert {result.reasons[-1] for result in results} == {"no readings of the outer joints so far"}
 
 
 def keep(known: KnownBase, count: int) -> None:
@@ -304,14 +291,3 @@ def test_camera_file_is_tested_once_as_many_keyframes_as_are_kept_were_solved(wo
     first = known.problem()
     known.use(failed(known))
     assert (first.config.session.test_camera, known.problem().config.session.test_camera) == (False, True)
-
-
-def test_state_of_the_keyframes_tells_how_many_of_them_are_new(world: MovingWorld) -> None:
-    first, second = (KnownBase(Rig.of(world.camera), world.body, "classic", CONFIG, None) for _ in range(2))
-    keep(first, MOST_KEYFRAMES)
-    first.use(failed(first))
-    keep(first, NEW_AT_MOST - 1)
-    second.restore(json.loads(json.dumps(first.checkpoint())))
-    assert (first.due, second.due) == (False, False)
-    keep(second, 1)
-    assert second.due

@@ -26,9 +26,11 @@ from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed, used_session
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track import Tracker
+from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 from measure.accuracy.figures import RIGHT_MODE_DEG, base_errors
 from measure.cases import Measurement
 from measure.recordings import Recording, read_recordings
+from measure.solver import SolverHere
 
 Float64 = NDArray[np.float64]
 
@@ -67,7 +69,9 @@ def follow(recording: Recording, body: Body, settings: TrackSettings, *, frames:
     chosen = session.frames[:: settings.every][:frames]
     clock = TrackClock.of(session, chosen, settings.frames_a_second, use_joints=settings.use_joints)
     tracker, results = settings.tracker(session.rig, body), []
-    for _, result in followed(tracker, chosen, clock, session.rig, with_images=settings.evidence != "masks"):
+    schedule = SolutionSchedule(tracker, SolverHere(body)) if settings.keeps_keyframes and clock.outer_read else None
+    shown = settings.evidence != "masks"
+    for _, result in followed(tracker, chosen, clock, session.rig, with_images=shown, schedule=schedule):
         results.append(result)
         if len(results) % _PROGRESS == 0:
             print(f"{recording.name}: {len(results)} of {len(chosen)} frames", file=sys.stderr, flush=True)

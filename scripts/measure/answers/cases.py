@@ -243,7 +243,7 @@ CASES: Final = (
         (
             ("synth", "made", "--motion", "video", "--frames", "15", "--stereo", "--seed", "2"),
             ("track", "made", "--out", "masks", "--evidence", "masks", *_PLAIN),
-            ("track", "made", "--out", "both", "--evidence", "both", *_PLAIN),
+            ("track", "made", "--out", "images", "--evidence", "images", *_PLAIN),
         ),
     ),
     Case(

@@ -14,26 +14,23 @@ import argparse
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, files_of_views, read_arrays
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.silhouette.sliced_call import counted_work
 from dvrk_cmaes.track import Tracker
-from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 from measure.accuracy.track import recordings_to_follow
 from measure.places import SHARED
 from measure.recordings import Recording
+from measure.solver import SolverHere
 from measure.tables import Report
 
 _SHARES: Final = {"median": 50.0, "95 %": 95.0, "99 %": 99.0, "99.9 %": 99.9, "worst": 100.0}
@@ -55,7 +52,7 @@ def steps_report(options: argparse.Namespace) -> Report:
     rows, slowest, every = [], [], list[_Step]()
     for folder in options.sessions:
         for recording, settings in recordings_to_follow(folder, body.instrument, asked):
-            solver = _Solver(body)
+            solver = SolverHere(body)
             runs = [_followed(recording, settings, solver, options.frames) for _ in range(max(options.repeats, 1))]
             steps = [min(same, key=lambda step: step.ms) for same in zip(*runs, strict=True)]
             rows.append({"session": recording.name, **_figures(steps)})
@@ -99,44 +96,7 @@ def _figures(steps: Sequence[_Step]) -> dict[str, Any]:
     return {"steps": len(steps), **shares, **most}
 
 
-@dataclass
-class _Solver:
-    """Solves keyframes at once, in this process; ``seconds`` is what that took of its time.
-
-    Problems that are posed again, when a recording is followed again, are not solved again.
-    """
-
-    body: Body
-    seconds: float = 0.0
-    _solutions: deque[Solution] = field(default_factory=deque)
-    _alone: dict[str, Result] = field(default_factory=dict)
-    _known: dict[tuple[str, ...], Solution] = field(default_factory=dict)
-
-    def begin(self, problem: KeyframeProblem) -> None:
-        """Solve a problem."""
-        began = time.process_time()
-        names = tuple(keyframe.name for keyframe in problem.keyframes)
-        if names not in self._known:
-            alone = {name: self._alone[name] for name in names if name in self._alone}
-            self._known[names] = replace(problem, alone={**alone, **problem.alone}).solve(self.body)
-            self._alone = dict(self._known[names].alone)
-        self._solutions.append(replace(self._known[names], base=problem.base))
-        self.seconds += time.process_time() - began
-
-    def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
-        """Do nothing: `begin` estimates the keyframes that it needs."""
-
-    @property
-    def ready(self) -> bool:
-        """Whether the next solution is there."""
-        return bool(self._solutions)
-
-    def solution(self) -> Solution:
-        """Return the next solution."""
-        return self._solutions.popleft()
-
-
-def _followed(recording: Recording, settings: TrackSettings, solver: _Solver, frames: int | None) -> list[_Step]:
+def _followed(recording: Recording, settings: TrackSettings, solver: SolverHere, frames: int | None) -> list[_Step]:
     """Follow a recording whose masks and images are read beforehand, and measure each step."""
     session = recording.session
     chosen = session.frames[:frames]
@@ -148,7 +108,7 @@ def _followed(recording: Recording, settings: TrackSettings, solver: _Solver, fr
         }
         for one in chosen
     ]
-    tracker = _tracker(session.rig, solver.body, settings)
+    tracker = Tracker(session.rig, solver.body, evidence=settings.evidence, sliced=True)
     schedule = SolutionSchedule(tracker, solver) if settings.keeps_keyframes else None
     readings, steps = deque(clock.readings), list[_Step]()
     for files, arrays in zip(chosen, read, strict=True):
@@ -171,10 +131,3 @@ def _followed(recording: Recording, settings: TrackSettings, solver: _Solver, fr
         calibrated = result.base is not None and result.base.used
         steps.append(_Step(files.name, 1e3 * used, drawings, rows, result.status, result.reasons, calibrated))
     return steps
-
-
-def _tracker(rig: Rig, body: Body, settings: TrackSettings) -> Tracker:
-    """Return a tracker none of whose steps is long."""
-    if settings.keeps_keyframes:
-        return settings.tracker(rig, body)
-    return Tracker(rig, body, evidence=settings.evidence, sliced=True)

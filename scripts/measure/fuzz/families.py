@@ -150,7 +150,6 @@ FAMILIES: tuple[Family, ...] = (
     ),
     Family("golden.json", "document", "session/golden.json", (["golden", "check", "session"],), False),
     Family("tracks", "text", "tracks/tracks.jsonl", (_TRACK,), refuses=False),
-    Family("checkpoint", "document", "tracks/checkpoint.json", (_TRACK,), refuses=False),
     Family("track's run.json", "document", "tracks/run.json", (_TRACK,), refuses=False),
     Family(
         "video",

@@ -1,4 +1,4 @@
-"""Colours of an image as evidence about the outline."""
+"""Edges that the colours of an image show, as a term of the pose."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from helpers.moving_worlds import SMALL
+from helpers.moving_worlds import SMALL, moving_world
 
-from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.track.appearance import Appearance
+from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE, Clearance
+from dvrk_cmaes.track.colour_edges import Appearance, ColourEdges, EdgeFit, ImageEvidence, fit_edges, learned
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.edge_model import REACH, EdgeModel, changes_along
-from dvrk_cmaes.track.evidence import Evidence
-from dvrk_cmaes.track.image_evidence import ImageEvidence, learned
-from dvrk_cmaes.track.mask_evidence import MaskEvidence
+from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.sight import Sight
 
 TOOL, TISSUE, UNKNOWN = (90, 88, 86), (60, 70, 170), (200, 40, 20)  # BGR
@@ -47,7 +48,7 @@ def outline_of(left: float, right: float) -> DrawnOutline:
     normals = np.repeat([[-1.0, 0.0], [1.0, 0.0]], 60, axis=0)
     zero = np.zeros(120, np.intp)
     at, points, lengths = Posed(np.eye(4), np.zeros(3)), np.zeros((120, 3)), np.ones(120)
-    return DrawnOutline((0,), at, {0: slice(None)}, {0: pixels}, zero, points, normals, lengths, pixels)
+    return DrawnOutline((0,), at, {0: slice(None)}, zero, points, normals, lengths, pixels)
 
 
 def model_of(left: float = 60, right: float = 100) -> Appearance:
@@ -97,9 +98,9 @@ def test_ignored_pixels_have_no_edges() -> None:
 def test_instrument_that_goes_on_beside_its_outline_is_unexplained() -> None:
     image, outline = bar(60, 100), outline_of(60, 80)
     evidence = ImageEvidence(image, model_of())
-    assert evidence.unexplained(outline.pixels, outline, 6) == pytest.approx(0.5, abs=0.02)
+    assert evidence.unexplained(outline.pixels, outline) == pytest.approx(0.5, abs=0.02)
     whole = outline_of(60, 100)
-    assert evidence.unexplained(whole.pixels, whole, 6) == 0.0
+    assert evidence.unexplained(whole.pixels, whole) == 0.0
 
 
 def test_lines_end_where_they_cross_the_outline_again() -> None:
@@ -108,18 +109,6 @@ def test_lines_end_where_they_cross_the_outline_again() -> None:
     assert np.allclose(clearance.inside, 6)
     assert np.allclose(clearance.outside, MOST_CLEARANCE)
     assert np.allclose(outline.clearance.at_scale(2).inside, 3)
-
-
-def test_mask_and_image_together_are_nearer_than_the_worse_of_them() -> None:
-    image, outline = bar(60, 100), outline_of(60, 100)
-    mask = np.zeros((HEIGHT, WIDTH), np.bool_)
-    mask[:, 60:103] = True  # three pixels too wide on the right
-    by_mask, by_image = MaskEvidence(mask), ImageEvidence(image, model_of())
-    found = Evidence({0: (by_mask, by_image)}).distances(outline.pixels, outline, 12.0)
-    alone = by_mask.distances(outline.pixels, outline, 12.0)
-    assert found.found.all()
-    assert np.abs(found.distance[60:]).max() < np.abs(alone.distance[60:]).min()
-    assert found.variance[60:].min() > found.variance[:60].max()
 
 
 SHADOW = (20, 23, 57)  # of the tissue
@@ -149,31 +138,6 @@ def test_change_of_a_shadow_is_another_one_than_that_to_the_instrument() -> None
     assert changes_along(brighter)[1, place] == to_tool
 
 
-def test_kind_whose_edges_lie_farther_from_the_poses_so_far_counts_less() -> None:
-    image, outline = bar(60, 100), outline_of(60, 100)
-    mask = np.zeros((HEIGHT, WIDTH), np.bool_)
-    for row in range(HEIGHT):  # a ragged mask, three pixels off on either side in turns of two rows
-        mask[row, 60 + 3 * (row // 2 % 2) : 101 + 3 * (row // 2 % 2)] = True
-    sight = Sight(Rig.of(Camera(WIDTH, HEIGHT, 100, 100, 80, 40)), TrackConfig(), "both", None)
-
-    def seen_now() -> Evidence:
-        evidence = sight.evidence(sight.look(mask, image, None))
-        assert evidence is not None
-        return evidence
-
-    def off() -> float:
-        return float(np.abs(seen_now().distances(outline.pixels, outline, 12.0).distance).max())
-
-    sight.learn(sight.look(mask, image, None), outline, outline.pixels, anew=True)
-    before = off()
-    for _ in range(30):
-        sight.judge(seen_now(), outline, outline.pixels)
-    assert off() < 0.5 * before
-    restored = Sight(Rig.of(Camera(WIDTH, HEIGHT, 100, 100, 80, 40)), TrackConfig(), "both", None)
-    restored.restore(sight.checkpoint())
-    assert restored.checkpoint() == sight.checkpoint()
-
-
 # the models of colours and changes
 
 
@@ -188,18 +152,91 @@ def test_mixing_changes_the_model_slowly() -> None:
     assert odds[0] <= 0 < odds[1] <= odds[2]
 
 
-def test_model_is_restored_from_its_checkpoint() -> None:
-    model = model_of()
-    restored = Appearance.restored(model.checkpoint())
-    assert np.array_equal(restored.colours.log_odds, model.colours.log_odds)
-    assert np.array_equal(restored.edges.log_odds, model.edges.log_odds)
+def test_colours_are_restored_from_their_document() -> None:
+    colours = model_of().colours
+    restored = ColourModel.restored(colours.as_text())
+    assert np.array_equal(restored.log_odds, colours.log_odds)
 
 
-def test_damaged_checkpoint_is_refused() -> None:
+def test_damaged_colours_are_refused() -> None:
     with pytest.raises(ValueError, match="expected"):
-        ColourModel.restored(model_of().colours.checkpoint() | {"inside": "AAAA"})
+        ColourModel.restored(model_of().colours.as_text() | {"inside": "AAAA"})
 
 
 def test_unknown_evidence_is_refused() -> None:
     with pytest.raises(InputError, match=r"evidence: expected one of .*images.*got 'image'"):
-        Sight(Rig.of(SMALL), TrackConfig(), "image", None)  # type: ignore[arg-type]
+        Sight(Rig.of(SMALL), prepare("lnd"), TrackConfig(), "image", None)  # type: ignore[arg-type]
+
+
+# the term, of a real outline
+
+
+@pytest.fixture(scope="module")
+def shown() -> tuple[OutlineModel, dict[int, ImageEvidence], Posed]:
+    """Give the outlines of an instrument, its image with colours that it was learned from, and its pose."""
+    world = moving_world(2)
+    truth = world.truths[0]
+    at = Posed(truth.camera_from_root, truth.values)
+    image = draw_image(world.camera, truth, np.random.default_rng(5))
+    model = OutlineModel(world.body, Rig.of(world.camera), TrackConfig().points)
+    drawn = model.draw(at, (0,))
+    assert drawn is not None
+    return model, {0: ImageEvidence(image, learned(image, drawn.pixels, drawn))}, at
+
+
+def fitted(shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed], change: np.ndarray, *, far: bool) -> EdgeFit:
+    """Fit the image from a pose that is changed by (9,), m and rad."""
+    model, images, at = shown
+    start = at.moved(change)
+    found = fit_edges(model, images, start, Expected(start, np.diag([1e2] * 3 + [5.0] * 6) ** 2), far=far)
+    assert found is not None
+    return found
+
+
+def test_slope_of_the_edges_is_the_difference_of_their_cost(
+    shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed],
+) -> None:
+    """The weights of edges that are found change with the pose, which the approximation leaves out."""
+    model, images, at = shown
+    off = at.moved(np.array([3e-4, 0, 0, 0, 0, 0, 0, 0, 0]))
+    drawn = model.draw(off, (0,))
+    assert drawn is not None
+    term = ColourEdges(model, drawn, images, 12.0, np.eye(9))
+    step = 2e-4 * np.eye(9)[0]
+    difference = float((term.cost(off.moved(step)[None]) - term.cost(off.moved(-step)[None]))[0]) / 4e-4
+    assert difference == pytest.approx(2 * float(term.local(off[None]).slope[0, 0]), rel=0.4)
+    assert difference > 0
+
+
+def pixels_off(shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed], at: Posed) -> float:
+    """Return how far the true outline moves across itself to another pose, px (median)."""
+    model, _, truth = shown
+    drawn = model.draw(truth, (0,))
+    assert drawn is not None
+    there, here = model.move(drawn, truth), model.move(drawn, at)
+    assert there is not None
+    assert here is not None
+    return float(np.median(np.abs(((there.pixels - here.pixels) * drawn.normals).sum(axis=1))))
+
+
+@pytest.mark.parametrize(("pixels", "far"), [(4, False), (30, True)])
+def test_pose_is_found_from_as_far_away_as_edges_are_looked_for(
+    shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed], pixels: float, *, far: bool
+) -> None:
+    depth = float(shown[2].pose[2, 3])
+    across = shown[2].pose[:3, :3].T @ [pixels * depth / 513, 0, 0]
+    change = np.array([*across, 0, 0, 0, 0, 0, 0])
+    assert pixels_off(shown, shown[2].moved(change)) > 0.4 * pixels
+    found = fitted(shown, change, far=far)
+    assert pixels_off(shown, found.at) < 0.6
+    assert found.holds
+    assert not found.doubts
+
+
+def test_pose_that_is_too_far_away_is_not_supported(
+    shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed],
+) -> None:
+    depth = float(shown[2].pose[2, 3])
+    across = shown[2].pose[:3, :3].T @ [60 * depth / 513, 0, 0]
+    found = fitted(shown, np.array([*across, 0, 0, 0, 0, 0, 0]), far=False)
+    assert found.doubts

@@ -1,4 +1,4 @@
-"""An image's colours as evidence about the outline, by lines across it.
+"""An image's colours as a term of the pose, by lines across the outline.
 
 On each line, every place of the edge explains the colours on either side with some probability: those of the instrument
 within, those of the surroundings without; and the change between them. The edge's distribution follows, and near its
@@ -7,22 +7,23 @@ mean the exact place, from the line's own colours on both sides.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.config import TrackConfig
-from dvrk_cmaes.silhouette.sliced_call import worked
-from dvrk_cmaes.track.appearance import Appearance
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.term import Quadratic, Term
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE
 from dvrk_cmaes.track.colour_model import ColourModel, bins_of
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.edge_model import REACH, EdgeModel, changes_along
-from dvrk_cmaes.track.edges import EdgeDistances, Pass
-from dvrk_cmaes.track.image_lines import pixels_along
+from dvrk_cmaes.track.outline_model import OutlineModel
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -31,8 +32,19 @@ Float32 = NDArray[np.float32]
 PARTS: Final = 2
 """Parts of the instrument whose colours are learned apart: the shaft, and what follows it."""
 
-_PASSES = ((1.0, 2), (0.5, 1))  # for each drawing, farthest distance as a share of the largest, and steps
-_WIDER = ((4.0, 2), (4.0, 2), (2.0, 2), (2.0, 2))  # the same before these, in a search around the prediction
+_NEAR = ((12.0, 2), (6.0, 1))
+"""For each drawing of the outline, the farthest distance of an edge, px, and the steps that are taken."""
+_FAR = ((48.0, 2), (48.0, 2), (24.0, 2), (24.0, 2), *_NEAR)
+_CORRELATION_PX = 8.0  # of edge that counts as one measurement
+_SIGMA_PX = 0.2  # standard deviation of an exact edge
+_OUTLIER = 2.0  # standard deviations, scale of the robust weight
+_UNSUPPORTED = 9.0  # squared standard deviations that a measurement counts whose edge is not found
+_STILL_PX = 0.05  # largest motion of an outline's point after which no further step is taken
+_SUPPORT_PX = 3.0  # distance within which an edge supports a point of the outline
+_BESIDE = 3  # px from the outline, beyond which the instrument's colours tell that it is elsewhere
+_CONVINCING, _MOST_BESIDE = 0.65, 0.2
+"""Share of the outline with such an edge, from which on a pose is not doubtful, and the most without outline."""
+_LEAST, _MOST = 0.35, 0.5  # the same of a pose that an image supports at all
 _FARTHEST = 12.0  # pixels of the image as it is sampled; to look farther, the image is reduced
 _DEPENDENT = 0.3  # weight of a pixel's log-odds: neighbours are alike
 _CHANGE_SCORE = 1.0 / _DEPENDENT  # weight of the log-odds of a change relative to those of a pixel
@@ -46,8 +58,37 @@ _WINDOW = 1  # px on either side of an edge within which its exact place is foun
 _LEAST_CONTRAST = 24.0  # difference of the colours of the sides, for the exact place
 _FINE_STD, _COARSE_STD = 0.8, 2.0  # px, of an edge's place where it is exact, and where it is not
 _BLUR = 1.2  # px from the outline, within which pixels have colours of both sides
-_WORK = 450  # pixel rows of silhouettes that take as long as the correction by the distances of an outline
-_BESIDE = 3  # px from the outline, beyond which the instrument's colours tell that it is elsewhere
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """Models of the colours and of the edges, of the same parts of the instrument."""
+
+    colours: ColourModel
+    edges: EdgeModel
+
+    def mixed(self, other: Appearance, share: float) -> Appearance:
+        """Return the appearance with a share of another one."""
+        return Appearance(self.colours.mixed(other.colours, share), self.edges.mixed(other.edges, share))
+
+
+def pixels_along(
+    image: NDArray[np.uint8], at: Float64, normals: Float64, along: Float32, seen: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Return the nearest pixels of an image (H, W, 3) on N lines, (N, K, 3), and whether they are in it, (N, K).
+
+    ``at`` (N, 2) are points of the lines, ``normals`` (N, 2) their directions, ``along`` (K,) px the distances from
+    those points. Pixels that are not ``seen`` (H, W) count as not in the image.
+    """
+    height, width = image.shape[:2]
+    begin, direction = (at + 0.5).astype(np.float32), normals.astype(np.float32)
+    u, v = (np.floor(begin[:, k, None] + direction[:, k, None] * along).astype(np.int32) for k in (0, 1))
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    index = v * width + u
+    index[~inside] = 0
+    if seen is not None:
+        inside &= seen.ravel().take(index)
+    return image.reshape(-1, 3).take(index, axis=0), inside
 
 
 def _parts_of(outline: DrawnOutline) -> NDArray[np.intp]:
@@ -75,26 +116,26 @@ class _Level:
         return _Level(small, there == 0)
 
 
+@dataclass(frozen=True, eq=False)
+class EdgeDistances:
+    """Distances (N,), px, by which outline points lie outside the edge that was found, and whether one was, (N,).
+
+    ``variance`` (N,), px^2, is that of the edge's place beyond that of all edges.
+    """
+
+    distance: Float64
+    found: Bool
+    variance: Float64
+
+
 class ImageEvidence:
     """The colours of an image (H, W, 3), BGR, given an appearance; ``ignore`` (H, W) are pixels without a say."""
 
-    def __init__(
-        self, image: NDArray[np.uint8], model: Appearance, ignore: Bool | None = None, *, wide: bool = False
-    ) -> None:
+    def __init__(self, image: NDArray[np.uint8], model: Appearance, ignore: Bool | None = None) -> None:
         self._image = np.ascontiguousarray(image)
         self._model = model
         self._ignore = ignore
-        self._wide = wide
         self._levels: dict[int, _Level] = {}
-
-    def passes(self, config: TrackConfig) -> tuple[Pass, ...]:
-        """Return passes with ever smaller distances."""
-        passes = (*_WIDER, *_PASSES) if self._wide else _PASSES
-        return tuple(Pass(share * config.reach_px, steps) for share, steps in passes)
-
-    def wider(self) -> ImageEvidence:
-        """Return the evidence that begins with edges far away, in the image reduced to a quarter, then to a half."""
-        return ImageEvidence(self._image, self._model, self._ignore, wide=True)
 
     def _level(self, scale: int) -> _Level:
         """Return the image reduced by a scale."""
@@ -104,7 +145,6 @@ class ImageEvidence:
 
     def distances(self, pixels: Float64, outline: DrawnOutline, reach: float) -> EdgeDistances:
         """Measure how far an outline's points, now at ``pixels`` (N, 2), lie outside the edge."""
-        worked(_WORK, drawn=False)
         scale = 1
         while reach > _FARTHEST * scale:
             scale *= 2
@@ -146,8 +186,8 @@ class ImageEvidence:
         variance = np.where(fine, _FINE_STD**2, variance + _COARSE_STD**2)
         return EdgeDistances(np.where(found, -mean, 0.0).astype(np.float64), found, variance.astype(np.float64))
 
-    def unexplained(self, pixels: Float64, outline: DrawnOutline, reach: int) -> float:
-        """Return the share of the outline beside which there are the instrument's colours."""
+    def unexplained(self, pixels: Float64, outline: DrawnOutline) -> float:
+        """Return the share of an outline beside which the instrument's colours go on; its points are at ``pixels``."""
         along = np.arange(_BESIDE, MOST_CLEARANCE + 1, dtype=np.float32)
         level = self._level(1)
         colours, valid = pixels_along(level.image, pixels, outline.normals, along, level.seen)
@@ -201,6 +241,162 @@ def _refined(image: NDArray[np.uint8], pixels: Float64, normals: Float64, place:
         fine &= contrast > _LEAST_CONTRAST**2
         place = np.where(fine, place + share.sum(axis=1) - (_WINDOW + 0.5), place)
     return place, fine
+
+
+class ColourEdges(Term):
+    """The distances of an outline, drawn once, from the edges that the colours of images show: a sum of squares.
+
+    Parameters
+    ----------
+    model
+        Draws outlines, and moves their points.
+    drawn
+        The outline.
+    images
+        The images, by index of the view.
+    reach
+        Farthest distance of an edge, px.
+    covariance
+        Covariance (D, D) of the pose, by which distances are expected that are not outliers.
+    """
+
+    def __init__(
+        self,
+        model: OutlineModel,
+        drawn: DrawnOutline,
+        images: Mapping[int, ImageEvidence],
+        reach: float,
+        covariance: Float64,
+    ) -> None:
+        self._model, self._drawn, self._images, self._reach = model, drawn, images, reach
+        self._covariance = covariance
+
+    def cost(self, at: Posed) -> Float64:
+        """Return the sum of squares (C,) of the edges that are found at C poses, with their weights there."""
+        costs = []
+        for k in range(len(at)):
+            _, distance, weights = self._measured(at[k])
+            costs.append(float(weights @ distance**2))
+        return np.array(costs)
+
+    def local(self, at: Posed) -> Quadratic:
+        """Return the approximation of half of it near C poses."""
+        parts = []
+        for k in range(len(at)):
+            jacobian, distance, weights = self._measured(at[k])
+            weighted = jacobian.T * weights
+            parts.append(Quadratic((weighted @ jacobian)[None], (weighted @ distance)[None]))
+        return Quadratic.joined(parts)
+
+    def fit(self, at: Posed, expected: Expected) -> EdgeFit | None:
+        """Measure how the images support a pose; None if it is behind the camera."""
+        moving, lengths = self._model.move(self._drawn, at), self._drawn.lengths
+        if moving is None:
+            return None
+        edges, near = self._edges(moving.pixels), self.local(at[None])
+        close = edges.found & (np.abs(edges.distance) < _SUPPORT_PX)
+        now, views = self._drawn.split(moving.pixels), self._drawn.by_view
+        beside = [self._images[view].unexplained(now[view], drawn) for view, drawn in views.items()]
+        sigma = NORMAL_MEDIAN * median(np.abs(edges.distance[close])) if close.any() else np.inf
+        score = 0.5 * float(self.cost(at[None])[0] + expected.cost(at[None])[0])
+        score += 0.5 * _UNSUPPORTED * float(lengths[~edges.found].sum()) / _CORRELATION_PX
+        supported = float(lengths[close].sum() / lengths.sum())
+        information, slope = near.information[0], near.slope[0]
+        return EdgeFit(at, information, slope, score, supported, float(np.mean(beside)), sigma)
+
+    def _measured(self, at: Posed) -> tuple[Float64, Float64, Float64]:
+        """Return the motion (N, D) of the outline's points at a pose, their distances (N,), px, and weights (N,)."""
+        moving, lengths = self._model.move(self._drawn, at), self._drawn.lengths
+        if moving is None:
+            return np.zeros((len(lengths), len(self._covariance))), np.zeros(len(lengths)), np.zeros(len(lengths))
+        edges = self._edges(moving.pixels)
+        expected = np.einsum("ni,ij,nj->n", moving.jacobian, self._covariance, moving.jacobian)
+        width = _OUTLIER**2 * (_SIGMA_PX**2 + np.minimum(expected, self._reach**2))
+        weights = lengths * edges.found / (_SIGMA_PX**2 + edges.variance)
+        weights /= _CORRELATION_PX * (1 + edges.distance**2 / width) ** 2
+        return moving.jacobian, edges.distance, weights
+
+    def _edges(self, pixels: Float64) -> EdgeDistances:
+        """Measure the distances of all points, at ``pixels`` (N, 2), in their views."""
+        now, views = self._drawn.split(pixels), self._drawn.by_view
+        parts = [self._images[view].distances(now[view], drawn, self._reach) for view, drawn in views.items()]
+        names = ("distance", "found", "variance")
+        return EdgeDistances(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeFit:
+    """The fit of a pose to the edges that the colours of images show.
+
+    ``information`` (D, D) and ``slope`` (D,) are those of the edges alone there, ``score`` half of all sums of squares.
+    ``supported`` is the share of the outline near which there is an edge, ``beside`` the share beside which the
+    instrument's colours go on; ``sigma`` px is the robust standard deviation of the supporting edges.
+    """
+
+    at: Posed
+    information: Float64
+    slope: Float64
+    score: float
+    supported: float
+    beside: float
+    sigma: float
+
+    def with_margin(self, along: Float64) -> EdgeFit:
+        """Return the fit without what all edges tell wrongly together; ``along`` (D,) is the pose's change by that."""
+        told = self.information @ along
+        share = told / (1 + along @ told)
+        information = self.information - np.outer(share, told)
+        return replace(self, information=information, slope=self.slope - share * float(along @ self.slope))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the images support the pose at all."""
+        return self.supported >= _LEAST and self.beside <= _MOST
+
+    @property
+    def doubts(self) -> list[str]:
+        """The reasons, in words, for which the pose does not fit its images well."""
+        found = []
+        if self.supported < _CONVINCING:
+            share = 100 * (1 - self.supported)
+            found.append(f"outline without edge: {share:.0f} % of it has no edge of the image near it")
+        if self.beside > _MOST_BESIDE:
+            share = 100 * self.beside
+            found.append(f"colours without outline: the instrument's go on beside {share:.0f} % of it")
+        return found
+
+
+def fit_edges(
+    model: OutlineModel, images: Mapping[int, ImageEvidence], start: Posed, expected: Expected, *, far: bool
+) -> EdgeFit | None:
+    """Fit a pose to the edges that the colours of images show; None if it has no outline in them.
+
+    Parameters
+    ----------
+    model, images
+        As of `ColourEdges`.
+    start
+        Where the fit starts.
+    expected
+        What is expected of the pose, which holds it where the edges tell nothing.
+    far
+        Whether edges are looked for far from the start.
+    """
+    at, covariance = start, np.asarray(np.linalg.inv(expected.information))
+    for reach, steps in _FAR if far else _NEAR:
+        drawn = model.draw(at, tuple(images))
+        if drawn is None:
+            return None
+        term = ColourEdges(model, drawn, images, reach, covariance)
+        for _ in range(steps):
+            edges, other = term.local(at[None]), expected.local(at[None])
+            near = edges + other
+            step = -np.linalg.solve(near.information[0], near.slope[0])
+            at, moving = at.moved(step), model.move(drawn, at)
+            if moving is None or float(np.abs(moving.jacobian @ step).max()) < _STILL_PX:
+                break
+        covariance = np.asarray(np.linalg.inv(near.information[0]))
+    return term.fit(at, expected)
 
 
 def learned(image: NDArray[np.uint8], pixels: Float64, outline: DrawnOutline, ignore: Bool | None = None) -> Appearance:

@@ -1,0 +1,353 @@
+"""Following while no calibration is known: by a wide one, made from a pose of an image that was searched.
+
+A pose tells the base of an arm whose readings are known, up to its own errors and the offsets of roll and joints. Where
+nothing is read, the arm is taken to stand still, and the base to walk at random. Each mode of the searched image is
+followed in a window of its own until one remains. No pose is ok, since nothing but the images tells the base.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.model import (
+    BASE_AXES,
+    OUTER_OFFSETS,
+    Calibration,
+    Deviations,
+    SessionModel,
+    offset_deviations,
+)
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig, TrustConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.tracked import TrackResult, without_pose
+from dvrk_cmaes.segment.segmentation import Box
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage
+from dvrk_cmaes.track.following import Following
+from dvrk_cmaes.track.images import Mask
+from dvrk_cmaes.track.prediction import Prediction
+from dvrk_cmaes.track.reading_buffer import ReadingAt
+from dvrk_cmaes.track.sight import Seen, Sight
+from dvrk_cmaes.track.window import CORRELATED_FRAMES
+
+Float64 = NDArray[np.float64]
+
+NOT_FOUND: Final = "not found: the first image could not be solved"
+STEP_OF_SEARCH: Final = 6000.0
+"""Pixel rows of silhouettes, or other work that takes as long, that a step does for a search; some 25 ms."""
+
+_MOST_IMAGES = 90  # that come during a search, after which it is given up
+_AT_ONCE = 4  # images that wait, at most, that are followed in one step
+_FIRST_WAIT, _MORE_WAIT = 3, 30  # images without support until the first search, and most between two of them
+_LEAST_GAP = 6.0  # of the negative log-likelihood, from which on a mode is dropped
+_CLEARLY = 3.0  # of the same, from which on another mode is believed
+_UNDECIDED = 30  # images, after which only the best mode is followed
+_USUAL_IOU = 0.85  # of a pose and its mask
+_LEAST_CHANCE = 1e-3  # of a mode that is followed
+_BASE_STD = (0.1, 1.0)  # m and rad, of a base of which nothing is known
+_OWN_ERROR = 2.0  # factor on the stated errors of a searched image, which is then followed itself
+_WALK = (0.02, 0.5, 1.0)  # m, rad about the root's x and y, about its z and of the joints, in a second without readings
+
+
+def wide_calibration(
+    at: Posed,
+    covariance: Float64,
+    reading: ReadingAt,
+    instrument: Instrument,
+    arm: Arm,
+    config: EstimateConfig,
+) -> SessionCalibration:
+    """Return the calibration that a pose with a covariance (D, D) makes of the readings at its time."""
+    names = instrument.joint_names
+    offsets = np.concatenate([[0.0, 0.0], at.joints - np.nan_to_num(reading.joints)])
+    spread = Deviations.of(config.session, names)
+    model = SessionModel(
+        reading.outer[None], reading.joints[None], names, spread, arm=arm, roll_offset=instrument.roll_offset
+    )
+    base = np.asarray(at.pose @ inverse(model.base_from_root(offsets)[0]))
+    jacobian = model.jacobian(Calibration(base, offsets))[0]
+    before = np.diag([_BASE_STD[0] ** 2] * 3 + [_BASE_STD[1] ** 2] * 3 + [*offset_deviations(config, names) ** 2])
+    gain = np.linalg.solve(jacobian @ before @ jacobian.T + covariance, jacobian @ before)
+    after = before - before @ jacobian.T @ gain
+    after = (after + after.T) / 2
+    outer = dict(zip(("yaw", "pitch", "insertion", "roll"), spread.outer.tolist(), strict=True))
+    joints = dict(zip(names, spread.joints.tolist(), strict=True))
+    slack = {"slack_translation": float(spread.slack[0]), "slack_rotation": float(spread.slack[3])}
+    return SessionCalibration(
+        instrument=instrument.name,
+        camera_from_base=base,
+        offsets=dict(zip((*OUTER_OFFSETS, *names), offsets.tolist(), strict=True)),
+        axes=(*BASE_AXES, *OUTER_OFFSETS, *names),
+        covariance=after,
+        covariance_given_camera=after,
+        spreads={**outer, **joints, **slack},
+        arm=arm,
+        roll_offset=instrument.roll_offset,
+        iou=_USUAL_IOU,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Image:
+    """An image, its time, s, and the readings then."""
+
+    time: float
+    reading: ReadingAt
+    seen: Seen
+
+
+@dataclass(eq=False)
+class _Search:
+    """The search of an image, in slices, and that image with all that have come since."""
+
+    call: SlicedCall[Result | None]
+    images: list[_Image]
+    first: bool
+
+    @property
+    def reason(self) -> str:
+        """What a step says that has no pose yet."""
+        return f"{self.call.stage or 'searching'}: the image of {self.images[0].time:.3f} s"
+
+
+@dataclass(eq=False)
+class _Mode:
+    """A pose that is followed: where it was at a time, s, and the sum of the negative log-likelihoods of its fits."""
+
+    time: float
+    at: Posed
+    covariance: Float64
+    cost: float
+    following: Following | None = None
+    reads: bool = False
+    """Whether readings of a moving arm have told how it moves since it was based on them."""
+
+
+@dataclass(eq=False)
+class UnknownBase:
+    """Searches for an instrument, and follows it while no calibration is known.
+
+    ``sliced`` tells whether a search goes on in the steps after its image.
+    """
+
+    rig: Rig
+    body: Body
+    arm: Arm
+    config: EstimateConfig
+    sight: Sight
+    sliced: bool
+    _modes: list[_Mode] = field(default_factory=list)
+    _search: _Search | None = None
+    _late: deque[_Image] = field(default_factory=deque)
+    _followed: int = 0
+    _unsupported: int = 0
+    _wait: int = _FIRST_WAIT
+
+    @property
+    def searching(self) -> bool:
+        """Whether work goes on in the next steps: an image is being searched, or images wait."""
+        return self._search is not None or bool(self._late)
+
+    @property
+    def following(self) -> Following | None:
+        """The window of the best mode, at the last image; None without one, or while images wait."""
+        return self._modes[0].following if self._modes and not self._late else None
+
+    def forget(self) -> None:
+        """Forget what was followed; the next image is searched."""
+        self._modes, self._search, self._late = [], None, deque()
+
+    def start(self, time: float, result: Result, seen: Seen | None = None, *, widened: float = 1.0) -> None:
+        """Follow the modes of a single frame's result from its time, s, on; colours are learned where it is seen.
+
+        ``widened`` is a factor on the standard deviations that the result states.
+        """
+        assert result.camera_from_root is not None
+        assert result.covariance is not None
+        names, others = self.body.instrument.joint_names, result.alternatives
+        poses = [(result.camera_from_root, result.joints), *((one.camera_from_root, one.joints) for one in others)]
+        modes = [Posed(pose, np.array([joints[name] for name in names])) for pose, joints in poses]
+        chance = 1.0 if result.mode_probability is None else result.mode_probability
+        chances = [chance, *[(1 - chance) / max(len(others), 1)] * len(others)]
+        costs = [-math.log(max(each, _LEAST_CHANCE)) for each in chances]
+        covariance = widened**2 * result.covariance
+        self.forget()
+        self._modes = [_Mode(time, at, covariance, cost) for at, cost in zip(modes, costs, strict=True)]
+        self._modes = self._modes[: self.config.track.modes]
+        self._followed = self._unsupported = 0
+        self._wait = _FIRST_WAIT
+        if seen is not None:
+            self.sight.learn(seen, self.rig.views, modes[0])
+
+    def step(
+        self, time: float, reading: ReadingAt, seen: Seen, calibration: SessionCalibration | None = None
+    ) -> TrackResult:
+        """Follow to the image of a later time, s, whose readings, less the lag, are ``reading``.
+
+        A ``calibration`` that cannot be used for want of colours tells where an image is searched.
+        """
+        image = _Image(time, reading, seen.copied() if self._search or self._late else seen)
+        if self._modes:
+            self._late.append(image)
+        elif self._search is None:
+            if seen.problem is not None:
+                return without_pose(time, seen.problem)
+            self._begin_search(image, calibration, first=True)
+        went_on = self._search
+        if went_on is not None:
+            self._go_on(went_on, image)
+        result: TrackResult | None = None
+        searched = went_on is not None or len(self._late) > 1
+        for _ in range(_AT_ONCE if self.sliced else len(self._late)):
+            if self._late:
+                result = self._follow(self._late.popleft(), calibration)
+        if not self._modes:
+            reason = NOT_FOUND if self._search is None else self._search.reason
+            return without_pose(time, reason, searched=True)
+        if result is None or self._late:
+            return without_pose(time, f"searching: {len(self._late)} images are followed to this one", searched=True)
+        return replace(result, searched=searched)
+
+    def _begin_search(self, image: _Image, calibration: SessionCalibration | None, *, first: bool) -> None:
+        """Begin to search an image."""
+        kept = replace(image, seen=image.seen.copied())
+        config = replace(self.config, threads=1) if self.sliced else self.config
+        around = {} if calibration is None else self._around(image.reading, calibration)
+        # nothing of this object, so that the thread of the call ends with it
+        search = partial(_solved, kept, self.rig, self.body, config, self.sight, around, calibration, first=first)
+        self._search = _Search(SlicedCall(search), [kept], first)
+
+    def _go_on(self, search: _Search, image: _Image) -> None:
+        """Go on with a search, and with the image that has come; follow what it finds from there on."""
+        if image.time > search.images[0].time:
+            search.images.append(image)
+        if not search.call.advance(STEP_OF_SEARCH if self.sliced else math.inf):
+            if len(search.images) > _MOST_IMAGES:
+                self._search = None
+            return
+        self._search, found, began = None, search.call.value(), search.images[0]
+        if found is None or found.camera_from_root is None or found.covariance is None:
+            return
+        if search.first or _explains(found, self.config.trust):
+            self.start(began.time, found, began.seen, widened=_OWN_ERROR)
+            self._late = deque(search.images)
+
+    def _around(self, reading: ReadingAt, calibration: SessionCalibration) -> dict[int, Box]:
+        """Return boxes, by view, around the instrument where readings and calibration make expect it."""
+        if not reading.has_outer:
+            return {}
+        names = self.body.instrument.joint_names
+        expected = Prediction.of(calibration, reading.outer[None], reading.joints[None], names)
+        return self.sight.boxes_around(expected.at[0], calibration.corrected_views(self.rig.views))
+
+    def _follow(self, image: _Image, calibration: SessionCalibration | None) -> TrackResult:
+        """Follow all modes to an image, and drop those that it makes improbable."""
+        results = [self._follow_mode(mode, image) for mode in self._modes]
+        self._followed += 1
+        pairs = sorted(zip(self._modes, results, strict=True), key=lambda pair: pair[0].cost)
+        best, lead = pairs[0][0].cost, self._modes[0].cost
+        if lead - best < _CLEARLY:
+            pairs = list(zip(self._modes, results, strict=True))
+        self._modes = [mode for mode, _ in pairs if mode.cost - best < _LEAST_GAP or mode is pairs[0][0]]
+        if self._followed >= _UNDECIDED:
+            del self._modes[1:]
+        result = pairs[0][1]
+        following = self._modes[0].following
+        assert following is not None
+        if not following.explained and image.seen.problem is None:
+            self._unsupported += 1
+            if self._unsupported >= self._wait and self._search is None:
+                self._wait = min(2 * self._wait, self._wait + _MORE_WAIT)
+                self._begin_search(image, calibration, first=False)
+        elif following.explained:
+            self._unsupported, self._wait = 0, _FIRST_WAIT
+        return result
+
+    def _follow_mode(self, mode: _Mode, image: _Image) -> TrackResult:
+        """Follow one mode to an image."""
+        reading, names = image.reading, self.body.instrument.joint_names
+        reads = reading.has_outer and not reading.still
+        used = reading if reads else _standing(reading, mode.at)
+        if mode.following is None or not (reads and mode.reads):
+            walked = mode.covariance + _walk(max(image.time - mode.time, 0.0), len(names))
+            wide = wide_calibration(mode.at, walked, used, self.body.instrument, self.arm, self.config)
+            lag_std = self.config.track.lag_std if reads else 0.0
+            mode.following = Following(self.rig, self.body, self.config, wide, lag_std=lag_std, uncertain=True)
+            mode.reads = reads
+        result = mode.following.follow(image.time, used, image.seen, self.sight)
+        assert result.camera_from_root is not None
+        assert result.covariance is not None
+        mode.time, mode.covariance = image.time, result.covariance
+        mode.at = Posed(result.camera_from_root, np.array([result.joints[name] for name in names]))
+        if math.isfinite(mode.following.score):
+            mode.cost += mode.following.score / CORRELATED_FRAMES
+        if reads:
+            return result
+        read = dict(zip(names, reading.joints.tolist(), strict=True))
+        offsets = {name: result.joints[name] - value for name, value in read.items() if not math.isnan(value)}
+        return replace(result, camera_from_base=None, offsets=offsets)
+
+
+def _solved(
+    image: _Image,
+    rig: Rig,
+    body: Body,
+    config: EstimateConfig,
+    sight: Sight,
+    around: Mapping[int, Box],
+    calibration: SessionCalibration | None,
+    *,
+    first: bool,
+) -> Result | None:
+    """Solve an image by itself; None if nothing is found in it, or its masks are nothing but instrument."""
+    outer = zip(OUTER_JOINTS, image.reading.outer.tolist(), strict=True)
+    joints = zip(body.instrument.joint_names, image.reading.joints.tolist(), strict=True)
+    readings = {name: value for name, value in (*outer, *joints) if not math.isnan(value)}
+    masks: Mapping[str, Mask] = sight.first_masks(image.seen, hinted=first, around=around)
+    if not masks:
+        return None
+    stage("")  # what is drawn for the search is not done in the step that found the masks
+    try:
+        return estimate(
+            masks, rig, readings, body, ignore=sight.ignored(image.seen), session=calibration, config=config
+        )
+    except InputError:
+        return None
+
+
+def _explains(result: Result, trust: TrustConfig) -> bool:
+    """Whether the pose of a single frame explains its mask, whatever the readings say."""
+    quality = result.quality
+    return (
+        quality is not None
+        and quality.iou >= trust.least_iou
+        and quality.distal_px <= trust.largest_distal_px
+        and quality.bend_px <= trust.largest_bend_px
+    )
+
+
+def _standing(reading: ReadingAt, at: Posed) -> ReadingAt:
+    """Return the readings of an arm that stands still, and of joints that are where they were if nothing reads them."""
+    joints = np.where(np.isnan(reading.joints), at.joints, reading.joints)
+    return ReadingAt(np.zeros(len(OUTER_JOINTS)), joints, np.zeros(len(OUTER_JOINTS)), np.zeros(len(joints)))
+
+
+def _walk(seconds: float, joints: int) -> Float64:
+    """Return the covariance (D, D) of how far an instrument may have moved in a time, s, that nothing reads."""
+    step = [_WALK[0]] * 3 + [_WALK[1]] * 2 + [_WALK[2]] * (1 + joints)
+    return np.diag(np.square(step) * seconds)
