@@ -186,9 +186,8 @@ class LiveLoop:
         for arm in sorted(self._arms, key=lambda arm: arm.stepped):
             steps = self._inputs.now() - began + arm.seconds
             if followed and steps > _BUDGET:
-                self._report(
-                    f"arms take turns: the steps of all take {1e3 * steps:.0f} ms, more than {1e3 * _BUDGET:.0f}"
-                )
+                took = f"{1e3 * steps:.0f} ms, more than {1e3 * _BUDGET:.0f}"
+                self._report(f"arms take turns: the steps of all take {took}")
                 continue
             done, anew = arm.follow(frame, arrays, age, silent)
             followed |= done
