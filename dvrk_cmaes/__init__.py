@@ -7,111 +7,51 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
     from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
-    from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, SessionFrame
-    from dvrk_cmaes.calibration.instrument_test import CandidateFit
-    from dvrk_cmaes.calibration.lag import LagCurve
-    from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
-    from dvrk_cmaes.calibration.session_cables import SessionCables
-    from dvrk_cmaes.calibration.session_camera import SessionCamera
-    from dvrk_cmaes.calibration.session_masks import SessionMasks
-    from dvrk_cmaes.calibration.session_rig import ViewRotation, ViewScale
+    from dvrk_cmaes.calibration.frame_task import SessionFrame
     from dvrk_cmaes.camera import Camera, Rig
     from dvrk_cmaes.camera.files import read_camera
-    from dvrk_cmaes.camera.view_document import ViewDocument
-    from dvrk_cmaes.config import (
-        EstimateConfig,
-        LookAtRange,
-        LossWeights,
-        OutlineConfig,
-        ReadingSigmas,
-        RefineConfig,
-        SearchConfig,
-        SessionConfig,
-        SilhouetteConfig,
-        TrackConfig,
-        TrustConfig,
-        __version__,
-    )
+    from dvrk_cmaes.config import EstimateConfig, __version__
     from dvrk_cmaes.errors import DvrkCmaesError, InputError
     from dvrk_cmaes.estimation import ToolInFrame, estimate, estimate_tools
     from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
     from dvrk_cmaes.frames.session_folder import Session, read_session
-    from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.instrument import Instrument, load_instrument
-    from dvrk_cmaes.instrument.model import JawTip, Link, Shaft
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.series import ReadingSeries
     from dvrk_cmaes.results.file import read_result
     from dvrk_cmaes.results.folder import ResultsFolder, read_results
-    from dvrk_cmaes.results.links import LinkModel
-    from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, Result, ViewCheck
-    from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
-    from dvrk_cmaes.segment.segmentation import Hints
+    from dvrk_cmaes.results.result import Result
+    from dvrk_cmaes.results.tracked import TrackResult
     from dvrk_cmaes.silhouette import Body, Renderer
     from dvrk_cmaes.silhouette.prepare import prepare
     from dvrk_cmaes.track import Tracker
-    from dvrk_cmaes.track.calibration_lag import FoundLag
-    from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, Solution
+    from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, Solution
 
 _HOMES = {
-    "Alternative": "results.result",
-    "BaseKnown": "results.tracked",
     "Body": "silhouette",
     "Camera": "camera",
     "DvrkCmaesError": "errors",
     "EstimateConfig": "config",
-    "ExpectedError": "results.result",
-    "FoundLag": "track.calibration_lag",
     "FrameData": "frames.frame",
     "FrameFiles": "frames.frame",
-    "Hints": "segment.segmentation",
     "InputError": "errors",
     "Instrument": "instrument",
-    "JawTip": "instrument.model",
     "Keyframe": "track.keyframe_problem",
     "KeyframeProblem": "track.keyframe_problem",
-    "KeyframeTask": "track.keyframe_problem",
     "Lag": "joints.lag",
-    "LagCurve": "calibration.lag",
-    "LeaveOneOutPrediction": "calibration.frame_task",
-    "Link": "instrument.model",
-    "LinkModel": "results.links",
-    "LookAtRange": "config",
-    "LossWeights": "config",
-    "MasksAgain": "calibration.masks_again",
-    "OutlineConfig": "config",
-    "PackedMask": "calibration.masks_again",
-    "Quality": "results.result",
     "ReadingSeries": "joints.series",
-    "ReadingSigmas": "config",
-    "RefineConfig": "config",
     "Renderer": "silhouette",
     "Result": "results.result",
     "ResultsFolder": "results.folder",
     "Rig": "camera",
-    "SearchConfig": "config",
     "Session": "frames.session_folder",
-    "SessionCables": "calibration.session_cables",
     "SessionCalibration": "calibration.document",
-    "CandidateFit": "calibration.instrument_test",
-    "SessionCamera": "calibration.session_camera",
-    "SessionConfig": "config",
     "SessionFrame": "calibration.frame_task",
-    "SessionMasks": "calibration.session_masks",
-    "SessionVideo": "frames.session_video",
-    "Shaft": "instrument.model",
-    "SilhouetteConfig": "config",
     "SolvedSession": "calibration.calibrate",
     "Solution": "track.keyframe_problem",
     "ToolInFrame": "estimation",
-    "TrackConfig": "config",
     "TrackResult": "results.tracked",
     "Tracker": "track",
-    "TrustConfig": "config",
-    "ViewCheck": "results.result",
-    "ViewDocument": "camera.view_document",
-    "ViewRotation": "calibration.session_rig",
-    "ViewScale": "calibration.session_rig",
     "__version__": "config",
     "calibrate_session": "calibration.calibrate",
     "estimate": "estimation",
@@ -125,67 +65,33 @@ _HOMES = {
     "read_results": "results.folder",
     "read_session": "frames.session_folder",
 }
-"""Module of each public name; a class in the signature of a public function or class is public."""
+"""Module of each public name."""
 
 __all__ = [
-    "Alternative",
-    "BaseKnown",
     "Body",
     "Camera",
-    "CandidateFit",
     "DvrkCmaesError",
     "EstimateConfig",
-    "ExpectedError",
-    "FoundLag",
     "FrameData",
     "FrameFiles",
-    "Hints",
     "InputError",
     "Instrument",
-    "JawTip",
     "Keyframe",
     "KeyframeProblem",
-    "KeyframeTask",
     "Lag",
-    "LagCurve",
-    "LeaveOneOutPrediction",
-    "Link",
-    "LinkModel",
-    "LookAtRange",
-    "LossWeights",
-    "MasksAgain",
-    "OutlineConfig",
-    "PackedMask",
-    "Quality",
     "ReadingSeries",
-    "ReadingSigmas",
-    "RefineConfig",
     "Renderer",
     "Result",
     "ResultsFolder",
     "Rig",
-    "SearchConfig",
     "Session",
-    "SessionCables",
     "SessionCalibration",
-    "SessionCamera",
-    "SessionConfig",
     "SessionFrame",
-    "SessionMasks",
-    "SessionVideo",
-    "Shaft",
-    "SilhouetteConfig",
     "Solution",
     "SolvedSession",
     "ToolInFrame",
-    "TrackConfig",
     "TrackResult",
     "Tracker",
-    "TrustConfig",
-    "ViewCheck",
-    "ViewDocument",
-    "ViewRotation",
-    "ViewScale",
     "__version__",
     "calibrate_session",
     "estimate",

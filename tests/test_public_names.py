@@ -1,4 +1,4 @@
-"""The names of `dvrk_cmaes`: they can be imported, and every class that users meet in a signature is among them."""
+"""The names of `dvrk_cmaes`: they can be imported, and what users have to make or get from a function is among them."""
 
 from __future__ import annotations
 
@@ -25,6 +25,10 @@ USED = (
 )
 """Classes whose objects users make or get, and look into."""
 DRAWN = (*USED, dvrk_cmaes.Renderer)
+MADE = [
+    kind.__init__ for kind in (dvrk_cmaes.SessionFrame, dvrk_cmaes.ToolInFrame, dvrk_cmaes.Tracker, dvrk_cmaes.Keyframe)
+]
+"""Constructors that users call."""
 
 
 def classes_in(annotation: Any) -> Iterator[type]:
@@ -52,13 +56,26 @@ def qualified_name(function: Callable[..., Any]) -> str:
     return function.__qualname__
 
 
-@pytest.mark.parametrize(
-    "function", [*FUNCTIONS, *(f for kind in USED for f in annotations_of(kind))], ids=qualified_name
-)
-def test_classes_of_signatures_are_public(function: Callable[..., Any]) -> None:
-    met = {kind for hint in get_type_hints(function, localns=PUBLIC).values() for kind in classes_in(hint)}
+def required_classes(function: Callable[..., Any]) -> set[type]:
+    """Give the package's own classes that a caller has to hand over."""
+    required = {
+        name for name, one in inspect.signature(function).parameters.items() if one.default is inspect.Parameter.empty
+    }
+    hints = get_type_hints(function, localns=PUBLIC)
+    return {kind for name, hint in hints.items() if name in required for kind in classes_in(hint)}
+
+
+@pytest.mark.parametrize("function", [*FUNCTIONS, *MADE], ids=qualified_name)
+def test_what_a_caller_has_to_make_is_public(function: Callable[..., Any]) -> None:
+    met = required_classes(function)
     assert {kind.__name__ for kind in met} <= set(PUBLIC), function.__qualname__
     assert all(PUBLIC[kind.__name__] is kind for kind in met)
+
+
+@pytest.mark.parametrize("function", FUNCTIONS, ids=qualified_name)
+def test_what_a_function_returns_is_public(function: Callable[..., Any]) -> None:
+    returned = set(classes_in(get_type_hints(function, localns=PUBLIC)["return"]))
+    assert {kind.__name__ for kind in returned} <= set(PUBLIC)
 
 
 def takes_arrays(function: Callable[..., Any]) -> bool:
