@@ -23,7 +23,7 @@ SUMMARIES: Final = {
     "joint's readings.",
     "track": "Follow an instrument through the consecutive frames of a session or a video, by masks or images, and "
     "readings.",
-    "live": "Follow an instrument on a running robot: images and readings from ROS topics, its pose to ROS topics.",
+    "live": "Follow the instruments of a running robot: images and readings from ROS topics, poses to ROS topics.",
     "export": "Write results in the formats of other programs.",
     "golden": "Record the poses of a session's frames, and compare later estimates with them.",
     "compare": "Compare two or more sets of poses of the same frames, by frame and in sum, without estimating again.",

@@ -32,6 +32,8 @@ class OwnFiles:
     @classmethod
     def check_folder(cls, folder: Path, follow_links: bool) -> tuple[str, ...]:
         """Check all that is in a folder; return the notes. Another path than a folder has nothing to be checked."""
+        if not folder.is_dir():
+            return ()
         own = cls(folder, follow_links)
         for place, folders, files in os.walk(folder):
             own.check_all(Path(place, name) for name in (*folders, *files))

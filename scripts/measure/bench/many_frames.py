@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import InputError
 
 
 def repeated_session(source: Path, folder: Path, count: int, only: Container[str] | None = None) -> Path:
-    """Write a session of ``count`` frames whose files are links to those of a session, with its readings and tips.
+    """Write a session of ``count`` frames whose files are copies of those of a session, with its readings and tips.
 
     ``only`` are the names of the frames that are repeated, by default all.
     """
@@ -26,10 +26,10 @@ def repeated_session(source: Path, folder: Path, count: int, only: Container[str
     names = [(f"{k:05d}", mask) for k, mask in zip(range(count), itertools.cycle(masks), strict=False)]
     (folder / "masks").mkdir(parents=True)
     for name, mask in names:
-        (folder / "masks" / f"{name}{mask.suffix}").symlink_to(mask.resolve())
+        shutil.copyfile(mask, folder / "masks" / f"{name}{mask.suffix}")
         for image in (source / "images").glob(f"{mask.stem}.*"):
             (folder / "images").mkdir(exist_ok=True)
-            (folder / "images" / f"{name}{image.suffix}").symlink_to(image.resolve())
+            shutil.copyfile(image, folder / "images" / f"{name}{image.suffix}")
     shutil.copy(source / "camera.yaml", folder)
     for table in (source / "joints.csv", source / "keypoints.csv"):
         if table.exists():
@@ -55,7 +55,7 @@ def small_session(source: Path, folder: Path, shrink: int) -> Path:
 def repeated_results(source: Path, folder: Path, count: int) -> Path:
     """Write ``count`` results, those of a folder of `batch` in the order of their frames and repeated.
 
-    Overlays and layers are links to those of the folder.
+    Overlays and layers are copies of those of the folder.
     """
     documents = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((source / "frames").glob("*.json"))]
     (folder / "frames").mkdir(parents=True)
@@ -66,7 +66,8 @@ def repeated_results(source: Path, folder: Path, count: int) -> Path:
         for other, ending in (("overlays", "jpg"), ("layers", "json")):
             (folder / other).mkdir(exist_ok=True)
             drawn = source / other / f"{document['frame']}.{ending}"
-            (folder / other / f"{name}.{ending}").symlink_to(drawn.resolve())
+            if drawn.exists():
+                shutil.copyfile(drawn, folder / other / f"{name}.{ending}")
     return folder
 
 
