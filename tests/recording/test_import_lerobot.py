@@ -180,8 +180,10 @@ def test_damaged_table_is_refused_by_name(imported: Import, made: Path, damage: 
 @pytest.mark.parametrize("key", ["data_path", "video_path"])
 @pytest.mark.parametrize("template", ["../{video_key}", "/etc/passwd", "data/../../other", "link/outside", "a\0b"])
 def test_paths_that_leave_the_folder_are_refused(imported: Import, made: Path, key: str, template: str) -> None:
-    (made / "link").symlink_to(made.parent)
+    if template.startswith("link"):
+        (made / "link").symlink_to(made.parent)
     file = made / "meta" / "info.json"
     info = json.loads(file.read_text())
     file.write_text(json.dumps(info | {key: template.replace("{video_key}", KEY)}))
-    assert f"info.json: {key}: expected a path within the folder, got " in imported().refusal
+    said = imported().refusal
+    assert f"info.json: {key}: expected a path within the folder, got " in said or "got a link that leaves it" in said
