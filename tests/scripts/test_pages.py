@@ -74,7 +74,7 @@ def test_api_page_has_every_public_name_once() -> None:
     assert list(kinds) == ["Functions", "Classes", "Settings", "Errors"]
     assert "estimate" in kinds["Functions"]
     assert "Camera" in kinds["Classes"]
-    assert "SearchConfig" in kinds["Settings"]
+    assert kinds["Settings"] == ["EstimateConfig"]
     assert kinds["Errors"] == ["DvrkCmaesError", "InputError"]
 
 
