@@ -297,7 +297,7 @@ class ColourEdges(Term):
         close = edges.found & (np.abs(edges.distance) < _SUPPORT_PX)
         now, views = self._drawn.split(moving.pixels), self._drawn.by_view
         beside = [self._images[view].unexplained(now[view], drawn) for view, drawn in views.items()]
-        sigma = NORMAL_MEDIAN * median(np.abs(edges.distance[close])) if close.any() else np.inf
+        sigma = NORMAL_MEDIAN * median(np.abs(edges.distance[close])) if close.any() else None
         score = 0.5 * float(self.cost(at[None])[0] + expected.cost(at[None])[0])
         score += 0.5 * _UNSUPPORTED * float(lengths[~edges.found].sum()) / _CORRELATION_PX
         supported = float(lengths[close].sum() / lengths.sum())
@@ -330,7 +330,7 @@ class EdgeFit:
 
     ``information`` (D, D) and ``slope`` (D,) are those of the edges alone there, ``score`` half of all sums of squares.
     ``supported`` is the share of the outline near which there is an edge, ``beside`` the share beside which the
-    instrument's colours go on; ``sigma`` px is the robust standard deviation of the supporting edges.
+    instrument's colours go on; ``sigma`` px is the robust standard deviation of the supporting edges, None without any.
     """
 
     at: Posed
@@ -339,7 +339,7 @@ class EdgeFit:
     score: float
     supported: float
     beside: float
-    sigma: float
+    sigma: float | None
 
     def with_margin(self, along: Float64) -> EdgeFit:
         """Return the fit without what all edges tell wrongly together; ``along`` (D,) is the pose's change by that."""

@@ -240,3 +240,11 @@ def test_pose_that_is_too_far_away_is_not_supported(
     across = shown[2].pose[:3, :3].T @ [60 * depth / 513, 0, 0]
     found = fitted(shown, np.array([*across, 0, 0, 0, 0, 0, 0]), far=False)
     assert found.doubts
+
+
+def test_pose_without_any_edge_has_no_residual(shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed]) -> None:
+    """The residual of a lost image is written to tracks.jsonl, which has no infinite numbers."""
+    depth = float(shown[2].pose[2, 3])
+    across = shown[2].pose[:3, :3].T @ [90 * depth / 513, 0, 0]
+    found = fitted(shown, np.array([*across, 0, 0, 0, 0, 0, 0]), far=False)
+    assert (found.holds, found.supported, found.sigma) == (False, 0, None)
