@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol, Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,6 +60,8 @@ def drawn_over(
     InputError
         The image is none, or there is a pose and no renderer.
     """
+    import cv2  # here, since it takes a seventh of a second and most who read results draw nothing
+
     given = checked_array("image", image, np.uint8, "an image (H, W, 3) of uint8, BGR, or a grey one (H, W)")
     if given.ndim not in (2, 3) or given.shape[2:] not in ((), (3,)) or not given.size:
         raise InputError(f"image: expected (H, W, 3) BGR or (H, W), got an array of shape {given.shape}")

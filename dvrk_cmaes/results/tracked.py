@@ -17,8 +17,6 @@ from dvrk_cmaes.results.result import POSE_AXES
 Float64 = NDArray[np.float64]
 TrackStatus = Literal["ok", "doubtful", "lost"]
 
-_OF_BASE = ("keyframes", "solved", "tip_mm", "used")
-
 
 @dataclass(frozen=True)
 class BaseKnown:

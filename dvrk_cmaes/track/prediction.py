@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -126,16 +126,11 @@ class Prediction:
 
     def without_calibration(self) -> Prediction:
         """Return the same with the calibration's errors among the images' own deviations."""
-        nothing = np.zeros_like(self.shared)
-        return Prediction(
-            self.at,
-            self.prior + self.shared,
-            nothing,
-            np.zeros_like(self.jacobian),
-            self.base_from_root,
-            self.read,
-            self.roll_offset,
-            self.told,
+        return replace(
+            self,
+            prior=self.prior + self.shared,
+            shared=np.zeros_like(self.shared),
+            jacobian=np.zeros_like(self.jacobian),
         )
 
     @property

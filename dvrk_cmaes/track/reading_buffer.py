@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
-from dvrk_cmaes.joints.gaps import Times, continued, extrapolated
-from dvrk_cmaes.joints.interpolation import TimedReadings, straight_line, weighted_mean
+from dvrk_cmaes.joints.gaps import Times, extrapolated
+from dvrk_cmaes.joints.interpolation import TimedReadings, weighted_mean
 from dvrk_cmaes.joints.names import check_readings
 from dvrk_cmaes.joints.sparse import Sparseness
 
@@ -165,20 +165,6 @@ class ReadingBuffer(ReadingRows):
         known = not np.isnan(row[:outer]).any()
         sparse = Sparseness.of(np.asarray(of_outer.times), of_outer.values, time) if known else None
         return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still, sparse)
-
-    def outer_at(self, times: Float64) -> Float64:
-        """Interpolate the outer joints' readings at times (L,), (L, 4); NaN where there is none.
-
-        Only readings that are at most the gap before the first time or after the last are used.
-        """
-        series, outer = self._of_outer(), len(OUTER_JOINTS)
-        gap = max(self._gap, _GAP_SPACINGS * _usual_spacing(series.times))
-        begin, end = series.times.searchsorted([times.min() - gap, times.max() + gap])
-        if end - begin < 2:
-            return np.full((len(times), outer), np.nan)
-        near = TimedReadings(OUTER_JOINTS, series.times[begin:end], series.values[begin:end])
-        rate = (near.values[-1] - near.values[-2]) / (near.times[-1] - near.times[-2])
-        return near.at(times, continued(gap), straight_line, rate)
 
     def _read_together(self) -> Iterator[tuple[NDArray[np.intp], TimedReadings]]:
         """Give the columns of joints that are read at the same times, and their readings, without missing ones."""

@@ -199,19 +199,6 @@ class Coverage(OutlineTerm[DrawnCoverage]):
             )
         return sum(parts, start=Quadratic.zero(1, parts[0].dimension))
 
-    def near_without_shared(
-        self,
-        at: Posed,
-        noises: Sequence[OutlineNoise],
-        kept: Columns | None = None,
-        drawn: DrawnCoverage | None = None,
-    ) -> Quadratic:
-        """Return the approximation near one pose, with all that the errors of the masks share eliminated: (1, D + E).
-
-        Arguments as of `near_with_lasting`.
-        """
-        return without_last(self.near_with_lasting(at, noises, kept, drawn), np.eye(LASTING * len(self.views)))
-
 
 def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:
     """Return the displacements (N, 3) of an outline's points by a change of the camera, times the normals' lengths.
