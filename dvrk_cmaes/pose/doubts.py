@@ -140,13 +140,13 @@ def _doubts_in_view(
     if outside.all() if followed else outside.any():
         which = "the jaw tips lie" if followed else "a jaw tip lies"
         reasons.append(f"tip out of view: {which} outside the image")
-    return reasons + doubts_of_tips(expected, trust, followed=followed)
+    return reasons + doubts_of_tips(expected, trust)
 
 
-def doubts_of_tips(expected: ExpectedError, trust: TrustConfig, *, followed: bool = False) -> list[str]:
+def doubts_of_tips(expected: ExpectedError, trust: TrustConfig) -> list[str]:
     """List the reason, in words, for which the tips of a pose in the right mode are inaccurate; empty if none is."""
     error, limit = expected.of_tips_mm, trust.tip_mm
-    probability = tip_probability(error, limit, followed=followed)
+    probability = tip_probability(error, limit)
     if probability >= trust.least_probability:
         return []
     return [

@@ -12,23 +12,12 @@ import math
 
 _MODE = -0.88, 1.72  # constant, and factor of -log(1 - probability of the mode)
 _TIPS = 1.41, 2.92, -0.23  # constant, factors of log(distance / expected error) and of the readings' squares
-_FOLLOWED = 0.6
-"""Factor on the expected errors of followed images, which are stated too large.
-
-Of 1,271 images of 28 recordings hard (7421 to 7428 with shadows on one side, 7501 to 7512, 7601 to 7608; `track`,
-2026-11-26) 96 % are within 1.8 mm where 1.8 to 2.2 mm are expected, and 91 % where 2.2 to 2.8 mm are.
-"""
 _LEAST_DOUBT = 1e-4  # probability of a wrong mode; no smaller one was ever checked
 _MOST_SQUARES = 20.0  # of the readings' deviations; farther off is a reason by itself
 
 
 def tip_probability(
-    expected_mm: float,
-    within_mm: float,
-    *,
-    of_mode: float = 1.0,
-    reading_squares: float = 0.0,
-    followed: bool = False,
+    expected_mm: float, within_mm: float, *, of_mode: float = 1.0, reading_squares: float = 0.0
 ) -> float:
     """Return the probability that the tips are within ``within_mm`` of their true positions.
 
@@ -42,11 +31,9 @@ def tip_probability(
         Stated probability of the mode; 1 where a session's prediction tells it.
     reading_squares
         Sum of the squares of the joints' deviations from their readings, in standard deviations of the readings.
-    followed
-        Whether the pose is that of a recording, whose other images count beside this one.
     """
     mode = 1.0 if of_mode == 1 else _logistic(_MODE[0] - _MODE[1] * math.log(max(1 - of_mode, _LEAST_DOUBT)))
-    nearness = math.log(within_mm / max((_FOLLOWED if followed else 1.0) * expected_mm, 1e-6))
+    nearness = math.log(within_mm / max(expected_mm, 1e-6))
     return mode * _logistic(_TIPS[0] + _TIPS[1] * nearness + _TIPS[2] * min(reading_squares, _MOST_SQUARES))
 
 

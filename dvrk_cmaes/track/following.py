@@ -267,7 +267,7 @@ class Following:
             error = expected_error(instrument, *found)
             if not fit.holds:
                 return _Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma, explained=False)
-            reasons = [*fit.doubts, *doubts_of_tips(error, self._config.trust, followed=True)]
+            reasons = [*fit.doubts, *doubts_of_tips(error, self._config.trust)]
             tips = apply(found[0].pose, instrument.tips(found[0].joints))
             if instrument.jaw_tips and outside_image(tips, self._views[0].camera).all():
                 reasons.append("tip out of view: the jaw tips lie outside the image")

@@ -32,12 +32,6 @@ def test_it_falls_with_the_distance_from_the_readings_up_to_a_limit() -> None:
     assert near > TrustConfig().least_probability > far > farther > 0.1
 
 
-def test_followed_images_are_more_probably_near_than_single_ones() -> None:
-    single, followed = (tip_probability(2.0, 1.8, followed=followed) for followed in (False, True))
-    assert single < TrustConfig().least_probability < followed < 0.96
-    assert tip_probability(4.0, 1.8, followed=True) < TrustConfig().least_probability
-
-
 def test_extreme_inputs_have_a_probability() -> None:
     assert tip_probability(0.0, 1.8) == 1
     assert tip_probability(1e300, 1.8, of_mode=0.0) == pytest.approx(0)
