@@ -14,9 +14,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, agreement, choose_modes, find_consensus
 from dvrk_cmaes.calibration.constants import few_of
-from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
+from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
+from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_reports import (
     check_agreement,
@@ -92,14 +93,17 @@ def _on_one_base(state: SessionState) -> tuple[SessionState, Consensus]:
     offset_std = state.problem.offset_std
     consensus = find_consensus(state.model, state.modes, offset_std)
     check_arm(state.model, state.modes, offset_std, consensus)
-    move = find_move(state.model, state.modes, offset_std, consensus)
-    if move is None:
+    if state.model.endoscope is not None:
         return state, consensus
-    before, after = (state.frames[i].name for i in move.between)
-    text = f"the arm's base or the camera moved between frames {before} and {after}"
-    state = state.noted(remarks=[f"{text}: calibrated for the {move.side} of them"])
-    state = state.without_others([i for i in range(len(state.frames)) if i not in move.others], text)
-    return state, find_consensus(state.model, state.modes, offset_std)
+    found = find_pieces(state.model, state.modes, offset_std, state.problem.prior, consensus)
+    if found is None:
+        return state, consensus
+    pieces, agree = found
+    model = replace(state.model, endoscope=pieces)
+    problem = replace(state.problem, endoscope_std=pieces.start.std)
+    state = replace(state, model=model, problem=problem).noted(remarks=[describe_pieces(pieces, state.frames)])
+    reference = find_consensus(model.subset(agree), [state.modes[i] for i in agree], offset_std)
+    return state, agreement(model, state.modes, offset_std, reference.calibration)
 
 
 def solved(state: SessionState) -> SessionState:

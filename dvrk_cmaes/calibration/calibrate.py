@@ -23,6 +23,7 @@ from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
+from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
 from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again
@@ -170,6 +171,14 @@ def calibrate_with_evidence(
     qualities = [quality for quality in used if quality is not None]
     described = describe_solution(state.model, state.solution, check.covariance, settings)
     described["untold"] += state.notes.undetermined
+    endoscope = SessionEndoscope.of(
+        state.model,
+        state.solution.calibration,
+        state.solution.covariance,
+        [frame.name for frame in state.frames],
+        [frame.time for frame in state.frames],
+    )
+    described["untold"] += () if endoscope is None else tuple(endoscope.untold)
     if lag.lag is None:
         described["untold"] += (f"lag between images and readings: {lag.undetermined}",)
     if commanded:
@@ -194,6 +203,7 @@ def calibrate_with_evidence(
         lag_curve=lag.curve,
         cables=SessionCables.of(state.cables, tuple(frame.name for frame in state.frames), lag.seconds()),
         camera=check.camera,
+        endoscope=endoscope,
         masks=state.imaging.masks,
         masks_again=again.compared,
         rig=state.imaging.rig,

@@ -8,7 +8,7 @@ prediction are outliers. The hypothesis with the best score is chosen. Up to a t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,6 +108,13 @@ def find_consensus(
     return hypotheses.tested(best, np.arange(len(modes)))
 
 
+def agreement(
+    model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, calibration: Calibration
+) -> Consensus:
+    """Return what N frames say of a calibration, whose errors are not counted; arguments as in `find_consensus`."""
+    return _Hypotheses(model, modes, offset_std).against(calibration, np.arange(len(modes)))
+
+
 def choose_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> list[Mode]:
     """Choose the mode of each of N frames with the least Mahalanobis distance from a calibration's prediction."""
     at, own_covariance = _stacked(modes)
@@ -162,6 +169,7 @@ class _Hypotheses:
         # No hypothesis has an offset of insertion or roll, so the kinematics and their errors are the same for all.
         none = Calibration(np.eye(4), np.zeros(len(offset_std)))
         self._read = model.predict(none)  # as seen from the base
+        self._relative = model.camera_from_base(replace(none, endoscope=model.start))
         self._root_from_base = inverse(self._read.pose)
         self._of_readings = model.covariance(none)
         self._of_readings[:, 5, 5] += offset_std[1] ** 2
@@ -174,21 +182,46 @@ class _Hypotheses:
         at = self._modes[frame][k].at
         offsets = np.zeros(len(at.joints) + 2)
         offsets[2:] = np.nan_to_num(at.joints - self._model.joints[frame])
-        return Calibration(at.pose @ self._root_from_base[frame], offsets)
+        base = inverse(self._relative[frame]) @ at.pose @ self._root_from_base[frame]
+        return Calibration(base, offsets, endoscope=self._model.start)
 
     def tested(self, source: tuple[int, int], test_frames: NDArray[np.intp]) -> Consensus:
         """Test the calibration that is made from a frame and one of its modes, ``source``, on test frames (V,)."""
         frame, k = source
         hypothesis = self._calibration(frame, k)
-        read = self._read[test_frames].seen_from(hypothesis.camera_from_base)
-        expected = Posed(read.pose, read.joints + hypothesis.offsets[2:])
+        read = self._read[test_frames]
+        pose = self._relative[test_frames] @ hypothesis.camera_from_base @ read.pose
+        expected = Posed(pose, read.joints + hypothesis.offsets[2:])
         dimension = 6 + expected.joints.shape[1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
         own = self._covariance[frame, k] + self._of_readings[frame]
         transport = np.tile(np.eye(dimension), (len(test_frames), 1, 1))
         transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame])
         predicted = transport @ own @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
+        if (endoscope := self._model.endoscope) is not None:
+            of_both = endoscope.subset(np.append(test_frames, frame))
+            moves = of_both.jacobian(endoscope.start, hypothesis.camera_from_base) * endoscope.loose
+            loads = of_both.loadings(endoscope.start, hypothesis.camera_from_base)
+            own_load = np.broadcast_to(loads[-1:], loads[:-1].shape)
+            moves = np.concatenate([moves[:-1] - moves[-1], loads[:-1], own_load], axis=2)
+            moves = adjoint(self._root_from_base[test_frames]) @ moves
+            predicted[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
         changes = self._at[test_frames].minus(_for_each_mode(expected))
+        return self._judged(hypothesis, predicted, changes, test_frames)
+
+    def against(self, calibration: Calibration, test_frames: NDArray[np.intp]) -> Consensus:
+        """Test a calibration that is known on test frames (V,)."""
+        read = self._read[test_frames]
+        expected = Posed(self._relative[test_frames] @ calibration.camera_from_base @ read.pose, read.joints)
+        expected = Posed(expected.pose, expected.joints + calibration.offsets[2:])
+        changes = self._at[test_frames].minus(_for_each_mode(expected))
+        return self._judged(calibration, self._of_readings[test_frames], changes, test_frames)
+
+    def _judged(
+        self, hypothesis: Calibration, predicted: Float64, changes: Float64, test_frames: NDArray[np.intp]
+    ) -> Consensus:
+        """Judge a calibration by the changes (V, M, D) of modes from what it predicts, with covariance (V, D, D)."""
+        dimension = changes.shape[-1]
         total = predicted[:, None] + self._covariance[test_frames]
         misfit, log_determinant = (one / dimension for one in _distances(changes, total))
         outlier_std = np.concatenate([_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)])

@@ -21,6 +21,7 @@ from dvrk_cmaes.calibration.alternation import (
     with_lag_of_modes,
     with_other_masks,
 )
+from dvrk_cmaes.calibration.endoscope_search import with_readings
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.masks_again import (
     AgainTask,
@@ -62,7 +63,7 @@ def solve_session(start: SessionState) -> SessionState:
     InputError
         As `initialised`.
     """
-    start = with_lag_of_modes(start)
+    start = with_lag_of_modes(with_readings(start))
     lags = lags_to_try(start.lag.curve) if start.lag.can_be_tried else []
     try:
         session = solved(initialised(start))

@@ -193,8 +193,7 @@ def solve(
     """
     solution = solution_at(model, fits, start, prior)
     for _ in range(steps):
-        at = np.concatenate([np.zeros(6), solution.calibration.offsets, solution.calibration.further])
-        information = solution.information
+        information, at = solution.information, solution.calibration.values
         step = -np.linalg.solve(information, prior @ at + solution.frame_slopes.sum(axis=0))
         solution = solution_at(model, fits, solution.calibration.changed(step), prior)
         if step @ information @ step < 1e-6 * len(step):
