@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.endoscope import Endoscope, EndoscopeValues
+from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.instrument_test import CandidateFit
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.masks_again import MasksAgain
@@ -338,7 +338,7 @@ class SessionCalibration:
         outer: Float64,
         joints: Float64,
         joint_names: tuple[str, ...],
-        endoscope: tuple[Endoscope, EndoscopeValues] | None = None,
+        endoscope: InFrames | None = None,
     ) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
 

@@ -34,7 +34,7 @@ HAND_EYE_STD: Final = np.array([0.005, 0.005, 0.010, np.deg2rad(4.0), np.deg2rad
 
 _PIECE_STD: Final = np.array([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])  # of a piece's camera against the reference, m, rad
 _TILTS: Final = np.deg2rad([0.0, 30.0, -30.0])  # of cameras that look straight, down and up
-_TURNS: Final = np.deg2rad(np.arange(-165.0, 181.0, 15.0))
+_TURNS: Final = np.deg2rad(np.arange(-150.0, 181.0, 30.0))
 _NOISE: Final = np.array([np.deg2rad(0.02), np.deg2rad(0.02), 3e-5, np.deg2rad(0.02)])  # least, from frame to frame
 _MOST_NOISE: Final = np.array([np.deg2rad(0.5), np.deg2rad(0.5), 8e-4, np.deg2rad(0.5)])
 _SAME: Final = 4.0  # standard deviations of that, within which readings are of one place
@@ -155,6 +155,10 @@ class Endoscope(ABC):
         return tuple(f"endoscope_{number}" for number in range(len(self.start.std)))
 
 
+InFrames = tuple[Endoscope, EndoscopeValues]
+"""Where an endoscope is in some frames, and the values of its unknowns."""
+
+
 @dataclass(frozen=True, eq=False)
 class Place:
     """A place at which the endoscope stands: its ``readings`` (4,), and how far from them (4,) others are of it."""
@@ -190,7 +194,7 @@ class Steered(Endoscope):
         return cls(read, places, start, start.std)
 
     @cached_property
-    def place(self) -> Indices:  # type: ignore[override]  # a property, whose value is kept
+    def place(self) -> Indices:
         """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
         readings, within = (np.array([getattr(one, name) for one in self.places]) for name in ("readings", "within"))
         away = (np.abs(self.read[:, None] - readings) / np.maximum(within, 1e-12)).max(axis=2)

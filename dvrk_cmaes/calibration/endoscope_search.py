@@ -22,7 +22,7 @@ from dvrk_cmaes.instrument.endoscope import ecm_readings
 Float64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus of the search
+_HYPOTHESIS_FRAMES, _TEST_FRAMES = 10, 60  # of each consensus of the search
 _TRIED: Final = 4  # cameras in the tip by which the frames agree best, that are refined
 _FOUND: Final = 0.3  # of the deviations beforehand: those of a refined camera in the tip
 _LEAST_PIECE: Final = 3  # frames that agree on the base of a piece
@@ -169,7 +169,7 @@ def _disagree_together(agree: NDArray[np.bool_]) -> bool:
 
 def describe_pieces(pieces: Pieces, frames: Sequence[SessionFrame]) -> str:
     """Say between which frames the base or the camera moved."""
-    cuts = np.flatnonzero(np.diff(pieces.piece))
+    cuts = np.flatnonzero(np.diff(pieces.piece)).tolist()
     between = ", ".join(f"{frames[i].name} and {frames[i + 1].name}" for i in cuts)
     return (
         f"the arm's base or the camera moved between frames {between}: {len(pieces.start.cameras) + 1} bases, and all "

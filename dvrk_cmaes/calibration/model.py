@@ -96,7 +96,7 @@ class Calibration:
         return slice(start, start + len(self.constants[name]))
 
     def changed(self, step: Float64) -> Calibration:
-        """Return the calibration after a step (8 + J + M + E,), in the order of `SessionModel.axes`, then the further."""
+        """Return the calibration after a step (8 + J + M + E,) in the order of `SessionModel.axes`, then the others."""
         count = 6 + len(self.offsets)
         constants = {name: block + step[self.place(name)] for name, block in self.constants.items()}
         moves = None if self.endoscope is None else self.endoscope.changed(step[count : self.own])

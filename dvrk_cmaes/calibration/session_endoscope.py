@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
-    Endoscope,
-    EndoscopeValues,
+    InFrames,
     Pieces,
     PieceValues,
     Place,
@@ -21,8 +20,8 @@ from dvrk_cmaes.calibration.endoscope import (
     in_tip,
 )
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.geometry import adjoint, inverse
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, ecm_from_tip_and_jacobian
+from dvrk_cmaes.geometry import adjoint, inverse, log_rotation
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, STRAIGHT, ecm_from_tip_and_jacobian
 from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
 from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.rounding import rounded_array
@@ -205,7 +204,7 @@ class SessionEndoscope:
 
     def in_frames(
         self, camera_from_base: Float64, read: Float64 | None, times: Sequence[float | None], names: Sequence[str]
-    ) -> tuple[Endoscope, EndoscopeValues] | str:
+    ) -> InFrames | str:
         """Return the endoscope in N frames and the values of its unknowns, or why it is not known in one of them.
 
         Parameters
@@ -241,15 +240,29 @@ class SessionEndoscope:
         before = [one for one in self.bases if natural(one.first) <= natural(name)]
         return (before[-1] if before else self.bases[0]).place
 
-    def describe(self) -> str:
-        """Describe the camera in the tip in words, or the pieces."""
+    def in_words(self) -> list[str]:
+        """Describe the places, and the camera in the tip with its standard deviations, a line each."""
+        count = self.last_place + 1
         if self.tip_from_camera is None:
-            return f"endoscope: not read; {self.last_place + 1} places, each with a base of its own"
+            return [f"endoscope: it moved, and is not read: {count} places, each with a base of its own"]
         std = np.array(self.std_tip_from_camera)
-        return (
-            f"endoscope: {len(self.places)} places; camera in its tip known to {1e3 * std[:3].max():.1f} mm and "
-            f"{np.degrees(std[3:].max()):.1f} deg"
+        turn = np.degrees(log_rotation((inverse(STRAIGHT) @ self.tip_from_camera)[:3, :3]))
+        offsets = ", ".join(
+            f"{name.removeprefix('ecm_')} {scale * value:+.2f} {unit} (std {scale * self.std_offsets[name]:.2f})"
+            for name, value in self.offsets.items()
+            for scale, unit in [(1e3, "mm") if name == "ecm_insertion" else (180 / np.pi, "deg")]
         )
+        return [
+            f"endoscope: its arm was read at {count} places where it stood",
+            f"  camera in its tip: {_numbers(1e3 * self.tip_from_camera[:3, 3])} mm, std {_numbers(1e3 * std[:3])}; "
+            f"turned by {_numbers(turn)} deg against a straight one, std {_numbers(np.degrees(std[3:]))}",
+            f"  offsets of its joints: {offsets}",
+        ]
+
+
+def _numbers(values: Float64) -> str:
+    """Format three numbers."""
+    return " ".join(f"{value:.1f}" for value in values)
 
 
 def _row(values: Float64) -> Row:

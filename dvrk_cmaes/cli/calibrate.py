@@ -382,6 +382,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
         yield Line("cables: what they add to the offsets", "bold")
         for text in calibration.cables.in_words():
             yield Line(f"  {text}")
+    if calibration.endoscope is not None:
+        yield from (Line(text) for text in calibration.endoscope.in_words())
     if calibration.camera is not None:
         yield Line(f"camera, against its file: {calibration.camera.describe()}")
     for view in calibration.rig:

@@ -106,4 +106,4 @@ def _progress(frames: int) -> Float64:
     for k in range(MOVES):
         x = np.clip((at - (k + 1) / (MOVES + 1)) / _MOVING + 0.5, 0, 1)
         done += x**3 * (10 - 15 * x + 6 * x**2)
-    return np.maximum(1 - np.abs(done[:, None] - np.arange(MOVES + 1)), 0.0)
+    return np.asarray(np.maximum(1 - np.abs(done[:, None] - np.arange(MOVES + 1)), 0.0))
