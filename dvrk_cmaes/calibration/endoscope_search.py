@@ -39,24 +39,40 @@ def with_readings(state: SessionState) -> SessionState:
     if steered is None:
         return state
     state.problem.progress("finding the camera in the endoscope", len(state.frames))
-    found = _hand_eye(state, steered)
+    found = find_hand_eye(state.model, state.modes, state.problem.offset_std, state.problem.prior, steered)
     std = np.asarray(found.start.std)
     return replace(
         state, model=replace(state.model, endoscope=found), problem=replace(state.problem, endoscope_std=std)
     )
 
 
-def _hand_eye(state: SessionState, steered: Steered) -> Steered:
-    """Find the camera in the endoscope's tip by which the frames' modes agree best, at any turn about the axis."""
-    problem, few = state.problem, evenly_spaced(len(state.frames), _TEST_FRAMES)
-    modes = [state.modes[i] for i in few]
-    model = replace(state.model, endoscope=steered).subset(few)
+def find_hand_eye(
+    model: SessionModel,
+    modes: Sequence[Sequence[Mode]],
+    offset_std: Float64,
+    prior: Float64,
+    steered: Steered,
+) -> Steered:
+    """Find the camera in the endoscope's tip by which the frames' modes agree best, at any turn about the axis.
+
+    Parameters
+    ----------
+    model, modes, offset_std
+        As in `find_consensus`.
+    prior
+        As in `solve`, without the endoscope.
+    steered
+        The endoscope in all frames, whose camera is not known yet.
+    """
+    few = evenly_spaced(len(modes), _TEST_FRAMES)
+    modes = [modes[i] for i in few]
+    model = replace(model, endoscope=steered).subset(few)
     tried: list[tuple[float, Steered, Consensus]] = []
     for offered in steered.hand_eyes():
         of_few = replace(model, endoscope=offered.subset(few))
-        consensus = find_consensus(of_few, modes, problem.offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES)
+        consensus = find_consensus(of_few, modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES)
         tried.append((consensus.mean_misfit, offered, consensus))
-    prior = np.diag([*np.diag(problem.prior), *steered.start.std**-2.0])
+    prior = np.diag([*np.diag(prior), *steered.start.std**-2.0])
     refined: list[tuple[float, Steered]] = []
     for _, offered, consensus in sorted(tried, key=lambda one: one[0])[:_TRIED]:
         of_few = replace(model, endoscope=offered.subset(few))
@@ -65,7 +81,7 @@ def _hand_eye(state: SessionState, steered: Steered) -> Steered:
         assert isinstance(values, SteeredValues)
         there = offered.with_start(values, _FOUND * offered.loose)
         again = find_consensus(
-            replace(model, endoscope=there.subset(few)), modes, problem.offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES
+            replace(model, endoscope=there.subset(few)), modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES
         )
         refined.append((float(again.cost.mean()), there))
     return min(refined, key=lambda one: one[0])[1]
