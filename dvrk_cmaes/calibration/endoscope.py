@@ -326,7 +326,7 @@ class Pieces(Endoscope):
 
 
 def find_places(read: Float64) -> tuple[Place, ...]:
-    """Find the places at which an endoscope stands in frames with readings (N, 4), that with most frames first.
+    """Find the places at which an endoscope stands in frames with readings (N, 4), in the order of time.
 
     Readings are of one place if they are within what they scatter from one frame to the next.
     """
@@ -344,8 +344,7 @@ def find_places(read: Float64) -> tuple[Place, ...]:
                 break
         else:
             groups.append([frame])
-    stands = sorted((group for group in groups if len(group) >= _STANDS), key=len, reverse=True)
-    return tuple(Place(read[group].mean(axis=0), _SAME * noise) for group in stands)
+    return tuple(Place(read[group].mean(axis=0), _SAME * noise) for group in groups if len(group) >= _STANDS)
 
 
 def filled(read: Float64) -> Float64:

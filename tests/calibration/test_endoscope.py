@@ -102,10 +102,8 @@ def test_jacobian_is_the_derivative_of_the_predictions(kind: str) -> None:
     assert jacobian.shape[2] == len(model.axes) == calibration.own
     for k in range(jacobian.shape[2]):
         step = 1e-6 * np.eye(jacobian.shape[2])[k]
-        change = (
-            model.predict(calibration.changed(step)).minus(at) - model.predict(calibration.changed(-step)).minus(at)
-        ) / 2
-        np.testing.assert_allclose(jacobian[:, :, k], 1e6 * change, atol=1e-7)
+        later, earlier = (model.predict(calibration.changed(sign * step)).minus(at) for sign in (1, -1))
+        np.testing.assert_allclose(jacobian[:, :, k], (later - earlier) / 2e-6, atol=1e-7)
 
 
 def test_camera_in_the_tip_is_found_within_its_deviation(
@@ -168,6 +166,7 @@ def as_document(model: SessionModel, solution: Solution) -> SessionCalibration:
     """Make a session's calibration of a solution."""
     calibration, covariance = solution.calibration, np.linalg.inv(solution.information)
     names = (*OUTER_OFFSETS, *NAMES)
+    times = [0.1 * k for k in range(FRAMES)]
     spreads = dict.fromkeys(("yaw", "pitch", "insertion", "roll", *NAMES, "slack_translation", "slack_rotation"), 1e-3)
     return SessionCalibration(
         instrument="lnd",
