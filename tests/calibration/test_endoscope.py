@@ -176,9 +176,7 @@ def as_document(model: SessionModel, solution: Solution) -> SessionCalibration:
         covariance=covariance[:11, :11],
         covariance_given_camera=covariance[:11, :11],
         spreads=spreads,
-        endoscope=SessionEndoscope.of(
-            model, calibration, covariance, NAMES_OF_FRAMES, [0.1 * k for k in range(FRAMES)]
-        ),
+        endoscope=SessionEndoscope.of(model, calibration, covariance, NAMES_OF_FRAMES, times),
     )
 
 

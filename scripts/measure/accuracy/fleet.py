@@ -21,6 +21,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
+from measure.accuracy.endoscope import endoscope_figures, without_ecm
 from measure.accuracy.figures import base_errors
 from measure.accuracy.fleet_calibrations import calibrated, pooled
 from measure.cases import Measurement
@@ -98,12 +99,19 @@ def _share(which: Bool) -> float:
 
 
 def fleet_report(
-    given: Measurement, *, causal: bool = False, keep: Path | None = None, every: int | None = None, first: int = 0
+    given: Measurement,
+    *,
+    causal: bool = False,
+    keep: Path | None = None,
+    every: int | None = None,
+    first: int = 0,
+    ecm: bool = True,
 ) -> dict[str, Any]:
     """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given.
 
     With ``every``, every N-th frame of each is calibrated as well, which makes two more tables. With ``first``,
     figures are of the frames from that one on, and two more tables of those before it, and of their second half.
+    Without ``ecm``, the readings of the endoscope's arm are not used.
     """
     calibrations: dict[str, Any] = {}
     if every is not None:
@@ -113,10 +121,10 @@ def fleet_report(
             session = read_session(folder)
             each.append(calibrated(folder.name, session, golden, given.body, given.config, given.workers, every))
         calibrations = {"calibrated": [one.row for one in each], "all calibrated": [pooled(each)]}
-    return calibrations | _followed(given, causal=causal, keep=keep, first=first)
+    return calibrations | _followed(given, causal=causal, keep=keep, first=first, ecm=ecm)
 
 
-def _followed(given: Measurement, *, causal: bool, keep: Path | None, first: int) -> dict[str, Any]:
+def _followed(given: Measurement, *, causal: bool, keep: Path | None, first: int, ecm: bool) -> dict[str, Any]:
     """Follow all recordings, and return a row of figures for each and one for all."""
     rows: list[dict[str, Any]] = []
     found: list[TipErrors] = []
@@ -127,7 +135,8 @@ def _followed(given: Measurement, *, causal: bool, keep: Path | None, first: int
             print(f"{folder.name}: following", file=sys.stderr, flush=True)
             golden = json.loads((folder / "golden.json").read_text(encoding="utf-8"))
             out = (Path(temporary) if keep is None else keep) / folder.name
-            session, evidence = used_session(read_session(folder), None)
+            read = folder if ecm else without_ecm(folder, Path(temporary) / "without")
+            session, evidence = used_session(read_session(read), None)
             settings = TrackSettings(given.config, causal=causal, evidence=evidence, workers=given.workers)
             done = track_folder(session, out, given.body, settings, video=False, page=False, notice=_notice)
             tracked = read_tracks(out / TRACKS)
@@ -140,6 +149,8 @@ def _followed(given: Measurement, *, causal: bool, keep: Path | None, first: int
                 row["base, deg"], row["base, mm"] = base_errors(done.calibration.camera_from_base, true)
             if done.calibration is not None and done.calibration.lag is not None:
                 row["lag"] = done.calibration.lag.frames
+            if "endoscope" in golden:
+                row |= endoscope_figures(done.calibration, golden)
             rows.append(row)
     total = {"recordings": len(rows), **TipErrors.pooled(found).figures()}
     total["worst median"] = max(row["tips, mm"] for row in rows)
