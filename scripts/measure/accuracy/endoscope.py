@@ -15,12 +15,13 @@ from dvrk_cmaes.geometry import change_between, inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.io.csv_file import csv_text
 
+_NEAR = 3.0  # frames
 _STILL_DEG, _STILL_MM = 0.02, 0.02  # motion of the camera from frame to frame, below which it stands
 
 
 def endoscope_figures(calibration: SessionCalibration | None, golden: Mapping[str, Any]) -> dict[str, Any]:
     """Return figures of a steered recording: errors in standard deviations, and frames from the cuts to the moves."""
-    row: dict[str, Any] = {"tip, std": None, "arm's base, std": None, "cuts": None, "cuts off, frames": None}
+    row: dict[str, Any] = {"tip, std": None, "arm's base, std": None, "cuts": None, "moves cut within 3 frames": None}
     found, truth = None if calibration is None else calibration.endoscope, golden["endoscope"]
     if found is None:
         return row
@@ -34,9 +35,8 @@ def endoscope_figures(calibration: SessionCalibration | None, golden: Mapping[st
         moves = true_moves(golden)
         cuts = [names.index(one.last) + 0.5 for one in found.bases[:-1]]
         row["cuts"] = len(cuts)
-        row["cuts off, frames"] = [
-            min((max(first - cut, cut - last, 0.0) for cut in cuts), default=float("nan")) for first, last in moves
-        ]
+        off = [min((max(first - cut, cut - last, 0.0) for cut in cuts), default=np.inf) for first, last in moves]
+        row["moves cut within 3 frames"] = f"{sum(one <= _NEAR for one in off)} of {len(moves)}"
     return row
 
 
