@@ -88,6 +88,7 @@ class ArmsTogether:
         """Return the endoscope as plain values for JSON, with the bases in that of its arm by name."""
         values, size = self.values, 6 * len(self.arms)
         std = np.sqrt(np.diag(self.covariance))
+        of_offsets = dict(zip(ECM_JOINTS, std[size + 6 : size + 10].tolist(), strict=True))
         tip, of_tip = ecm_from_tip_and_jacobian(self.endoscope.places[0].readings + values.offsets)
         arms = {}
         for number, (name, base) in enumerate(zip(self.arms, self.bases, strict=True)):
@@ -104,9 +105,7 @@ class ArmsTogether:
             "tip_from_camera": rounded_array(values.tip_from_camera),
             "std_tip_from_camera": rounded_array(std[size : size + 6]),
             "offsets": {name: rounded(one) for name, one in zip(ECM_JOINTS, values.offsets.tolist(), strict=True)},
-            "std_offsets": {
-                name: rounded(one) for name, one in zip(ECM_JOINTS, std[size + 6 :].tolist(), strict=False)
-            },
+            "std_offsets": {name: rounded(one) for name, one in of_offsets.items()},
             "arms": arms,
         }
 
