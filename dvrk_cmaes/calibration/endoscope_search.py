@@ -27,8 +27,8 @@ _TRIED: Final = 4  # cameras in the tip by which the frames agree best, that are
 _FOUND: Final = 0.3  # of the deviations beforehand: those of a refined camera in the tip
 _LEAST_PIECE: Final = 3  # frames that agree on the base of a piece
 _LEAST_WINDOW, _MOST_WINDOWS = 4, 30  # frames of a run that is solved by itself, and number of these
-_JOIN: Final = 60.0  # increase of the robust cost up to which one base explains two runs
-_AGREE: Final = 0.6  # share of a piece's frames that agree on its base
+_JOIN: Final = 40.0  # increase of the robust cost up to which one base explains two runs
+_AGREE: Final = 0.75  # share of a run's frames that agree on one base
 _CUT: Final = 4.0  # cost of a change of the base from one frame to the next
 
 
@@ -96,7 +96,8 @@ def find_pieces(
 ) -> tuple[Pieces, Indices] | None:
     """Find the pieces of a session whose base or camera moved without readings that tell, None if it stood still.
 
-    Short runs of consecutive frames are solved by themselves, and neighbours that one base explains as well are joined.
+    Short runs of consecutive frames are solved by themselves. Those whose frames agree are joined with their neighbours
+    where one base explains both as well, and each base so found then holds for consecutive frames.
 
     Parameters
     ----------
@@ -123,8 +124,9 @@ def find_pieces(
         return min((_Run(index, one) for one in found), key=lambda run: run.cost)
 
     count = len(modes)
-    windows = np.array_split(np.arange(count), max(min(count // _LEAST_WINDOW, _MOST_WINDOWS), 1))
-    runs = [solved(window) for window in windows]
+    length = max(_LEAST_WINDOW, -(-count // _MOST_WINDOWS))
+    starts = range(0, max(count - length, 0) + 1, max(length // 2, 1))
+    runs = [run for start in starts if (run := solved(np.arange(start, min(start + length, count)))).agrees]
     joined = [_joined(*pair, solved) for pair in pairwise(runs)]
     while joined:
         gains = [
@@ -134,10 +136,9 @@ def find_pieces(
         if gains[best] > _JOIN:
             break
         runs[best : best + 2] = [joined[best]]
-        joined[max(best - 1, 0) : best + 2] = [
-            _joined(*pair, solved) for pair in pairwise(runs[max(best - 1, 0) : best + 2])
-        ]
-    kept = [run.solution.calibration for run in runs if run.agrees]
+        first = max(best - 1, 0)
+        joined[first : best + 2] = [_joined(*pair, solved) for pair in pairwise(runs[first : best + 2])]
+    kept = [run.solution.calibration for run in runs]
     if len(kept) < 2:
         return None
     found = [agreement(model, modes, offset_std, one) for one in kept]
