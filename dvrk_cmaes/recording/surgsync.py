@@ -99,8 +99,11 @@ def open_surgsync(
         readings = _readings(path / "kinematic" / chosen, times)
         notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
         if (folder := path / "kinematic" / ECM).is_dir() and chosen != ECM:
-            readings = (*readings, _ecm_readings(folder, path / "time_syn", side, times))
-            notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
+            try:
+                readings = (*readings, _ecm_readings(folder, path / "time_syn", side, times))
+                notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
+            except InputError as error:
+                notes.append(f"the endoscope's arm is not read: {error}")
     kept = {
         f"{REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=LARGEST_REGISTRATION)
         for file in sorted((path / REGISTRATIONS).glob("*.json"))
