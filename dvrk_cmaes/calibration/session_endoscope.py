@@ -17,6 +17,7 @@ from dvrk_cmaes.calibration.endoscope import (
     Place,
     Steered,
     SteeredValues,
+    filled,
     in_tip,
 )
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
@@ -225,7 +226,7 @@ class SessionEndoscope:
             offsets = np.array([self.offsets[name] for name in ECM_JOINTS])
             steered = SteeredValues(self.tip_from_camera, self.expected, offsets, errors)
             places = tuple(Place(np.array(one.readings), np.array(one.within)) for one in self.places)
-            return Steered(np.asarray(read), places, steered, steered.std), steered
+            return Steered(filled(read), places, steered, steered.std), steered
         of_place = {one.place: one.camera_from_base for one in self.bases}
         moves = [of_place[k] @ inverse(camera_from_base) for k in range(1, self.last_place + 1)]
         values = PieceValues(np.array(moves).reshape(-1, 4, 4), np.array(moves).reshape(-1, 4, 4))

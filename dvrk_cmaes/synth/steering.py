@@ -21,7 +21,7 @@ _BESIDE, _ALONG = 0.002, 0.004  # m, beside and along the axis
 _START: Final = ((-0.3, 0.3), (-0.3, 0.3), (0.08, 0.18), (-0.5, 0.5))  # range of the joints at first, rad and m
 _STEPS: Final = np.array([0.2, 0.2, 0.025, 0.4])  # most by which a joint is moved at once
 _AWAY, _TURNED = (0.005, 0.030), np.deg2rad([5.0, 25.0])  # m and rad, range of a move of the camera
-_MOVING: Final = 0.1  # share of the recording that a move takes
+_MOVING: Final = (20, 0.1)  # frames that a move takes, and the largest share of the recording
 _OFFSET: Final = np.array([*np.deg2rad([2.0, 2.0]), 0.002, np.deg2rad(2.0)])
 _ERROR: Final = np.array([*np.deg2rad([0.3, 0.3]), 0.0005, np.deg2rad(0.3)])
 _NOISE: Final = np.array([1e-4, 1e-4, 2e-5, 1e-4])  # from reading to reading
@@ -101,9 +101,9 @@ def _apart(first: Float64, second: Float64, tip_from_camera: Float64) -> tuple[f
 
 def _progress(frames: int) -> Float64:
     """Return the shares (N, MOVES + 1) of the places at which the endoscope stands, in each frame."""
-    at = np.arange(frames) / max(frames - 1, 1)
-    done = np.zeros(frames)
+    at, done = np.arange(frames) / max(frames - 1, 1), np.zeros(frames)
+    share = min(_MOVING[0] / frames, _MOVING[1])
     for k in range(MOVES):
-        x = np.clip((at - (k + 1) / (MOVES + 1)) / _MOVING + 0.5, 0, 1)
+        x = np.clip((at - (k + 1) / (MOVES + 1)) / share + 0.5, 0, 1)
         done += x**3 * (10 - 15 * x + 6 * x**2)
     return np.asarray(np.maximum(1 - np.abs(done[:, None] - np.arange(MOVES + 1)), 0.0))
