@@ -18,7 +18,7 @@ Image = NDArray[np.uint8]
 _STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLION}
 _FAINT = 0.25  # brightness of the mask where there is no image
 _TINT = 0.35  # of an arm's colour within its tool
-_MASK_LINES, _LINES = 190, 480  # widths of a line in that of the picture: 3 and 1 px at 640 px, 7 and 3 px at 1280
+_MASK_LINES, _LINES = 140, 480  # widths of a line in that of the picture: 5 and 1 px at 640 px, 9 and 3 px at 1280
 _STRIP = 22  # px, height of the strip with the status
 
 
