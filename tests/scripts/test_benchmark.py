@@ -224,7 +224,7 @@ def test_submission_is_read_as_written(made: Callable[..., Given], tmp_path: Pat
 @pytest.mark.parametrize(
     ("column", "cell", "said"),
     [
-        ("task", "tips", "task: expected one of frame, session, base, masks, images, got 'tips'"),
+        ("task", "tips", "task: expected one of frame, session, eyes, base, masks, images, got 'tips'"),
         ("status", "good", "status: expected one of ok, doubtful, failed, got 'good'"),
         ("world", "-1", "world: expected a number of the table, got '-1'"),
         ("tx", "far", "tx: expected a finite number, got 'far'"),
