@@ -313,11 +313,11 @@ def test_right_eye_sees_the_instrument_from_its_place(tmp_path: Path) -> None:
     session = read_session(given.given.path)
     assert [path.name for path in (tmp_path / "given").rglob("golden.json")] == []
     truth = given.drawn.golden()["0000"]
-    body, joints = prepare("lnd"), [truth["joints"][name] for name in NAMES]
+    body = prepare("lnd")
     masks = []
     for side, view in zip(("left", "right"), session.rig.views, strict=True):
         pose = view.view_from_camera @ np.array(truth["T_camera_roll_link"])
-        seen = Renderer(body, view.camera).masks(pose, joints)
+        seen = Renderer(body, view.camera).masks(pose, truth["joints"])
         masks.append(read_mask(given.given.path / "masks" / side / "0000.png"))
         assert (seen & masks[-1]).sum() > 0.85 * (seen | masks[-1]).sum()
     left, right = (np.nonzero(mask)[1].mean() for mask in masks)
