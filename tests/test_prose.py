@@ -102,7 +102,8 @@ def set_value(source: str) -> float:
     if not name:
         return float(source)
     name, *keys = name.split(".")
-    value = getattr(import_module(f"dvrk_cmaes.{module}"), name)
+    values = vars(import_module(f"dvrk_cmaes.{module}"))
+    value = values[name if name in values else f"_{name}"]
     for key in keys:
         value = value[int(key) if key.isdigit() else key]
     return float(value)
