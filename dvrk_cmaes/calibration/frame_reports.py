@@ -125,9 +125,11 @@ def with_readings(frames: Sequence[SessionFrame], model: SessionModel) -> list[S
     """Return the N frames of a model with the readings of the model."""
     names = (*OUTER_JOINTS, *model.names)
     rows = np.concatenate([model.outer, model.joints], axis=1)
-    ecm = [{name: own.result.readings[name] for name in ECM_JOINTS if name in own.result.readings} for own in frames]
+    ecm: list[dict[str, float]] = [
+        {name: own.result.readings[name] for name in ECM_JOINTS if name in own.result.readings} for own in frames
+    ]
     if isinstance(model.endoscope, Steered):
-        ecm = [dict(zip(ECM_JOINTS, row, strict=True)) for row in model.endoscope.read.tolist()]
+        ecm = [{name: row[k] for k, name in enumerate(ECM_JOINTS)} for row in model.endoscope.read.tolist()]
     readings = [{n: float(v) for n, v in zip(names, row, strict=True) if not np.isnan(v)} for row in rows]
     return [
         replace(frame, result=replace(frame.result, readings={**own, **of_ecm}))

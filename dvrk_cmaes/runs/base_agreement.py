@@ -66,7 +66,7 @@ def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, st
         return {}
     steered = Steered.of(ecm_readings([results[name].readings for name in bases]))
     places = np.zeros(len(bases), np.intp) if steered is None else steered.place
-    doubts = {}
+    doubts: dict[str, str] = {}
     for place in sorted(set(places[places >= 0].tolist())):
         there = [name for name, own in zip(bases, places, strict=True) if own == place]
         if len(there) < FEWEST:

@@ -35,8 +35,8 @@ def endoscope_figures(calibration: SessionCalibration | None, golden: Mapping[st
         moves = true_moves(golden)
         cuts = [names.index(one.last) + 0.5 for one in found.bases[:-1]]
         row["cuts"] = len(cuts)
-        off = [min((max(first - cut, cut - last, 0.0) for cut in cuts), default=np.inf) for first, last in moves]
-        row["moves cut within 3 frames"] = f"{sum(one <= _NEAR for one in off)} of {len(moves)}"
+        away = [min((max(first - cut, cut - last, 0.0) for cut in cuts), default=np.inf) for first, last in moves]
+        row["moves cut within 3 frames"] = f"{sum(one <= _NEAR for one in away)} of {len(moves)}"
     return row
 
 
