@@ -22,7 +22,9 @@ from dvrk_cmaes.calibration.constants import (
     inverse_information,
     linearise,
 )
+from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthTold, MaskGrowth, growth_told
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.session_shaft import SHAFT, SessionShaft
 from dvrk_cmaes.calibration.solve import FrameFits, Solution
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
@@ -272,11 +274,15 @@ class CameraCheck:
 
     ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
+    ``growth`` and ``shaft`` are what the outlines tell of errors of the masks on some sides, beside the camera, and of
+    the radius of the shaft, with the camera of the file; None where the camera cannot be changed.
     """
 
     camera: SessionCamera | None
     undetermined: str
     covariance: Float64
+    growth: GrowthTold | None = None
+    shaft: SessionShaft | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +292,8 @@ class CameraEstimate:
     ``covariance`` (3, 3) is that of the change, of which hardly anything is known beforehand. ``sensitivity`` (K, 3) is
     the derivative of the calibration, in the order of `SessionModel.axes`, by the change. ``at`` are the poses of the N
     frames with the changed camera. ``plausible`` is as in `Linearised`. ``first_change`` (3,) and ``first_covariance``
-    (3, 3) are what the first linearisation told, at the start.
+    (3, 3) are what the first linearisation told, at the start. ``growth`` and ``shaft`` are what the last one told of
+    errors of the masks on some sides, and of the shaft's radius; None if they are not among the constants.
     """
 
     change: Float64
@@ -297,6 +304,8 @@ class CameraEstimate:
     calibration: Calibration
     at: Posed
     plausible: bool = True
+    growth: GrowthTold | None = None
+    shaft: SessionShaft | None = None
 
 
 def estimate_camera(
@@ -318,15 +327,23 @@ def estimate_camera(
     there = linearise(model, calibration, prior, at, outlines, solver, [CAMERA], passes=passes)
     first, own = there.first or there, there.solution.calibration.place(CAMERA)
     count, information = len(prior), there.information
+    told = [(one.value(CAMERA), one.covariance[own, own]) for one in (there, first)]
+    growth, shaft, constants = None, None, there.solution.calibration.constants
+    usual_px = next((one.usual_px for one in outlines.constants if isinstance(one, MaskGrowth)), None)
+    if usual_px is not None:
+        known = [growth_told(one, count, usual_px) for one in ((there,) if first is there else (there, first))]
+        told, growth = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])], known[0]
+        if SHAFT in constants:
+            shaft = SessionShaft.of(there, {CAMERA: file_deviations(config), GROWTH: growth.std_px})
     return CameraEstimate(
-        there.value(CAMERA),
-        there.covariance[own, own],
-        first.value(CAMERA),
-        first.covariance[own, own],
+        *told[0],
+        *told[1],
         -inverse_information(information[:count, :count]) @ information[:count, own],
         replace(there.solution.calibration, constants={}),
         there.at,
         there.plausible,
+        growth,
+        shaft,
     )
 
 
@@ -365,7 +382,7 @@ def check_camera(
         estimate = replace(estimate, change=applied)
     covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None)
     if reason is not None:
-        return CameraCheck(None, reason, covariance)
+        return CameraCheck(None, reason, covariance, estimate.growth, estimate.shaft)
     camera = SessionCamera.of(
         estimate,
         config,
@@ -374,7 +391,7 @@ def check_camera(
         frames=len(at),
         unusual=any(text.startswith(FILE) for text in outlines.camera.remarks),
     )
-    return CameraCheck(camera, "", covariance)
+    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft)
 
 
 def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool, applied: bool) -> Float64:

@@ -133,7 +133,8 @@ class Solution:
     share of one. The frames are in the order they were taken. ``independent`` (K, K) is the covariance of the sum of
     these gradients and of the prior's if the frames were independent; it is the information matrix where each counts as
     one. ``lasting`` are the changes of the gradients by errors of the masks that last from frame to frame, ``by_lag``
-    (K,) is the change of their sum by one standard deviation of the lag.
+    (K,) is the change of their sum by one standard deviation of the lag. ``of_growth`` (K, K) is the mean square of the
+    errors that errors of all masks on some sides cause; None where these are not known.
     """
 
     calibration: Calibration
@@ -145,6 +146,7 @@ class Solution:
     independent: Float64
     lasting: LastingSlopes
     by_lag: Float64
+    of_growth: Float64 | None = None
 
     @cached_property
     def covariance(self) -> Float64:
@@ -155,7 +157,8 @@ class Solution:
         of the errors of the masks that last from frame to frame, with their correlation, and where the slopes of
         successive parts of the recording scatter more (the covariance for clustered errors), as those of cables do.
         """
-        return self.covariance_of(np.asarray(np.linalg.inv(self.information), dtype=np.float64))
+        alone = self.covariance_of(np.asarray(np.linalg.inv(self.information), dtype=np.float64))
+        return alone if self.of_growth is None else alone + self.of_growth
 
     def covariance_of(self, inverse: Float64) -> Float64:
         """Return the covariance for a given inverse (K, K) of the information, as of a matrix with something added."""

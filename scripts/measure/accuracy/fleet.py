@@ -25,6 +25,7 @@ from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
 from measure.accuracy.figures import base_errors
 from measure.accuracy.fleet_calibrations import MOST_STD, base_in_std, calibrated, pooled, wrong_focal_length
+from measure.accuracy.tip_probability import reliability_rows
 from measure.cases import Measurement
 
 Float64 = NDArray[np.float64]
@@ -40,14 +41,15 @@ _WRONG_SHARE: Final = 0.2
 class TipErrors:
     """Frames of a recording in which the jaws are seen: errors of the tips, mm, and their stated standard deviations.
 
-    ``ok`` tells the status, ``in_view`` whether nearly all of the jaws is seen. All are (F,); ``std`` is NaN without a
-    pose.
+    ``ok`` tells the status, ``in_view`` whether nearly all of the jaws is seen. ``stated`` is the stated probability
+    that the tips are near. All are (F,); ``std`` and ``stated`` are NaN where nothing is stated.
     """
 
     errors: Float64
     std: Float64
     ok: Bool
     in_view: Bool
+    stated: Float64
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, Any]], golden: Mapping[str, Any]) -> TipErrors:
@@ -58,19 +60,25 @@ class TipErrors:
             visible = truth.get("visible", 1.0)
             if visible < _VISIBLE:
                 continue
-            error, stated = _WITHOUT_POSE_MM, np.nan
+            error, stated, probability = _WITHOUT_POSE_MM, np.nan, row.get("tip_probability")
             if row["tips"] is not None:
                 off = np.array(row["tips"]) - np.array(truth["tips_camera_m"])
                 error, stated = 1e3 * float(np.linalg.norm(off, axis=1).mean()), float(row["std"]["tip_mm"])
-            table.append((error, stated, row["status"] == "ok", visible >= _IN_VIEW))
-        errors, std, ok, in_view = np.array(table, dtype=np.float64).reshape(-1, 4).T
-        return cls(errors, std, ok > 0, in_view > 0)
+            near = np.nan if probability is None else probability
+            table.append((error, stated, row["status"] == "ok", visible >= _IN_VIEW, near))
+        errors, std, ok, in_view, probabilities = np.array(table, dtype=np.float64).reshape(-1, 5).T
+        return cls(errors, std, ok > 0, in_view > 0, probabilities)
 
     @classmethod
     def pooled(cls, each: Sequence[TipErrors]) -> TipErrors:
         """Put the frames of several recordings together."""
-        names = ("errors", "std", "ok", "in_view")
+        names = ("errors", "std", "ok", "in_view", "stated")
         return cls(*(np.concatenate([getattr(one, name) for one in each]) for name in names))
+
+    def reliability(self, within_mm: float) -> list[dict[str, Any]]:
+        """Return by stated probability how many frames there are, and what share of them is within a distance."""
+        told = ~np.isnan(self.stated)
+        return reliability_rows(self.stated[told], self.errors[told] < within_mm)
 
     @property
     def wrong(self) -> bool:
@@ -168,6 +176,7 @@ def _followed(
     if wrong_focal is not None:
         total["wrong focal length named"] = sum(row["wrong focal length named"] is True for row in rows)
     report: dict[str, Any] = {"recordings": rows, "all": [total]}
+    report["stated probability and share near the truth"] = of_all.reliability(given.config.trust.tip_mm)
     if first:
         report[f"before frame {first}"] = [TipErrors.pooled(early).figures()]
         report[f"from frame {first // 2} to {first}"] = [TipErrors.pooled(later).figures()]
