@@ -14,8 +14,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.constants import (
     Constant,
+    Linearised,
     OutlineOfView,
     SessionOutlines,
     ViewAsSeen,
@@ -25,7 +27,7 @@ from dvrk_cmaes.calibration.constants import (
 from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthTold, MaskGrowth, growth_told
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.session_shaft import SHAFT, SessionShaft
-from dvrk_cmaes.calibration.solve import FrameFits, Solution
+from dvrk_cmaes.calibration.solve import FrameFits, Solution, cost_at, solve
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
@@ -119,7 +121,8 @@ class SessionCamera(Document):
 
         Where the frames hardly determine the principal point, as those of a short recording, each linearisation may be
         farther away than the one before. What they tell at the camera of the file must then contradict it as well,
-        unless the file is ``unusual`` in itself. Few frames must contradict a usual file clearly.
+        unless the file is ``unusual`` in itself. Few frames must contradict a usual file clearly. A camera that is not
+        applied must also explain the frames better than that of the file.
         """
         change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
         limit = _CONTRADICTION if unusual or applied or frames >= _MANY_FRAMES else _CLEAR_CONTRADICTION
@@ -130,6 +133,8 @@ class SessionCamera(Document):
         ):
             first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
             contradicts = contradicts and first > limit
+        if not applied and estimate.gain < _SHARED_ERRORS**2 * limit:
+            contradicts = False
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
         scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))
@@ -292,8 +297,9 @@ class CameraEstimate:
     ``covariance`` (3, 3) is that of the change, of which hardly anything is known beforehand. ``sensitivity`` (K, 3) is
     the derivative of the calibration, in the order of `SessionModel.axes`, by the change. ``at`` are the poses of the N
     frames with the changed camera. ``plausible`` is as in `Linearised`. ``first_change`` (3,) and ``first_covariance``
-    (3, 3) are what the first linearisation told, at the start. ``growth`` and ``shaft`` are what the last one told of
-    errors of the masks on some sides, and of the shaft's radius; None if they are not among the constants.
+    (3, 3) are what the first linearisation told, at the start, and ``gain`` is by how much less its sum of squares is
+    with any camera than with one that the file expects. ``growth`` and ``shaft`` are what the last one told of errors
+    of the masks on some sides, and of the shaft's radius; None if they are not among the constants.
     """
 
     change: Float64
@@ -304,6 +310,7 @@ class CameraEstimate:
     calibration: Calibration
     at: Posed
     plausible: bool = True
+    gain: float = np.inf
     growth: GrowthTold | None = None
     shaft: SessionShaft | None = None
 
@@ -342,9 +349,32 @@ def estimate_camera(
         replace(there.solution.calibration, constants={}),
         there.at,
         there.plausible,
+        _gain_of_any_camera(model, replace(calibration, constants={}), first, config),
         growth,
         shaft,
     )
+
+
+def _gain_of_any_camera(
+    model: SessionModel, calibration: Calibration, first: Linearised, config: SessionConfig
+) -> float:
+    """Return by how much less the frames' sum of squares is with any camera than with one that the file expects.
+
+    Far from the camera of the file, the covariance of an estimate says little about how well the file explains the
+    frames. Variances and weights are those of the session with the file. Arguments are as in `estimate_camera`;
+    ``first`` is the linearisation at the start.
+    """
+    if len(first.at) != len(model.outer):
+        model = model.subset(evenly_spaced(len(model.outer), len(first.at)))
+    start = replace(calibration, constants={name: 0.0 * own for name, own in first.fits.constants.items()})
+    with_file, place = first.prior.copy(), start.place(CAMERA)
+    with_file[place, place] += np.diag(file_deviations(config) ** -2)
+    by_file, by_any = (solve(model, first.fits, start, prior) for prior in (with_file, first.prior))
+    costs = [
+        cost_at(model, first.fits, one.calibration, prior, by_file.weights)
+        for one, prior in ((by_file, with_file), (by_any, first.prior))
+    ]
+    return costs[0] - costs[1]
 
 
 def _with_variances(

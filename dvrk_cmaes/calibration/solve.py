@@ -205,6 +205,23 @@ def solve(
     return solution
 
 
+def cost_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64, weights: Float64) -> float:
+    """Return the sum of squares of a calibration's frames, with given weights (N,), and of the prior.
+
+    It is that where the frames' own unknowns are best, up to a constant; the other arguments are as in `solve`.
+    """
+    own, outlines = fits.at.joints.shape[1] + 6, fits.outlines
+    predicted, constants = model.predict(calibration).minus(fits.at), calibration.further - fits.further
+    known = np.asarray(np.linalg.inv(model.covariance(calibration)), dtype=np.float64)
+    of_own, cross = outlines.information[:, :own, :own] + known, outlines.information[:, :own, own:]
+    pulled = times(known, predicted) - outlines.slope[:, :own] - cross @ constants
+    squares = (predicted * times(known, predicted)).sum(axis=1)
+    squares += (constants * (outlines.information[:, own:, own:] @ constants + 2 * outlines.slope[:, own:])).sum(axis=1)
+    squares -= (pulled * np.linalg.solve(of_own, pulled[:, :, None])[:, :, 0]).sum(axis=1)
+    at = np.concatenate([np.zeros(6), calibration.offsets, calibration.further])
+    return float((np.broadcast_to(fits.shares, len(weights)) * weights) @ squares + at @ prior @ at)
+
+
 def solve_unchanged(
     model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64
 ) -> tuple[SessionModel, Solution]:
