@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -253,9 +253,9 @@ def play(
     stage, lines = Stage(recorded.stamps[0]), list[Line]()
     with ExitStack() as stack:
 
-        def solver(arm: str) -> SolverProcess | None:
+        def solver(arm: str) -> Callable[[], SolverProcess] | None:
             keeps = recorded.settings(arm, config, lag).keeps_keyframes
-            return stack.enter_context(SolverProcess(recorded.arms[arm].body.instrument)) if keeps else None
+            return partial(SolverProcess, recorded.arms[arm].body.instrument) if keeps else None
 
         arms = [
             ArmSetup(
@@ -272,7 +272,7 @@ def play(
             recorded.topics, tuple(arms), config, lag, rig, overlay=overlay, waits=True, origin=recorded.origin
         )
         say = RepeatedLines(note)
-        loop = setup.loop(Inputs(setup.topics, say, now=lambda: stage.now), stage, say, show)
+        loop = setup.loop(Inputs(setup.topics, say, now=lambda: stage.now), stage, say, stack, show)
         for stamp, messages in recorded.messages():
             stage.send(stamp, messages)
             loop.turn()

@@ -24,7 +24,7 @@ Float64 = NDArray[np.float64]
 REACH = 4
 """Distance, px, from the outline up to which differences are sampled."""
 
-_REMEMBERED = 64  # drawings that a view keeps
+REMEMBERED = 64  # drawings that a view keeps
 _FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
 
@@ -120,7 +120,7 @@ class SizedView:
                 seen[missing], self.target, cauchy, lines_per_pixel=lines_per_pixel, outlines=outlines
             )
             known |= zip([keys[k] for k in missing], drawn, strict=True)
-            self._remembered = dict(list((self._remembered | known).items())[-_REMEMBERED:])
+            self._remembered = dict(list((self._remembered | known).items())[-REMEMBERED:])
         return [known[key] for key in keys]
 
     def silhouette(self, drawn: _kernel.Comparison) -> NDArray[np.bool_]:

@@ -32,6 +32,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any, Final
@@ -55,6 +56,7 @@ from dvrk_cmaes.live.inputs import EyeTopics, InputTopics
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 from dvrk_cmaes.runs.long_run import prepare_long_run
 from dvrk_cmaes.runs.solver_process import SolverProcess
+from dvrk_cmaes.runs.worker_process import WorkerProcess
 from measure.accuracy.figures import RIGHT_MODE_DEG
 from measure.places import ROOT, SHARED
 from measure.tables import Report
@@ -134,14 +136,13 @@ def live_report(options: argparse.Namespace) -> Report:
             stack.callback(busy.kill)
         arms = []
         for arm, own in recorded.arms.items():
-            solver = SolverProcess(own.body.instrument, background=True) if options.solve else None
-            if solver is not None:
-                stack.enter_context(solver)
+            solver = partial(SolverProcess, own.body.instrument, background=True) if options.solve else None
             names = FrameNames(arm, "camera", f"{arm}_base")
             arms.append(ArmSetup(names, own.body, own.kinematics, calibration, solver))
         rig = next(iter(recorded.arms.values())).session.rig
         topics = compressed_topics(recorded)
-        setup = LiveSetup(topics, tuple(arms), EstimateConfig(), options.lag, rig, overlay=options.overlay)
+        apart = partial(WorkerProcess, for_long=True)
+        setup = LiveSetup(topics, tuple(arms), EstimateConfig(), options.lag, rig, overlay=options.overlay, apart=apart)
         counts = follow(setup, connection, say, stop, show=stack.enter_context(shown_state()))
         used = time.process_time() - started
         figures = ours.recv()
