@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.evidence.outline_noise import sampled
+
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -42,7 +44,8 @@ def shadow_stretches(image: NDArray[np.uint8], mask: Bool) -> Bool | None:
     if grey.shape != mask.shape:
         grey = np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
     grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), _BLUR * size), dtype=np.float32)
-    outward, within = _outward(mask, 2 * size), cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+    outward = _outward(mask, 2 * size)
+    within = np.asarray(cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5), dtype=np.float32)
     out = np.zeros(mask.shape, dtype=np.uint8)
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     window = 2 * round(_ALONG * size / _STEP / 2) + 1
@@ -60,8 +63,7 @@ def shadow_stretches(image: NDArray[np.uint8], mask: Bool) -> Bool | None:
         shadow &= ((pixels >= _BORDER) & (pixels < np.array([width, height]) - _BORDER)).all(axis=1)
         depth = -offsets[inner][changes[:, inner].argmax(axis=1)]
         ends = points - normals * (depth + _AROUND * size)[:, None]
-        deeper = (points - normals * (_DEEPER * depth)[:, None]).astype(np.float32)[:, None]
-        shadow &= cv2.remap(within, deeper, None, cv2.INTER_LINEAR)[:, 0] > depth
+        shadow &= sampled(within, points - normals * (_DEEPER * depth)[:, None]) > depth
         begins = points + normals * _AROUND * size
         for i, k in pairwise(np.flatnonzero(shadow).tolist()):
             if k == i + 1:
@@ -77,17 +79,15 @@ def _outward(mask: Bool, blur: float) -> Float32:
     return np.asarray(slope / np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-9), dtype=np.float32)
 
 
-def _across(grey: Float32, points: Float64, normals: Float32, offsets: Float64) -> Float32:
+def _across(grey: Float32, points: Float64, normals: Float32, offsets: Float64) -> Float64:
     """Return the changes (P, O) of an image, grey levels a pixel, across a contour at some distances outwards."""
-    sampled = []
-    for aside in (0.5, -0.5):
-        places = (points[:, None] + normals[:, None] * (offsets + aside)[:, None]).astype(np.float32)
-        sampled.append(cv2.remap(grey, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-    return np.asarray(sampled[0] - sampled[1], dtype=np.float32)
+    sides = [points[:, None] + normals[:, None] * (offsets + aside)[:, None] for aside in (0.5, -0.5)]
+    ahead, behind = (sampled(grey, side.reshape(-1, 2)).reshape(side.shape[:2]) for side in sides)
+    return ahead - behind
 
 
-def _averaged(values: Float32, window: int) -> Float32:
+def _averaged(values: Float64, window: int) -> Float64:
     """Return the running means of values (P, O) along a closed contour."""
     half = window // 2
     around = np.concatenate([values[-half:], values, values[:half]])
-    return np.asarray(cv2.blur(around, (1, window))[half : half + len(values)], dtype=np.float32)
+    return np.asarray(cv2.blur(around, (1, window))[half : half + len(values)], dtype=np.float64)
