@@ -27,7 +27,8 @@ def scene(width: int) -> tuple[np.ndarray, np.ndarray]:
 
 def shifted(mask: np.ndarray, pixels: float) -> np.ndarray:
     moved = cv2.warpAffine(mask.astype(np.uint8), np.array([[1.0, 0.0, pixels], [0.0, 1.0, 0.0]]), mask.shape[::-1])
-    return (mask | (moved > 0)) & (np.arange(mask.shape[0])[:, None] > mask.shape[0] // 2) | mask
+    lower = np.arange(mask.shape[0])[:, None] > mask.shape[0] // 2
+    return np.asarray(mask | ((moved > 0) & lower))
 
 
 @pytest.mark.parametrize("width", [320, 640, 1280])
