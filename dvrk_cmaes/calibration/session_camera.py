@@ -58,6 +58,7 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 
 _CONTRADICTION = 7.81  # squared Mahalanobis distance from no change; that of 95 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
+_LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
 _HARDLY_TOLD = 2.0  # standard deviations of the file's principal point
 _PASSES = 6  # largest number of linearisations of the outlines
 _NOT_ASKED = "camera: not tested, as the settings say"
@@ -133,7 +134,7 @@ class SessionCamera(Document):
         ):
             first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
             contradicts = contradicts and first > limit
-        if not applied and estimate.gain < _SHARED_ERRORS**2 * limit:
+        if not applied and estimate.gain < max(limit, _LEAST_GAIN):
             contradicts = False
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
