@@ -119,7 +119,8 @@ def agreement(
     model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, calibration: Calibration
 ) -> Consensus:
     """Return what N frames say of a calibration, whose errors are not counted; arguments as in `find_consensus`."""
-    return _Hypotheses(model, modes, offset_std).against(calibration, np.arange(len(modes)))
+    known = _Hypotheses(model, modes, offset_std, float(calibration.offsets[1]))
+    return known.against(calibration, np.arange(len(modes)))
 
 
 def find_consensus_at_any_roll(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> Consensus:

@@ -117,9 +117,11 @@ def find_pieces(
     if not _disagree_together(consensus.agree):
         return None
 
+    roll = float(consensus.calibration.offsets[1])
+
     def solved(index: Indices, *starts: Calibration) -> _Run:
         own, own_modes = model.subset(index), [modes[i] for i in index]
-        starts = starts or (find_consensus(own, own_modes, offset_std).calibration,)
+        starts = starts or (find_consensus(own, own_modes, offset_std, roll=roll).calibration,)
         found = [solve_with_modes(own, own_modes, start, prior)[0] for start in starts]
         return min((_Run(index, one) for one in found), key=lambda run: run.cost)
 
