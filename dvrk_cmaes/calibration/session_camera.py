@@ -134,7 +134,7 @@ class SessionCamera(Document):
         ):
             first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
             contradicts = contradicts and first > limit
-        if not applied and estimate.gain < max(limit, _LEAST_GAIN):
+        if not applied and estimate.gain < _LEAST_GAIN:
             contradicts = False
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)

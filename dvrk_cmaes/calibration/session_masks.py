@@ -149,6 +149,8 @@ class SessionMasks(Document):
         if self.side_px is not None:
             last = "" if self.lasting_seconds is None else f" and last {self.lasting_seconds:.1f} s"
             parts.append(f"errors of a side of the shaft are {self.side_px:.1f} px (std {self.std_side_px:.1f}){last}")
+        if self.rms_growth_px:
+            parts.append(f"those that all masks share on one side are up to {max(self.rms_growth_px):.1f} px")
         return "; ".join(parts)
 
 
