@@ -14,9 +14,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.consensus import Consensus, agreement, choose_modes, find_consensus_at_any_roll
+from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus_at_any_roll
 from dvrk_cmaes.calibration.constants import few_of
-from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
+from dvrk_cmaes.calibration.endoscope_search import with_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_reports import (
@@ -89,21 +89,14 @@ def _less_lag(state: SessionState) -> SessionState:
 
 
 def _on_one_base(state: SessionState) -> tuple[SessionState, Consensus]:
-    """Return the consensus of the frames, of which those before or after a move of the base are left out."""
+    """Return the consensus of the frames, in pieces if the base moved between them."""
     offset_std = state.problem.offset_std
     consensus = find_consensus_at_any_roll(state.model, state.modes, offset_std)
     check_arm(state.model, state.modes, offset_std, consensus)
     if state.model.endoscope is not None:
         return state, consensus
-    found = find_pieces(state.model, state.modes, offset_std, state.problem.prior, consensus)
-    if found is None:
-        return state, consensus
-    pieces, agree = found
-    model = replace(state.model, endoscope=pieces)
-    problem = replace(state.problem, endoscope_std=pieces.start.std)
-    state = replace(state, model=model, problem=problem).noted(remarks=[describe_pieces(pieces, state.frames)])
-    reference = find_consensus_at_any_roll(model.subset(agree), [state.modes[i] for i in agree], offset_std)
-    return state, agreement(model, state.modes, offset_std, reference.calibration)
+    cut = with_pieces(state, consensus)
+    return (state, consensus) if cut is None else (cut, find_consensus_at_any_roll(cut.model, cut.modes, offset_std))
 
 
 def solved(state: SessionState) -> SessionState:

@@ -307,8 +307,10 @@ class SessionCalibration:
         ----------
         readings
             All readings of the frame by joint name, rad and m; those of the endoscope's arm tell the place.
-        frame, time
-            Name of the frame and time of its image, s: they tell the place of an endoscope that is not read.
+        frame
+            Name of the frame, which tells the place of an endoscope that is not read where no times are known.
+        time
+            Time of the frame's image, s, which tells that place.
         """
         if self.endoscope is None:
             return self

@@ -46,6 +46,26 @@ def with_readings(state: SessionState) -> SessionState:
     )
 
 
+def with_pieces(state: SessionState, consensus: Consensus | None = None) -> SessionState | None:
+    """Return the session in the pieces in which its base stands still; None if it is not to be cut.
+
+    ``consensus`` is that of all frames, if it is known.
+    """
+    problem = state.problem
+    if consensus is None:
+        consensus = find_consensus(state.model, state.modes, problem.offset_std)
+    found = find_pieces(state.model, state.modes, problem.offset_std, problem.prior, consensus)
+    if found is None:
+        return None
+    pieces, _ = found
+    state = state.noted(remarks=[describe_pieces(pieces, state.frames)])
+    return replace(
+        state,
+        model=replace(state.model, endoscope=pieces),
+        problem=replace(problem, endoscope_std=pieces.start.std),
+    )
+
+
 def find_hand_eye(
     model: SessionModel,
     modes: Sequence[Sequence[Mode]],
