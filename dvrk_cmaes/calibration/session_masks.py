@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.pose.terms.coverage import of_margin
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.mask_growth import GrowthTold
 
 Float64 = NDArray[np.float64]
 
@@ -83,6 +87,9 @@ class SessionMasks(Document):
     side_px : standard deviation of the error of a side of the shaft as a whole, which lasts from frame to frame, px.
     std_side_px : its standard deviation. lasting_seconds, std_lasting_seconds : the time in which the correlation of
     these errors falls to 37 %, s; None where the times of the frames are not known.
+    growth_px : mean errors, px, of both sides of the shaft (to the right of its direction towards the tip in the image,
+    and to the left) and of what faces right, left, down and up, none below 0. rms_growth_px : the roots of their mean
+    squares, with what is not known of them.
     """
 
     margin_px: Number
@@ -93,21 +100,25 @@ class SessionMasks(Document):
     std_side_px: Number | None = None
     lasting_seconds: Number | None = None
     std_lasting_seconds: Number | None = None
+    growth_px: tuple[Number, ...] = ()
+    rms_growth_px: tuple[Number, ...] = ()
 
     @classmethod
-    def of(cls, margins: Sequence[tuple[str, Margin]], lasting: LastingEstimate | None) -> SessionMasks:
-        """State the margins of the views, of which there is at least one, and what lasts from frame to frame."""
+    def of(
+        cls, margins: Sequence[tuple[str, Margin]], lasting: LastingEstimate | None, growth: GrowthTold | None = None
+    ) -> SessionMasks:
+        """State the margins of the views, of which there is at least one, and the errors that frames share."""
         (_, first), *others = margins
         further = tuple(ViewMargin(view, margin.px, margin.std_px, margin.applied) for view, margin in others)
         stated = cls(first.px, first.std_px, first.applied, further)
+        if growth is not None:
+            rms = np.sqrt(np.diag(growth.square))
+            stated = replace(stated, growth_px=tuple(growth.px.tolist()), rms_growth_px=tuple(rms.tolist()))
         if lasting is None:
             return stated
         seconds = lasting.size.seconds if lasting.timed else None
-        return cls(
-            first.px,
-            first.std_px,
-            first.applied,
-            further,
+        return replace(
+            stated,
             side_px=lasting.side_px,
             std_side_px=lasting.side_px * lasting.log_std_scale,
             lasting_seconds=seconds,
@@ -141,6 +152,8 @@ class SessionMasks(Document):
         if self.side_px is not None:
             last = "" if self.lasting_seconds is None else f" and last {self.lasting_seconds:.1f} s"
             parts.append(f"errors of a side of the shaft are {self.side_px:.1f} px (std {self.std_side_px:.1f}){last}")
+        if self.rms_growth_px:
+            parts.append(f"those that all masks share on one side are up to {max(self.rms_growth_px):.1f} px")
         return "; ".join(parts)
 
 
