@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.alternation import reported, with_lag_of_modes
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
+from dvrk_cmaes.calibration.endoscope_search import with_readings
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
 from dvrk_cmaes.calibration.imaging import checked_camera
 from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
@@ -26,7 +27,12 @@ from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
-from dvrk_cmaes.calibration.solution_trials import solve_session, with_freed_camera, with_masks_again
+from dvrk_cmaes.calibration.solution_trials import (
+    solve_session,
+    with_freed_camera,
+    with_masks_again,
+    with_pieces_if_lost,
+)
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -261,7 +267,7 @@ def find_lag(
         series = _series_of(usable)
     run = partial(_in_threads, body, settings)
     state = SessionState.of(SessionProblem(series, body.instrument, arm, settings, run), usable)
-    lag = with_lag_of_modes(state).lag
+    lag = with_pieces_if_lost(with_lag_of_modes(with_readings(state))).lag
     return lag.lag, lag.undetermined
 
 
