@@ -134,10 +134,10 @@ def calibrate(
         check_range("--keyframes", keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
         if every > 1:
             raise InputError("--keyframes: expected either this or --every, got both")
+    from dvrk_cmaes.calibration.instrument_test import fitting_instruments
     from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, session_tools
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import check_output_folder, output
-    from dvrk_cmaes.calibration.instrument_test import fitting_instruments
     from dvrk_cmaes.results.folder import ALONE
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.manifest import check_same_session
