@@ -163,7 +163,7 @@ def calibrate_with_evidence(
     if settings.session.masks_again:
         state = with_masks_again(state)
     solved, (state, check) = state, checked_camera(state)
-    if check.camera is not None and check.camera.contradicts and not check.camera.applied:
+    if check.may_be_freed:
         freed = with_freed_camera(solved, SessionState.of(problem, usable, rotations))
         state, check = (state, check) if freed is None else checked_camera(freed)
     lag, applied = state.lag, state.lag.applied
@@ -183,7 +183,7 @@ def calibrate_with_evidence(
     endoscope = SessionEndoscope.of(
         state.model,
         state.solution.calibration,
-        state.solution.covariance,
+        replace(state.solution, of_growth=None).covariance,
         [frame.name for frame in state.frames],
         [frame.time for frame in state.frames],
     )
