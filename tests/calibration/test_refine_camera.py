@@ -77,13 +77,18 @@ def test_contradicted_file_is_replaced_without_being_asked(bundled_body: Body, f
     assert not few.camera.applied
 
 
-def test_file_whose_focal_lengths_differ_is_not_replaced() -> None:
+def test_file_is_replaced_only_by_what_was_found_from_it() -> None:
     camera = SessionCamera(0.9, 0.01, (0.0, 0.0), (5.0, 5.0), contradicts=True, applied=False, width=640)
     check = CameraCheck(camera, "", np.eye(11))
     assert check.may_be_freed
     assert not replace(check, aspect_off=0.15).may_be_freed
     assert not replace(check, camera=replace(camera, applied=True)).may_be_freed
     assert not replace(check, camera=replace(camera, contradicts=False)).may_be_freed
+    found = replace(camera, focal_scale=0.88, applied=True)
+    assert check.agrees_with(replace(check, camera=found))
+    assert not check.agrees_with(replace(check, camera=replace(found, focal_scale=0.75)))
+    assert not check.agrees_with(replace(check, camera=replace(found, principal_point_px=(0.0, -110.0))))
+    assert not check.agrees_with(replace(check, camera=None))
 
 
 def test_session_agrees_with_refined_camera(bundled_body: Body, refined: SolvedSession) -> None:
