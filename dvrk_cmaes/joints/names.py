@@ -42,9 +42,13 @@ def accepted_names(known: Iterable[str] = ()) -> tuple[str, ...]:
 
 
 def check_joint(where: str, name: str, names: Sequence[str]) -> None:
-    """Raise InputError for an unknown joint; the message lists the known ones, most similar first."""
+    """Raise InputError for an unknown joint; the message lists the known ones, most similar first.
+
+    Those of the endoscope's arm are listed for a name that begins like them.
+    """
     if name not in names:
-        near = ", ".join(nearest_first(name[:60], names))
+        like = [one for one in names if one not in ECM_JOINTS or name.lower().startswith("ecm")]
+        near = ", ".join(nearest_first(name[:60], like))
         raise InputError(f"{where}: unknown joint {shown(name)}; expected one of {near}")
 
 
