@@ -27,6 +27,6 @@ def listed(names: Iterable[str], most: int = 5) -> str:
     return ", ".join(first) + (", ..." if len(names) > most else "")
 
 
-def no_folder(path: Path) -> str:
+def no_folder(path: str | Path) -> str:
     """Say what is at a path where a folder was expected: nothing, or a file."""
-    return "a file" if path.exists() else "no such folder"
+    return "a file" if Path(path).exists() else "no such folder"
