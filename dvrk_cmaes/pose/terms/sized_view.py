@@ -63,10 +63,12 @@ class SizedView:
         used = view.renderer if renderer is None else renderer
         self.camera = self._in_window(camera)
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
-        beside = 2 * int(np.ceil(_BLURRED_IN * blur)) + 1
+        beside = int(np.ceil(_BLURRED_IN * blur))
+        above, before = min(top, beside), min(left, beside)
+        weight = weight[top - above : top + height + beside, left - before : left + width + beside]
         if weight.min() < 1:
-            weight = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
-        self.weight = np.ascontiguousarray(weight[window])
+            weight = np.asarray(cv2.erode(weight, np.ones((2 * beside + 1, 2 * beside + 1))), dtype=np.float32)
+        self.weight = np.ascontiguousarray(weight[above : above + height, before : before + width])
         mask = np.ascontiguousarray(mask[window])
         self.mask = mask > 0.5
         self.target = _kernel.Target(mask, self.weight, blur_filter(blur), REACH)
