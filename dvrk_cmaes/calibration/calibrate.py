@@ -158,9 +158,9 @@ def calibrate_with_evidence(
     solved, (state, check) = state, checked_camera(state)
     if check.may_be_freed:
         freed = with_freed_camera(solved, SessionState.of(problem, usable, rotations))
-        again = None if freed is None else checked_camera(freed)
-        if again is not None and check.agrees_with(again[1]):
-            state, check = again
+        by_it = None if freed is None else checked_camera(freed)
+        if by_it is not None and check.agrees_with(by_it[1]):
+            state, check = by_it
     lag, applied = state.lag, state.lag.applied
     if applied is not None:
         option = f"taken out; other commands take it out with {applied.option}"
