@@ -20,6 +20,9 @@ OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
 WRIST_JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
 """Joints of the instrument's wrist and jaws, which the camera sees."""
 
+ECM_JOINTS = ("ecm_yaw", "ecm_pitch", "ecm_insertion", "ecm_roll")
+"""Joints of the arm that holds the endoscope, beside those of the instrument's arm."""
+
 ARM_ORDER = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
 """Order of the six values that the dVRK publishes as ``measured_js``; the jaw has a separate topic."""
 
@@ -35,7 +38,7 @@ def without_positions(count: int) -> str:
 
 def accepted_names(known: Iterable[str] = ()) -> tuple[str, ...]:
     """Return all accepted joint names, each once: those of the dVRK and ``known`` ones of an instrument."""
-    return tuple(dict.fromkeys((*WRIST_JOINTS, *OUTER_JOINTS, *known)))
+    return tuple(dict.fromkeys((*WRIST_JOINTS, *OUTER_JOINTS, *known, *ECM_JOINTS)))
 
 
 def check_joint(where: str, name: str, names: Sequence[str]) -> None:
@@ -125,7 +128,7 @@ def check_readings(where: str, joints: object, known: Sequence[str]) -> None:
 
 def unit_of(name: str) -> str:
     """Return the unit of a joint's readings."""
-    return "m" if name == "insertion" else "rad"
+    return "m" if name in ("insertion", "ecm_insertion") else "rad"
 
 
 def joint_reading(where: str, name: str, cell: object) -> float:
