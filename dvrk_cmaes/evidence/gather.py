@@ -150,7 +150,7 @@ def _gathered(
     if instrument.shaft is None:
         unused.append("shaft edges: the instrument has no straight shaft below its root link")
     else:
-        found = find_shaft_edges(mask, contour, camera, instrument.shaft.radius, seed=seed)
+        found = find_shaft_edges(mask, contour, camera, instrument.shaft.radius, ignore=ignore, seed=seed)
         if isinstance(found, str):
             unused.append(f"shaft edges: {found}")
         else:

@@ -30,6 +30,7 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 _HALF = 2  # the least divisor of the size between the smallest and the whole one
 _BETWEEN = 400  # px, about the width of the images of that size where the whole ones are larger than twice that
+_LEAST_AREA = 800.0  # px of a mask in the smallest image
 _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
 _FARTHEST = 1.0  # m, of an instrument that an endoscope sees; a refinement that leads beyond has diverged
@@ -91,6 +92,13 @@ class LocalSearch:
     def _half(self) -> int:
         """The size, as a divisor, at which the instrument is drawn with all of its faces, as at the whole size."""
         return max(_HALF, round(self._views[0].evidence.camera.width / _BETWEEN))
+
+    @cached_property
+    def _smallest(self) -> int:
+        """The divisor of the smallest size, at which the mask is still large enough to tell modes."""
+        mask = self._views[0].evidence.mask
+        legible = int(np.sqrt(np.count_nonzero(mask) / _LEAST_AREA))
+        return max(1, min(round(mask.shape[1] / self._config.refine.width_px), legible))
 
     def _coverage(self, shrink: int) -> Coverage:
         """Return the coverage of all views at 1 / ``shrink`` of the main one's size."""
@@ -154,7 +162,7 @@ class LocalSearch:
         view but the first would turn at the best mode, as `rotations_of_views`.
         """
         c, full_width = self._config.refine, self._views[0].evidence.camera.width
-        coarse = self._coverage(max(1, round(full_width / c.width_px)))
+        coarse = self._coverage(self._smallest)
         twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if self._instrument.has_twin else []
         first = Selection(gap=c.first_gap, least=c.small_modes)
         tried, rest = candidates[: c.first_candidates], candidates[c.first_candidates :]
