@@ -69,8 +69,8 @@ def minimise_each(
 ) -> list[Found]:
     """Minimise a loss as `minimise` does, from each of several starts whose losses are known.
 
-    The seed of a start is ``seed`` plus its index, modulo `SEEDS`. The populations of all starts are evaluated together, which costs
-    less than one after another: most of the time of a small population is that of calls.
+    The seed of a start is ``seed`` plus its index, modulo `SEEDS`. The populations of all starts are evaluated
+    together, which costs less than one after another: most of the time of a small population is that of calls.
     """
     if method == "cmaes":
         searches = [_cmaes(known, dimension, evaluations, (seed + k) % SEEDS) for k, known in enumerate(starts)]
