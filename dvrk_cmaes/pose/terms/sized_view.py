@@ -56,7 +56,7 @@ class SizedView:
             mask = less_margin(evidence.mask, margin)
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
-            mask, weight = shrunk(mask, *size), shrunk(weight, *size)
+            mask, weight = shrunk(mask, *size), evidence.weight_at(*size)
         left, top, width, height = window_around(mask > 0, 48 // shrink + 8)
         window = np.s_[top : top + height, left : left + width]
         self._view, self._size, self._window = view, size, (left, top, width, height)
@@ -64,7 +64,7 @@ class SizedView:
         self.camera = self._in_window(camera)
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
         beside = 2 * int(np.ceil(_BLURRED_IN * blur)) + 1
-        if weight.min() < 1:
+        if evidence.ignores:
             weight = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
         self.weight = np.ascontiguousarray(weight[window])
         mask = np.ascontiguousarray(mask[window])
