@@ -41,7 +41,7 @@ Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[Session
 _SETTLED = 0.25  # standard deviations of the constants, below which the outlines are not linearised again
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
-_FEW, _PAYS = 100, 2  # number of frames that are enough on the way, and the multiple of it from which on that is done
+FEW, _PAYS = 100, 2  # number of frames that are enough on the way, and the multiple of it from which on that is done
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,7 +314,7 @@ def few_of(count: int) -> NDArray[np.intp] | None:
     count
         Number of the session's frames.
     """
-    return evenly_spaced(count, _FEW) if count >= _PAYS * _FEW else None
+    return evenly_spaced(count, FEW) if count >= _PAYS * FEW else None
 
 
 def shifted(model: SessionModel, at: Posed, before: Calibration, after: Calibration) -> Posed:

@@ -41,7 +41,7 @@ CAMERA = "camera"
 """Name of the constant."""
 
 _WEAK_STD = np.array([0.3, 300.0, 300.0])  # of the change where it is estimated from the frames: relative, and px
-_PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
+PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
 _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
@@ -72,7 +72,7 @@ class CameraChange(Constant):
 
     def is_plausible(self, values: Float64) -> bool:
         """Whether the outlines are not likely to have left the image."""
-        return bool((np.abs(values) < _PLAUSIBLE * _WEAK_STD).all())
+        return bool((np.abs(values) < PLAUSIBLE * _WEAK_STD).all())
 
     def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view with the changed camera."""
