@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.distance_field import distance_field
-from dvrk_cmaes.evidence.gather import Evidence, window_around
+from dvrk_cmaes.evidence.gather import Evidence, shrunk, window_around
 from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.quantiles import median, quantile
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
@@ -127,14 +126,14 @@ def _losses(
     window = _window(evidence, masks)
     mask, weight = evidence.mask[window], evidence.weight[window]
     drawn = masks[:, window[0], window[1]]
-    far = _far(mask, drawn.any(axis=0), config.distance_field) / config.decay_px
+    far = _far(mask, np.logical_or.reduce(drawn), config.distance_field) / config.decay_px
     area = float(weight[mask].sum(dtype=np.float64))
     cylinder, keypoints, deviations = pose_terms(evidence, view.renderer.body.instrument, readings, weights, seen)
     of_poses = []
     for i, silhouette in enumerate(drawn):
         shown = silhouette * weight
         total, overlap = (np.array([part.sum(dtype=np.float64)]) for part in (shown, shown[mask]))
-        outside = cv2.resize(np.where(mask, 0, shown), far.shape[::-1], interpolation=cv2.INTER_AREA)
+        outside = shrunk(np.where(mask, np.float32(0), shown), far.shape[1], far.shape[0])
         away = np.vdot(outside, far) * (mask.size / far.size)
         of_poses.append(
             Terms(
@@ -156,13 +155,10 @@ def _far(mask: NDArray[np.bool_], where: NDArray[np.bool_], method: str) -> Floa
     """
     by = -(-max(mask.shape) // _FIELD)
     width, height = max(mask.shape[1] // by, 1), max(mask.shape[0] // by, 1)
-    shares = (
-        cv2.resize(each.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) for each in (mask, where)
-    )
-    inside, needed = next(shares), next(shares) > 0
-    inside = inside > min(0.5, 0.99 * float(inside.max()))
+    share, needed = (shrunk(each.astype(np.float32), width, height) for each in (mask, where))
+    inside = share > min(0.5, 0.99 * float(share.max()))
     # the distance field is undefined for a mask without background
-    field = distance_field(np.pad(inside, 1), method, where=np.pad(needed, 1))
+    field = distance_field(np.pad(inside, 1), method, where=np.pad(needed > 0, 1))
     return np.asarray(field[1:-1, 1:-1] * np.sqrt(mask.size / (width * height)))
 
 

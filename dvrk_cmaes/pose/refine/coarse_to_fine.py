@@ -98,7 +98,8 @@ class LocalSearch:
         """The divisor of the smallest size, at which the mask is still large enough to tell modes."""
         mask = self._views[0].evidence.mask
         legible = int(np.sqrt(np.count_nonzero(mask) / _LEAST_AREA))
-        return max(1, min(round(mask.shape[1] / self._config.refine.width_px), legible))
+        usual: int = round(mask.shape[1] / self._config.refine.width_px)
+        return max(1, min(usual, legible))
 
     def _coverage(self, shrink: int) -> Coverage:
         """Return the coverage of all views at 1 / ``shrink`` of the main one's size."""
