@@ -152,7 +152,7 @@ def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A keyframe: its number in the recording, its files, and the function that reads its data without images.
+    """A keyframe: its number in the recording, its files, and the function that reads its data.
 
     That function is picklable.
     """
@@ -212,7 +212,7 @@ def solve_keyframes(
 ) -> SessionCalibration | str:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
     keyframes = [
-        Keyframe(i, own, partial(read_frame, own.changed(image=None), recorded.rig))
+        Keyframe(i, own, partial(read_frame, own, recorded.rig))
         for i, own in ((i, recorded.files[i]) for i in recorded.keyframes())
     ]
     solved = solve_together(recorded, keyframes, body, arm, config, run, progress)
