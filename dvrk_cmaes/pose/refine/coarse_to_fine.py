@@ -52,6 +52,13 @@ def _agree(modes: Sequence[Fit], gap: float) -> bool:
     )
 
 
+def _not_diverged(fits: list[Fit]) -> list[Fit]:
+    """Leave out the fits of an instrument farther away than an endoscope sees; the nearest stays if all are."""
+    distances = [float(np.linalg.norm(fit.at.pose[:3, 3])) for fit in fits]
+    near = [fit for fit, distance in zip(fits, distances, strict=True) if distance < _FARTHEST]
+    return near or [fits[int(np.argmin(distances))]]
+
+
 class LocalSearch:
     """Refines modes of one frame on all of its views, of which the first is the main one.
 
@@ -138,9 +145,7 @@ class LocalSearch:
         shrink = coverage.views[0].shrink
         steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations, continued=continued)
         fits = refine(coverage, self._terms, Posed.stacked([mode.at for mode in modes]), steps, selection)
-        distances = [float(np.linalg.norm(fit.at.pose[:3, 3])) for fit in fits]
-        near = [fit for fit, distance in zip(fits, distances, strict=True) if distance < _FARTHEST]
-        return near or [fits[int(np.argmin(distances))]]
+        return _not_diverged(fits)
 
     def _assess(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
         """Score modes without refining them."""
@@ -208,7 +213,7 @@ class LocalSearch:
         modes = best_per_mode([*self._last(coverage, close), *rest])
         if missing := self._missing_twin(modes[0], modes[1:]):
             modes = best_per_mode([*modes, *self._last(coverage, missing)])
-        first, *others = modes
+        first, *others = _not_diverged(modes)
         if self._config.refine.method == "gauss-newton" and all(has_correlated_noise(noise) for noise in noises):
             first = self._with_correlated_noise(coverage, first)
         views = [ViewAtFullSize(*pair) for pair in zip(self._views, coverage.views, strict=True)]
