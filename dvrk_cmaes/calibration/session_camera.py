@@ -134,7 +134,7 @@ class SessionCamera(Document):
         ):
             first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
             contradicts = contradicts and first > limit
-        if not applied and estimate.gain < max(limit, _LEAST_GAIN):
+        if not applied and estimate.gain < _LEAST_GAIN:
             contradicts = False
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
@@ -337,9 +337,9 @@ def estimate_camera(
     count, information = len(prior), there.information
     told = [(one.value(CAMERA), one.covariance[own, own]) for one in (there, first)]
     growth, shaft, constants = None, None, there.solution.calibration.constants
-    usual_px = next((one.usual_px for one in outlines.constants if isinstance(one, MaskGrowth)), None)
-    if usual_px is not None:
-        known = [growth_told(one, count, usual_px) for one in ((there,) if first is there else (there, first))]
+    of_masks = next((one for one in outlines.constants if isinstance(one, MaskGrowth)), None)
+    if of_masks is not None:
+        known = [growth_told(one, count, of_masks) for one in ((there,) if first is there else (there, first))]
         told, growth = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])], known[0]
         if SHAFT in constants:
             shaft = SessionShaft.of(there, {CAMERA: file_deviations(config), GROWTH: growth.std_px})
