@@ -159,23 +159,29 @@ def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float
     return along
 
 
-def covariance_of_growth(rms_px: Sequence[float], at: Posed, camera: Camera, instrument: Instrument) -> Float64:
-    """Return the covariance (D, D) of a pose by errors that all masks share on some sides.
+def covariance_of_growth(
+    rms_px: Sequence[float], at: Posed, camera: Camera, instrument: Instrument, *, margin_square: float = 0.0
+) -> Float64:
+    """Return the covariance (D, D) of a pose by errors that all masks share, all round and on some sides.
 
     Half of the error of a side of the shaft is a margin, which makes it seem nearer; half of it moves its axis aside.
+    What is not known of a margin is mostly the same as what is not known of the sides: the larger one counts.
 
     Parameters
     ----------
     rms_px
-        The roots of the mean squares of the errors (6,), px; none where they are not known.
+        The roots of the mean squares of the errors (6,) on some sides, px; none where they are not known.
     at
         The pose.
     camera, instrument
         The camera that sees the instrument.
+    margin_square
+        Mean square of the margin, px^2.
     """
-    covariance = np.zeros((6 + len(at.joints),) * 2)
+    nearer = change_by_margin(at, camera, instrument)
+    covariance = margin_square * np.outer(nearer, nearer)
     if len(rms_px) == 0 or instrument.shaft is None:
-        return covariance
+        return np.asarray(covariance)
     along, aside = image_axis(instrument, camera, at)
     squares, across = np.square(rms_px), np.array([-aside, along])
     facing = np.maximum(np.array([across, -across]) @ _DIRECTIONS, 0.0) ** 2
@@ -183,5 +189,5 @@ def covariance_of_growth(rms_px: Sequence[float], at: Posed, camera: Camera, ins
     distance = float(np.linalg.norm(apply(at.pose, instrument.ends(at.joints)).mean(axis=0)))
     moved = np.zeros(len(covariance))
     moved[:3] = at.pose[:3, :3].T @ [*across, 0.0] * distance / camera.fx
-    nearer = change_by_margin(at, camera, instrument)
-    return np.asarray(mean * (np.outer(nearer, nearer) + np.outer(moved, moved)))
+    more = max(mean - margin_square, 0.0)
+    return np.asarray(covariance + more * np.outer(nearer, nearer) + mean * np.outer(moved, moved))
