@@ -92,10 +92,10 @@ class SearchConfig:
 
     method: str = "cmaes"
     samples: int = 768
-    screened: int = 110
-    starts: int = 2
+    screened: int = 168
+    starts: int = 4
     evaluations: int = 33
-    spares: int = 16
+    spares: int = 22
     width_px: int = field(default=80, metadata=_WIDTH)
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
     screen_shrink: int = 3
@@ -248,7 +248,7 @@ class RefineConfig:
     evaluations: int = 400
     width_px: int = field(default=110, metadata=_WIDTH)
     first_steps: int = 3
-    first_candidates: int = 8
+    first_candidates: int = 12
     agreed_gap: float = 6.0
     small_modes: int = 10
     small_steps: int = 8
