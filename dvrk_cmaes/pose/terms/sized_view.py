@@ -58,7 +58,7 @@ class SizedView:
             mask = less_margin(evidence.mask, margin)
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
-            mask, weight = shrunk(mask, *size), shrunk(weight, *size)
+            mask, weight = shrunk(mask, *size), evidence.weight_at(*size)
         left, top, width, height = window_around(mask > 0, 48 // shrink + 8)
         window = np.s_[top : top + height, left : left + width]
         self._view, self._size, self._window = view, size, (left, top, width, height)
@@ -68,7 +68,7 @@ class SizedView:
         beside = int(np.ceil(_BLURRED_IN * blur))
         above, before = min(top, beside), min(left, beside)
         weight = weight[top - above : top + height + beside, left - before : left + width + beside]
-        if weight.min() < 1:
+        if evidence.ignores:
             weight = np.asarray(cv2.erode(weight, np.ones((2 * beside + 1, 2 * beside + 1))), dtype=np.float32)
         self.weight = np.ascontiguousarray(weight[above : above + height, before : before + width])
         mask = np.ascontiguousarray(mask[window])
