@@ -265,9 +265,7 @@ class Renderer:
 
         def draw(links: Float64) -> list[OutlinePoints]:
             decide = self._rays(links, lines_per_pixel)
-            _, begin, link, pixels, normals, points = mesh.outlines(
-                camera, links, lines_per_pixel, False, self.threads, decide
-            )
+            begin, link, pixels, normals, points = mesh.outlines(camera, links, lines_per_pixel, self.threads, decide)
             parts = [slice(*ends) for ends in pairwise(begin.tolist())]
             return [OutlinePoints(link[part], pixels[part], normals[part], points[part]) for part in parts]
 
