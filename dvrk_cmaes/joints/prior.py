@@ -20,11 +20,6 @@ LIMIT_SIGMA = float(np.deg2rad(3.0))
 """Standard deviation of the distance by which a joint may exceed its limits, rad."""
 
 
-def reading_loss(joints: Float64, readings: Float64, sigma: Float64) -> Float64:
-    """Sum the squared deviations of joints (..., J) from readings (J,), in units of ``sigma`` (J,); NaN is unknown."""
-    return np.asarray(np.nansum(((joints - readings) / sigma) ** 2, axis=-1))
-
-
 class JointLimits(Protocol):
     """The joints of an instrument and their limits."""
 

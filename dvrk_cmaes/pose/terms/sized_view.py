@@ -24,8 +24,10 @@ Float64 = NDArray[np.float64]
 REACH = 4
 """Distance, px, from the outline up to which differences are sampled."""
 
+ANY_NOISE = OutlineNoise(1.0, 19.0)
+"""Noise with which the columns of shared errors are made; it does not change them."""
+
 REMEMBERED = 64  # drawings that a view keeps
-_ANY_NOISE = OutlineNoise(1.0, 19.0)  # of the columns of shared errors, which no noise changes
 _FARTHEST_SIDE = 8.0  # px, of the mask from a side of the shaft
 _FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
@@ -157,7 +159,7 @@ class SizedView:
     def side_offsets(self, at: Posed) -> Float64:
         """Return by how much the mask lies outwards of both sides of the shaft of a pose, (2,), px; 0 where unseen."""
         (outline,) = self.outlines(Posed.stacked([at]))
-        sides = self.shared_errors(outline, at, _ANY_NOISE).columns[:, :LASTING]
+        sides = self.shared_errors(outline, at, ANY_NOISE).columns[:, :LASTING]
         offsets = np.clip(self.offsets(outline), -_FARTHEST_SIDE, _FARTHEST_SIDE)
         return np.asarray(sides.T @ offsets / np.maximum(sides.sum(axis=0), 1.0))
 
