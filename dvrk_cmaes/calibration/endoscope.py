@@ -67,19 +67,21 @@ class SteeredValues(EndoscopeValues):
 
     ``tip_from_camera`` (4, 4), m, is the camera in the endoscope's tip, ``expected`` (4, 4) what that is beforehand.
     ``offsets`` (4,) are those of the ECM's joints, and ``errors`` (P, 4) what is added to its readings at P places but
-    the reference: true = reading + offset + error, rad and m.
+    the reference: true = reading + offset + error, rad and m. ``mean`` (M,) is what is expected beforehand of all of
+    these as differences, beside ``expected`` and zero.
     """
 
     tip_from_camera: Float64
     expected: Float64
     offsets: Float64
     errors: Float64
+    mean: Float64 | float = 0.0
 
     @property
     def deviation(self) -> Float64:
         """Differences (M,) from what is expected beforehand."""
         turn = change_between(self.expected, self.tip_from_camera)
-        return np.concatenate([in_tip(self.expected) @ turn, self.offsets, self.errors.ravel()])
+        return np.concatenate([in_tip(self.expected) @ turn, self.offsets, self.errors.ravel()]) - self.mean
 
     @property
     def std(self) -> Float64:
@@ -181,10 +183,13 @@ class Steered(Endoscope):
     loose: Float64
 
     @classmethod
-    def of(cls, read: Float64) -> Steered | None:
-        """Return the endoscope of frames with readings (N, 4), NaN without one; None if it is not read, or stands."""
+    def of(cls, read: Float64, places: Sequence[Place] = ()) -> Steered | None:
+        """Return the endoscope of frames with readings (N, 4), NaN without one; None if it is not read, or stands.
+
+        ``places`` are those at which it stands, where they are known.
+        """
         read = filled(read)
-        places = find_places(read)
+        places = tuple(places) or find_places(read)
         if np.isnan(read).any() or not len(read):
             return None
         if not places:  # it moves all the time

@@ -21,6 +21,7 @@ from dvrk_cmaes.calibration.alternation import (
     with_lag_of_modes,
     with_other_masks,
 )
+from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.endoscope_search import with_pieces, with_readings
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.masks_again import (
@@ -45,7 +46,7 @@ _ALIKE = 3.0  # frames near each other in time err alike, so that each counts as
 _WELL = 0.06  # of overlap, by which left-out frames may be worse than their own fits for the session to predict well
 
 
-def solve_session(start: SessionState) -> SessionState:
+def solve_session(start: SessionState, places: Sequence[Place] = ()) -> SessionState:
     """Solve a session; where the frames' own modes do not tell the lag, also at others.
 
     These are the lags that the modes allow and the one that the fits without a lag tell. A solution at such a lag is
@@ -57,13 +58,15 @@ def solve_session(start: SessionState) -> SessionState:
     ----------
     start
         The session, of which nothing is solved yet.
+    places
+        Those at which the endoscope stands, where they are known.
 
     Raises
     ------
     InputError
         As `initialised`.
     """
-    start = with_pieces_if_lost(with_lag_of_modes(with_readings(start)))
+    start = with_pieces_if_lost(with_lag_of_modes(with_readings(start, places)))
     lags = lags_to_try(start.lag.curve) if start.lag.can_be_tried else []
     try:
         session = solved(initialised(start))

@@ -112,7 +112,9 @@ def test_tf_has_root_and_base_in_camera(kind: str, run: Run, results: Path) -> N
 def steered(results: Path) -> Path:
     """Put the results below PSM1 of two arms; the endoscope stood in the first two frames, and moved in the third."""
     folder = results.rename(results.parent / "PSM1").parent
-    stands = [{"first": name, "last": name, "camera_from_base": base} for name, base in zip(TIMES, PLACES, strict=False)]
+    stands = [
+        {"first": name, "last": name, "camera_from_base": base} for name, base in zip(TIMES, PLACES, strict=False)
+    ]
     moves = {"bases": stands, "tip_from_camera": IN_TIP, "ecm_from_base": IN_ECM["PSM1"]}
     session = {"camera_from_base": PLACES[0], "frames": list(TIMES), "endoscope": moves}
     write_json(folder / "PSM1" / "session.json", session)
