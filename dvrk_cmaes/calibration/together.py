@@ -19,8 +19,9 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place, Steered, SteeredValues
 from dvrk_cmaes.calibration.session_masks import Margin
 from dvrk_cmaes.calibration.session_state import SessionState
-from dvrk_cmaes.geometry import adjoint, inverse, log_rotation
-from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
+from dvrk_cmaes.geometry import adjoint, change_between, inverse, log_rotation
+from dvrk_cmaes.instrument.setup_joints import SETUP
+from dvrk_cmaes.io.encode import SIGNIFICANT, Document, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
@@ -31,6 +32,8 @@ Solving = Generator[SessionState, Sequence[SessionState], R]
 
 _AGREE: Final = 4.0  # standard deviations of each unknown, within which arms tell the same
 _LEAST_PX: Final = 0.05  # change of the camera and of margins, from which on frames are fitted again
+_SETUP_STD: Final = np.array([0.025] * 3 + [np.deg2rad(3.0)] * 3)  # of a base by set-up joints in another, m, rad
+_SETUP_LIMIT: Final = 4.0  # standard deviations
 _HAND_EYE: Final = 10  # unknowns that do not differ from place to place
 
 
@@ -236,13 +239,56 @@ def _of_both(one: SessionCalibration, other: SessionCalibration) -> Float64:
     return np.asarray(first[:6, own:] @ np.linalg.solve(first[own:, own:], second[their:, :6]))
 
 
-def arms_document(calibrations: Mapping[str, SessionCalibration], bases: Mapping[str, RelativeBase]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class SetupJoints(Document):
+    """How far an arm's base in that of the first arm is from where the set-up joints say it is.
+
+    off_mm, off_deg : distance and angle. agrees : whether these are within what is expected of both.
+    """
+
+    off_mm: float
+    off_deg: float
+    agrees: bool
+
+    def describe(self, arm: str, reference: str) -> str:
+        """Describe a disagreement in words."""
+        return (
+            f"base of {arm} from that of {reference}: {self.off_mm:.0f} mm and {self.off_deg:.0f} deg from where "
+            f"{SETUP} has it: exchanged arms, readings or set-up joints of another time, or a wrong calibration"
+        )
+
+
+def against_setup(
+    bases: Mapping[str, RelativeBase], reference: str, setup: Mapping[str, Float64]
+) -> dict[str, SetupJoints]:
+    """Compare the bases of arms in that of the reference arm with the set-up joints', where these have both arms.
+
+    ``setup`` are the poses (4, 4) of the arms' bases in one frame, m, by name.
+    """
+    found = {}
+    for arm in bases.keys() & setup.keys() if reference in setup else ():
+        off = change_between(bases[arm].reference_from_base, inverse(setup[reference]) @ setup[arm])
+        expected = np.hypot(np.sqrt(np.diag(bases[arm].covariance)), _SETUP_STD)
+        off_mm, off_deg = 1e3 * float(np.linalg.norm(off[:3])), float(np.degrees(np.linalg.norm(off[3:])))
+        found[arm] = SetupJoints(off_mm, off_deg, bool((np.abs(off) < _SETUP_LIMIT * expected).all()))
+    return found
+
+
+def arms_document(
+    calibrations: Mapping[str, SessionCalibration],
+    bases: Mapping[str, RelativeBase],
+    setup: Mapping[str, SetupJoints],
+) -> dict[str, Any]:
     """Return what arms.json has: the bases relative to the first arm's, and what all tell of an endoscope that is read.
 
-    ``bases`` are of `relative_bases`.
+    ``bases`` are of `relative_bases`, ``setup`` of `against_setup`.
     """
     reference = next(iter(calibrations))
-    document: dict[str, Any] = {"reference": reference, "arms": {arm: base.to_dict() for arm, base in bases.items()}}
+    arms_bases = {
+        arm: {**base.to_dict(), "setup_joints": setup[arm].to_dict() if arm in setup else None}
+        for arm, base in bases.items()
+    }
+    document: dict[str, Any] = {"reference": reference, "arms": arms_bases}
     moves = {arm: own.endoscope for arm, own in calibrations.items() if own.endoscope is not None}
     read = {arm: own for arm, own in moves.items() if own.places}
     if len(read) < len(calibrations):

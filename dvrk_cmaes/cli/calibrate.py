@@ -210,13 +210,15 @@ def calibrate(
         else:
             for name, solution in solved.items():
                 show([*([Line(name, "bold")] if name else []), *_lines(solution, target / name)])
+        agree = True
         if len(solved) > 1:
+            calibrations = {name: solution.calibration for name, solution in solved.items()}
             with output(target, "calibrate"):
-                _write_bases({name: solution.calibration for name, solution in solved.items()}, target, quiet=json)
+                agree = _write_bases(calibrations, session, target, quiet=json)
                 page = write_arms(target, arms)
             if not json:
                 show([Line(f"all arms: {page}")])
-        return _DOUBTFUL if any(_is_doubtful(solution) for solution in solved.values()) else 0
+        return _DOUBTFUL if not agree or any(map(_is_doubtful, solved.values())) else 0
 
 
 def _share(arm: ArmInSession, frames: str | None, every: int, keyframes: int | None) -> ArmInSession:
@@ -369,16 +371,25 @@ def _is_doubtful(solved: SolvedSession) -> bool:
     return solved.calibration.status != "ok" or any(result.status != "ok" for result in together)
 
 
-def _write_bases(calibrations: Mapping[str, SessionCalibration], out: Path, *, quiet: bool) -> None:
-    """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``."""
-    from dvrk_cmaes.calibration.together import arms_document, relative_bases
+def _write_bases(calibrations: Mapping[str, SessionCalibration], session: Path, out: Path, *, quiet: bool) -> bool:
+    """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``.
+
+    Returns whether they are where the set-up joints have them, if the session has a file of these.
+    """
+    from dvrk_cmaes.calibration.together import against_setup, arms_document, relative_bases
+    from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.atomic import write_json
     from dvrk_cmaes.results.folder import ARMS
 
     bases, reference = relative_bases(calibrations), next(iter(calibrations))
-    write_json(out / ARMS, arms_document(calibrations, bases))
+    setup = against_setup(bases, reference, read_setup_joints(session / SETUP))
+    write_json(out / ARMS, arms_document(calibrations, bases, setup))
     if not quiet:
         show(Line(f"base of {arm} from that of {reference}: {base.describe()}") for arm, base in bases.items())
+    wrong = {arm: own for arm, own in setup.items() if not own.agrees}
+    for arm, own in wrong.items():
+        warn(own.describe(arm, reference))
+    return not wrong
 
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import DvrkVersion, Exported, ExportRequest
+from dvrk_cmaes.instrument.setup_joints import SETUP, setup_text
 from dvrk_cmaes.io.atomic import json_text
 
 DVRK_FROM_OPEN_CV: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Transform from OpenCV's camera axes to the dVRK's, which have x and y reversed."""
 
-SUJ_FIXED: Final = "suj-fixed.json"
 
 _KEYS: Final[dict[DvrkVersion, tuple[str, str]]] = {
     "2.4": ("base_frame", "reference_frame"),
@@ -73,21 +73,14 @@ def registration_files(
         files[f"{names.arm}-registration-dVRK.json"] = json_text(_entry(in_dvrk_axes, names.camera, _KEYS[version]))
     else:
         poses = {"ECM": np.eye(4), names.arm: ecm_from_base, **(others or {})}
-        arms = [{"name": name, "measured_cp": _rows(pose)} for name, pose in poses.items()]
-        files[SUJ_FIXED] = json_text({"arms": arms})
+        files[SETUP] = setup_text(poses)
     return files
 
 
 def _entry(transform: NDArray[np.float64], camera: str, keys: tuple[str, str]) -> dict[str, Any]:
     """Return the entry of an arm's base frame."""
     base_frame, reference_frame = keys
-    return {base_frame: {reference_frame: camera, "transform": _rows(transform)}}
-
-
-def _rows(transform: NDArray[np.float64]) -> list[list[float]]:
-    """Return the rows of a transform, with 0.0 for -0.0."""
-    rows: list[list[float]] = (transform + 0.0).tolist()
-    return rows
+    return {base_frame: {reference_frame: camera, "transform": (transform + 0.0).tolist()}}  # 0.0 for -0.0
 
 
 def exported(request: ExportRequest) -> Exported:

@@ -98,10 +98,12 @@ def test_arms_in_one_solution_share_the_endoscope(
 ) -> None:
     """Half of the frames as those of another arm: both tell the endoscope better than one, and how the bases lie."""
     _, frames = world
-    solving = partial(solving_arm, instrument=bundled_body, config=QUICK)
-    arms = {"PSM1": frames, "PSM2": frames[1::2]}
-    both = solved_together({name: lambda places, own=own: solving(own, places=places) for name, own in arms.items()})
-    found = {name: solved.calibration for name, (solved, _) in both.items()}
+
+    def solving(own: list[SessionFrame], places: Sequence[Place]) -> Solving[SolvedSession]:
+        return (yield from solving_arm(own, bundled_body, config=QUICK, places=places))[0]
+
+    both = solved_together({"PSM1": partial(solving, frames), "PSM2": partial(solving, frames[1::2])})
+    found = {name: solved.calibration for name, solved in both.items()}
     first, second, single = (own.endoscope for own in (found["PSM1"], found["PSM2"], alone.calibration))
     assert first is not None
     assert second is not None
@@ -110,7 +112,7 @@ def test_arms_in_one_solution_share_the_endoscope(
     for both_tell in (first, second):
         assert np.mean(both_tell.std_tip_from_camera) < 0.95 * np.mean(single.std_tip_from_camera)
     bases = relative_bases(found)
-    document = arms_document(found, bases)
+    document = arms_document(found, bases, {})
     off = change_between(np.eye(4), bases["PSM2"].reference_from_base)  # in truth, they are one arm
     std = np.sqrt(np.diag(bases["PSM2"].covariance))
     assert (np.abs(off) < 3 * std).all()
@@ -126,9 +128,8 @@ def test_an_arm_that_fails_leaves_the_first_one_solved(
     done = []
 
     def first(_: Sequence[Place]) -> Solving[SolvedSession]:
-        solved, _ = yield from solving_arm(frames[:4], bundled_body, config=QUICK)
-        done.append(solved)
-        return solved
+        done.append((yield from solving_arm(frames[:4], bundled_body, config=QUICK))[0])
+        return done[0]
 
     def second(_: Sequence[Place]) -> Solving[SolvedSession]:
         return (yield from solving_arm(frames[:2], bundled_body, config=QUICK))[0]
