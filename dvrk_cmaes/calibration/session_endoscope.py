@@ -23,8 +23,8 @@ from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import STRAIGHT
 from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
-from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.rounding import rounded_array
+from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_document, refused
 from dvrk_cmaes.joints.names import ECM_JOINTS
 

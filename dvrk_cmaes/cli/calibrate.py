@@ -33,6 +33,9 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.calibration.endoscope import Place
@@ -140,6 +143,7 @@ def calibrate(
     from dvrk_cmaes.calibration.instrument_test import fitting_instruments
     from dvrk_cmaes.calibration.together import solved_together
     from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, session_tools
+    from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.results.folder import ALONE
@@ -152,6 +156,7 @@ def calibrate(
             from dvrk_cmaes.track.keyframes import solved_with
 
             settings = solved_with(settings)
+        setup = read_setup_joints(session / SETUP)
         arms: dict[str, ArmInSession] = {}
         for name, tool in session_tools(session, instrument, only, follow_links=follow_links).items():
             arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), frames, every, keyframes)
@@ -214,7 +219,7 @@ def calibrate(
         if len(solved) > 1:
             calibrations = {name: solution.calibration for name, solution in solved.items()}
             with output(target, "calibrate"):
-                agree = _write_bases(calibrations, session, target, quiet=json)
+                agree = _write_bases(calibrations, setup, target, quiet=json)
                 page = write_arms(target, arms)
             if not json:
                 show([Line(f"all arms: {page}")])
@@ -371,22 +376,23 @@ def _is_doubtful(solved: SolvedSession) -> bool:
     return solved.calibration.status != "ok" or any(result.status != "ok" for result in together)
 
 
-def _write_bases(calibrations: Mapping[str, SessionCalibration], session: Path, out: Path, *, quiet: bool) -> bool:
+def _write_bases(
+    calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, NDArray[np.float64]], out: Path, *, quiet: bool
+) -> bool:
     """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``.
 
-    Returns whether they are where the set-up joints have them, if the session has a file of these.
+    Returns whether they are where the set-up joints have them, whose poses of the arms ``setup`` are by name.
     """
     from dvrk_cmaes.calibration.together import against_setup, arms_document, relative_bases
-    from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.atomic import write_json
     from dvrk_cmaes.results.folder import ARMS
 
     bases, reference = relative_bases(calibrations), next(iter(calibrations))
-    setup = against_setup(bases, reference, read_setup_joints(session / SETUP))
-    write_json(out / ARMS, arms_document(calibrations, bases, setup))
+    compared = against_setup(bases, reference, setup)
+    write_json(out / ARMS, arms_document(calibrations, bases, compared))
     if not quiet:
         show(Line(f"base of {arm} from that of {reference}: {base.describe()}") for arm, base in bases.items())
-    wrong = {arm: own for arm, own in setup.items() if not own.agrees}
+    wrong = {arm: own for arm, own in compared.items() if not own.agrees}
     for arm, own in wrong.items():
         warn(own.describe(arm, reference))
     return not wrong

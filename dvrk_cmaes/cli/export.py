@@ -151,9 +151,9 @@ def export(
         raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {to}")
     from dvrk_cmaes.cli.session_tools import output_folder
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
-    from dvrk_cmaes.export.formats import export as exported_files
     from dvrk_cmaes.export.frames import FrameNames
     from dvrk_cmaes.export.request import ExportRequest, FormatOptions
+    from dvrk_cmaes.export.request import export as exported_files
     from dvrk_cmaes.export.source import read_source
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import LONG, output, write_bytes

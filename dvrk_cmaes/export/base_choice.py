@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import rotation_angle, transform
-from dvrk_cmaes.io.natural_order import natural
+from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.typed_document import Texts, Transform, convert_document
 from dvrk_cmaes.results.result import Result
 
