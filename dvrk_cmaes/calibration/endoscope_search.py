@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
-from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered, SteeredValues
+from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import Calibration, SessionModel, ecm_readings
 from dvrk_cmaes.calibration.session_state import SessionState
@@ -98,7 +98,7 @@ def find_hand_eye(
         of_few = replace(model, endoscope=offered.subset(few))
         solution, _ = solve_with_modes(of_few, modes, consensus.calibration, prior)
         values = solution.calibration.endoscope
-        assert isinstance(values, SteeredValues)
+        assert values is not None
         there = offered.with_start(values, _FOUND * offered.loose)
         again = find_consensus(
             replace(model, endoscope=there.subset(few)), modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES
@@ -211,7 +211,7 @@ def describe_pieces(pieces: Pieces, frames: Sequence[SessionFrame]) -> str:
     cuts = np.flatnonzero(np.diff(pieces.piece)).tolist()
     between = ", ".join(f"{frames[i].name} and {frames[i + 1].name}" for i in cuts)
     return (
-        f"the arm's base or the camera moved between frames {between}: {len(pieces.start.cameras) + 1} bases, and all "
+        f"the arm's base or the camera moved between frames {between}: {len(pieces.start.poses) + 1} bases, and all "
         "else is shared"
     )
 

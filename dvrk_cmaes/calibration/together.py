@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.alternation import fitted_again
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.endoscope import Place, Steered, SteeredValues
+from dvrk_cmaes.calibration.endoscope import Place, Steered
 from dvrk_cmaes.calibration.session_masks import Margin
 from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.geometry import adjoint, change_between, inverse, log_rotation
@@ -94,14 +94,14 @@ def with_others(state: SessionState, others: Sequence[SessionState]) -> SessionS
 def _with_endoscope(state: SessionState, others: Sequence[SessionState]) -> SessionState:
     """Return an arm's session that knows beforehand what the others tell of the endoscope."""
     endoscope, own = state.model.endoscope, state.solution.calibration.endoscope
-    if not isinstance(endoscope, Steered) or not isinstance(own, SteeredValues):
+    if not isinstance(endoscope, Steered) or own is None:
         return state
     prior = information = state.problem.endoscope_prior
     vector = np.zeros(len(prior))
     mine, of_mine = own.deviation, _of_endoscope(state)
     for other in others:
         values = other.solution.calibration.endoscope
-        if not isinstance(values, SteeredValues) or len(values.errors) != len(own.errors):
+        if values is None or len(values.numbers) != len(own.numbers):
             continue
         theirs, of_theirs = replace(values, expected=own.expected).deviation, _of_endoscope(other)
         apart = (mine - theirs)[:_HAND_EYE]
