@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.sparse import LEAST_ERROR
 
 Bool = NDArray[np.bool_]
