@@ -138,7 +138,8 @@ class Prediction:
         if len(image):
             readings = np.concatenate([outer, joints], axis=1)[image] + _STEP * changes[which, image]
             there = None if endoscope is None else (endoscope[0].subset(image), endoscope[1])
-            moved_model, same = calibration.model(*np.split(readings, [outer.shape[1]], axis=1), joint_names, there)
+            moved_outer, moved_joints = np.split(readings, [outer.shape[1]], axis=1)
+            moved_model, same = calibration.model(moved_outer, moved_joints, joint_names, there)
             off = moved_model.predict(same).minus(at[image]) / _STEP
             np.add.at(prior, image, off[:, :, None] * off[:, None, :])
         factor = np.ones(prior.shape[-1])
