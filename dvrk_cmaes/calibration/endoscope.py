@@ -74,7 +74,7 @@ class EndoscopeValues:
     @property
     def tip_from_camera(self) -> Float64:
         """The camera (4, 4) in the tip of an endoscope whose arm is read, m."""
-        return self.poses[0]
+        return np.asarray(self.poses[0])
 
     @property
     def offsets(self) -> Float64:
