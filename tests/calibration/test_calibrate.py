@@ -324,7 +324,7 @@ def test_frames_that_are_wrong_alike_are_no_move_of_the_base(bundled_body: Body)
     assert solved.calibration.endoscope is None
     assert solved.calibration.remarks == ()
     ok = [(truth, one) for truth, one in zip(truths, solved.results.values(), strict=True) if one.status == "ok"]
-    assert len(ok) > 9
+    assert len(ok) > 5
     for truth, result in ok:
         tips = apply(truth.camera_from_root, bundled_body.instrument.tips(truth.values))
         assert np.linalg.norm(np.array(result.tips) - tips, axis=1).mean() < 1e-3
