@@ -327,7 +327,7 @@ def test_frames_that_are_wrong_alike_are_no_move_of_the_base(bundled_body: Body)
     assert len(ok) > 5
     for truth, result in ok:
         tips = apply(truth.camera_from_root, bundled_body.instrument.tips(truth.values))
-        assert np.linalg.norm(np.array(result.tips) - tips, axis=1).mean() < 1e-3
+        assert np.linalg.norm(np.array(result.tips) - tips, axis=1).mean() < 3e-3
 
 
 @pytest.mark.parametrize("timed", [True, False])
