@@ -145,7 +145,7 @@ def _votes(contour: Contour, line: Float64, index: NDArray[np.intp]) -> float:
 def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
     """Find distinct lines (n, 3) through pairs of contour points with matching normals, best supported first."""
     every = max(1, len(contour.ideal) // _VOTERS)
-    points, normals = contour.ideal[::every], contour.normals[::every]
+    points, normals = (np.ascontiguousarray(part[::every]) for part in (contour.ideal, contour.normals))
     count = len(points)
     first = rng.integers(count, size=_HYPOTHESES * 4)
     second = rng.integers(count, size=_HYPOTHESES * 4)
@@ -156,12 +156,7 @@ def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
     agree = np.minimum((normal * normals[first]).sum(axis=1), (normal * normals[second]).sum(axis=1))
     good = np.flatnonzero((length > 15) & (agree > _FACING))[:_HYPOTHESES]
     lines = np.c_[normal[good], -(normal[good] * points[first[good]]).sum(axis=1)]
-    away = points @ lines[:, :2].T + lines[:, 2]
-    votes = np.zeros_like(away)
-    facing = np.nonzero(normals @ lines[:, :2].T >= _FACING)
-    votes[facing] = np.exp(-0.5 * (away[facing] / _NEAR_LINE) ** 2)
-    support = votes.sum(axis=0)
-    middle = (votes.T @ points) / np.maximum(support, 1e-9)[:, None]
+    support, middle = _kernel.line_support(points, normals, lines, _NEAR_LINE, _FACING)
     kept: list[int] = []
     left = np.argsort(-support, kind="stable")
     while len(left) and len(kept) < _KEPT_LINES:
