@@ -144,7 +144,11 @@ def _parser() -> argparse.ArgumentParser:
         help="for lies and worlds: seed (default: %(default)s)",
     )
     parser.add_argument(
-        "--every", type=int, default=1, metavar="N", help="for track: follow every N-th frame (default: %(default)s)"
+        "--every",
+        type=int,
+        default=1,
+        metavar="N",
+        help="for track and arm-bases: use every N-th frame (default: %(default)s)",
     )
     parser.add_argument("--session", type=Path, metavar="JSON", help="for track and disparity: session.json to use")
     parser.add_argument("--no-joints", action="store_true", help="for track and rig: estimate without readings")
@@ -283,7 +287,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "turned-rigs": lambda given, _: rotations_report(given),
     "disparity": _disparity,
     "arms": lambda given, _: arms_report(given),
-    "arm-bases": lambda given, _: bases_report(given),
+    "arm-bases": lambda given, options: bases_report(given, options.every),
     "camera": lambda given, _: measure_camera(given),
     "no-camera": lambda given, _: measure_no_camera(given),
     "worlds": _worlds,

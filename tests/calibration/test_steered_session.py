@@ -133,7 +133,7 @@ def test_arms_in_one_solution_share_the_endoscope(
     one, other = states
     calibration = other.solution.calibration
     assert calibration.endoscope is not None
-    turned = calibration.endoscope.changed(np.eye(len(calibration.endoscope.std))[5])
+    turned = calibration.endoscope.changed(0.6 * np.eye(len(calibration.endoscope.std))[3])
     wrong = replace(other, found=replace(other.solution, calibration=replace(calibration, endoscope=turned)))
     left = with_others(one, [wrong])
     assert "another camera in the endoscope's tip" in left.notes.remarks[-1]

@@ -100,10 +100,10 @@ def _summary(kind: str, found: Sequence[Compared], hidden: float) -> dict[str, A
     }
 
 
-def bases_report(given: Measurement) -> dict[str, list[dict[str, Any]]]:
+def bases_report(given: Measurement, every: int = 1) -> dict[str, list[dict[str, Any]]]:
     """Calibrate sessions of several arms by the command, and compare how their bases lie to each other with the truth.
 
-    Results are kept in the given folder, by default in one that is removed.
+    Every N-th frame is calibrated. Results are kept in the given folder, by default in one that is removed.
 
     Raises
     ------
@@ -115,7 +115,8 @@ def bases_report(given: Measurement) -> dict[str, list[dict[str, Any]]]:
         for folder in map(Path, given.folders):
             out = (Path(temporary) if given.keep is None else given.keep) / folder.name
             command = [sys.executable, "-m", "dvrk_cmaes", "calibrate", str(folder), "--out", str(out), "--json"]
-            done = subprocess.run([*command, "--workers", str(given.workers)], stdout=subprocess.DEVNULL, check=False)
+            command += ["--workers", str(given.workers), "--every", str(every)]
+            done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
             if not (out / ARMS).is_file():
                 raise DvrkCmaesError(f"{folder}: calibrate ended with {done.returncode}")
             document = json.loads((out / ARMS).read_text(encoding="utf-8"))
