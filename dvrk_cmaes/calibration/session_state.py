@@ -44,9 +44,9 @@ class SessionProblem:
     ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
-    frames' camera is a guess, of which there is no file. ``endoscope_std`` (M,) are the standard deviations beforehand
-    of the unknowns of an endoscope that moves. ``gathered`` keeps the frames'
-    evidence by name, for all solutions.
+    frames' camera is a guess, of which there is no file. ``endoscope_prior`` (M, M) is the information beforehand about
+    the unknowns of an endoscope that moves. ``may_cut`` is whether the session may be cut into pieces between which the
+    base moved. ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
     series: ReadingSeries | None
@@ -57,7 +57,8 @@ class SessionProblem:
     progress: Callable[[str, int], None] = lambda stage, count: None
     refine_camera: bool = False
     guessed_camera: bool = False
-    endoscope_std: Float64 = field(default_factory=lambda: np.zeros(0))
+    endoscope_prior: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+    may_cut: bool = True
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
     @property
@@ -68,29 +69,58 @@ class SessionProblem:
     @property
     def prior(self) -> Float64:
         """Information matrix (8 + J + M, 8 + J + M) of the calibration's prior; M are the unknowns of the endoscope."""
-        return np.diag([*np.zeros(6), *(1 / self.offset_std**2), *(1 / self.endoscope_std**2)])
+        count = 6 + len(self.offset_std)
+        prior = np.diag([*np.zeros(6), *(1 / self.offset_std**2), *np.zeros(len(self.endoscope_prior))])
+        prior[count:, count:] = self.endoscope_prior
+        return prior
 
 
 @dataclass(frozen=True, eq=False)
 class Imaging:
     """What is known of a session's cameras and masks.
 
-    ``change`` (3,) is that of the camera, as of `changed`, None where the camera's file is used; ``rig`` what the
+    ``change`` (3,) is that of the camera, as of `changed`, None where the camera's file is used, and ``of_change``
+    (3, 3) its covariance, None until it is estimated; ``rig`` what the
     further views differ in from the file; ``margins`` those of the views' masks by name, in the views' order, empty
     until they are estimated; ``lasting`` the size of the masks' errors that last, ``growth`` what is told of their
     errors on some sides, both None until they are estimated.
     """
 
     change: Float64 | None = None
+    of_change: Float64 | None = None
     rig: tuple[ViewRotation, ...] = ()
     margins: tuple[tuple[str, Margin], ...] = ()
     lasting: LastingEstimate | None = None
     growth: GrowthTold | None = None
 
+    def with_others(self, others: Sequence[Imaging]) -> Imaging:
+        """Return the same with the margins, and the change of the camera where it is used, that several arms tell.
+
+        Each is the mean by the covariances of what the arms tell by themselves.
+        """
+        margins = []
+        for view, own in self.margins:
+            told = [own, *(margin for other in others for name, margin in other.margins if name == view)]
+            value, square = _mean([np.array([one.px]) for one in told], [np.array([[one.std_px**2]]) for one in told])
+            margins.append((view, Margin.of(float(value[0]), float(np.sqrt(square[0, 0])))))
+        pairs = [(one.change, one.of_change) for one in (self, *others)]
+        known = [(change, square) for change, square in pairs if change is not None and square is not None]
+        if len(known) < len(pairs):
+            return replace(self, margins=tuple(margins))
+        change, square = _mean([change for change, _ in known], [square for _, square in known])
+        return replace(self, margins=tuple(margins), change=change, of_change=square)
+
     @property
     def masks(self) -> SessionMasks | None:
         """What is stated of errors that the masks share; None if their margin was not estimated."""
         return SessionMasks.of(self.margins, self.lasting, self.growth) if self.margins else None
+
+
+def _mean(values: Sequence[Float64], squares: Sequence[Float64]) -> tuple[Float64, Float64]:
+    """Return the mean (K,) of values by their covariances (K, K), and its covariance."""
+    informations = np.linalg.inv(np.array(squares))
+    covariance = np.linalg.inv(informations.sum(axis=0))
+    return covariance @ np.einsum("nij,nj->i", informations, np.array(values)), covariance
 
 
 @dataclass(frozen=True)
@@ -168,7 +198,7 @@ class SessionState:
             SessionModel(outer, joints, names, deviations, arm=problem.arm, roll_offset=instrument.roll_offset),
             LagEstimate.of(problem.series, [frame.name for frame in frames], deviations.outer),
             CableEstimate.of(names, deviations, problem.offset_std[1:]),
-            Imaging(np.zeros(3) if problem.refine_camera else None, rig),
+            Imaging(np.zeros(3) if problem.refine_camera else None, rig=rig),
         )
 
     @property
