@@ -45,7 +45,6 @@ PAIRS: Final[dict[str, Pair]] = {
     "export": Pair(("export", "results", "--to", "csv"), ("export", "results", "--to", "csv"), 2, True),
     "import": Pair(_IMPORT, _IMPORT, 2),
     "import --overwrite": Pair((*_IMPORT, "--overwrite"), (*_IMPORT, "--overwrite"), 2),
-    "segment": Pair(("segment", "session"), ("segment", "session")),
     "two shards of batch": Pair((*_BATCH, "--shard", "1/2"), (*_BATCH, "--shard", "2/2"), 2, True),
     "batch": Pair(_BATCH, _BATCH),
     "calibrate": Pair(*[("calibrate", "session", *_QUICK, "--workers", "1", "--results", "results")] * 2),
@@ -126,13 +125,16 @@ def _at_once(place: Path, pair: Pair, wanted: dict[str, Any], wait: float) -> tu
 
 
 def list_faults(made: Path) -> list[str]:
-    """Return what is wrong with the list of an output folder: files without an entry, and entries without the file."""
-    listed = json.loads((made / RECORD).read_text(encoding="utf-8"))["files"] if (made / RECORD).exists() else {}
+    """Return what is wrong with the lists of a folder and those in it: files not as a list says, or in none."""
+    listed: dict[str, str] = {}
+    for record in made.rglob(RECORD):
+        own = json.loads(record.read_text(encoding="utf-8"))["files"]
+        listed |= {(record.parent / name).relative_to(made).as_posix(): digest for name, digest in own.items()}
     files = [path for path in made.rglob("*") if path.is_file() and not path.name.startswith(".")]
     there = {path.relative_to(made).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
     off = sorted(name for name in {*listed, *there} if listed.get(name) != there.get(name))
     found = [f"not as the list says: {', '.join(off)[:_SHOWN]}"] if off else []
-    return found + ([f"{JOURNAL} is left"] if (made / JOURNAL).exists() else [])
+    return found + [f"{path.relative_to(made)} is left" for path in made.rglob(JOURNAL)]
 
 
 def _left(place: Path) -> list[str]:
