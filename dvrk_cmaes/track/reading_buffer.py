@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
 from dvrk_cmaes.joints.gaps import Times, extrapolated
@@ -156,10 +157,12 @@ class ReadingBuffer(ReadingRows):
         super().__init__(joint_names)
         self._gap = gap
         self._still = still
+        self._found: dict[float, ReadingAt] = {}  # what `at` returned, by time, since readings were added
 
     def add(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, and drop old ones, in blocks, because the others are moved."""
         super().add(time, joints)
+        self._found.clear()
         for rows in filter(None, (self if self._count else None, self.ecm)):
             times = rows.series.times
             first = max(int(times.searchsorted(times[-1] - _KEPT)), len(times) - _MOST)
@@ -173,6 +176,11 @@ class ReadingBuffer(ReadingRows):
 
     def at(self, time: float) -> ReadingAt:
         """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
+        if time not in self._found:
+            self._found[time] = self._interpolated(time)
+        return self._found[time]
+
+    def _interpolated(self, time: float) -> ReadingAt:
         outer = len(OUTER_JOINTS)
         row, rate = np.full(len(self._names), np.nan), np.zeros(len(self._names))
         for columns, series in self._read_together():
@@ -213,7 +221,7 @@ class ReadingBuffer(ReadingRows):
 
 def _usual_spacing(stamps: Times) -> float:
     """Return the median time, s, between the latest readings, at times (N,); 0 for fewer than three."""
-    return float(np.median(np.diff(stamps[-_LATEST:]))) if len(stamps) > 2 else 0.0
+    return float(median(np.diff(stamps[-_LATEST:]))) if len(stamps) > 2 else 0.0
 
 
 def _rate(series: TimedReadings, time: float, half_width: float) -> Float64:
