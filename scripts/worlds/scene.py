@@ -91,9 +91,9 @@ class Scene:
         for plane in self._outlines:
             if len(plane):
                 cv2.fillConvexPoly(cells, cv2.convexHull(np.rint((plane - low) * scale).astype(np.int32)), 1)
-        cells = cv2.dilate(cells, np.ones((5, 5), np.uint8))
+        near = cv2.dilate(cells, np.ones((5, 5), np.uint8))
         columns, rows = ((rays[:, k] - low[k]) * scale for k in range(2))
-        return np.flatnonzero(cells[rows.astype(np.int32), columns.astype(np.int32)])
+        return np.flatnonzero(near[rows.astype(np.int32), columns.astype(np.int32)])
 
 
 def _seen_in_plane(points: Float64, faces: NDArray[np.int64]) -> Float64:

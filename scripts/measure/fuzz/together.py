@@ -24,6 +24,8 @@ from measure.fuzz.written import damaged_files, written
 _QUICK: Final = ("--config", "quick.toml")
 _FRAME: Final = ("estimate", "--camera", "session/camera.yaml", "--joints", "session/joints.csv", *_QUICK, "--mask")
 _BATCH: Final = ("batch", "session", *_QUICK, "--workers", "1")
+_CALIBRATE: Final = ("calibrate", "session", *_QUICK, "--workers", "1", "--results", "results")
+_TRACK: Final = ("track", "session", *_QUICK)
 _IMPORT: Final = ("import", "video.avi", "--camera", "session/camera.yaml", "--joints", "times.csv")
 _OUT: Final = "made"
 
@@ -47,8 +49,8 @@ PAIRS: Final[dict[str, Pair]] = {
     "import --overwrite": Pair((*_IMPORT, "--overwrite"), (*_IMPORT, "--overwrite"), 2),
     "two shards of batch": Pair((*_BATCH, "--shard", "1/2"), (*_BATCH, "--shard", "2/2"), 2, True),
     "batch": Pair(_BATCH, _BATCH),
-    "calibrate": Pair(*[("calibrate", "session", *_QUICK, "--workers", "1", "--results", "results")] * 2),
-    "track": Pair(*[("track", "session", *_QUICK)] * 2),
+    "calibrate": Pair(_CALIBRATE, _CALIBRATE),
+    "track": Pair(_TRACK, _TRACK),
 }
 """Commands that are started together, by name; each writes to the same folder."""
 
