@@ -24,7 +24,8 @@ Indices = NDArray[np.intp]
 _HYPOTHESIS_FRAMES, _TEST_FRAMES = 10, 60  # of each consensus of the search
 _TRIED: Final = 4  # cameras in the tip by which the frames agree best, that are refined
 _FOUND: Final = 0.3  # of the deviations beforehand: those of a refined camera in the tip
-_LEAST_PIECE: Final = 3  # frames that agree on the base of a piece
+LEAST_PIECE: Final = 3
+"""Frames that agree on the base of a piece."""
 _LEAST_WINDOW, _MOST_WINDOWS = 4, 30  # frames of a run that is solved by itself, and number of these
 _JOIN: Final = 40.0  # increase of the robust cost up to which one base explains two runs
 _AGREE: Final = 0.75  # share of a run's frames that agree on one base
@@ -51,6 +52,8 @@ def with_pieces(state: SessionState, consensus: Consensus | None = None) -> Sess
     ``consensus`` is that of all frames, if it is known.
     """
     problem = state.problem
+    if not problem.may_cut:
+        return None
     if consensus is None:
         consensus = find_consensus(state.model, state.modes, problem.offset_std)
     found = find_pieces(state.model, state.modes, problem.offset_std, problem.prior, consensus)
@@ -191,7 +194,7 @@ class _Run:
     def agrees(self) -> bool:
         """Whether most frames agree on one base."""
         agree = self.solution.misfit < INLIER_MISFIT * self.dimension
-        return bool(agree.sum() >= max(_LEAST_PIECE, _AGREE * len(agree)))
+        return bool(agree.sum() >= max(LEAST_PIECE, _AGREE * len(agree)))
 
 
 def _joined(before: _Run, after: _Run, solved: Callable[..., _Run]) -> _Run:
@@ -201,8 +204,8 @@ def _joined(before: _Run, after: _Run, solved: Callable[..., _Run]) -> _Run:
 
 def _disagree_together(agree: NDArray[np.bool_]) -> bool:
     """Whether some consecutive frames, at least three, disagree with the consensus."""
-    runs = np.convolve(~agree, np.ones(_LEAST_PIECE), "valid") if len(agree) >= _LEAST_PIECE else np.zeros(0)
-    return bool((runs == _LEAST_PIECE).any())
+    runs = np.convolve(~agree, np.ones(LEAST_PIECE), "valid") if len(agree) >= LEAST_PIECE else np.zeros(0)
+    return bool((runs == LEAST_PIECE).any())
 
 
 def describe_pieces(pieces: Pieces, frames: Sequence[SessionFrame]) -> str:

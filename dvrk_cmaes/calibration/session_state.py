@@ -45,8 +45,8 @@ class SessionProblem:
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
     frames' camera is a guess, of which there is no file. ``endoscope_std`` (M,) are the standard deviations beforehand
-    of the unknowns of an endoscope that moves. ``gathered`` keeps the frames'
-    evidence by name, for all solutions.
+    of the unknowns of an endoscope that moves. ``may_cut`` is whether the session may be cut into pieces between which
+    the base moved. ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
     series: ReadingSeries | None
@@ -58,6 +58,7 @@ class SessionProblem:
     refine_camera: bool = False
     guessed_camera: bool = False
     endoscope_std: Float64 = field(default_factory=lambda: np.zeros(0))
+    may_cut: bool = True
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
     @property
