@@ -33,7 +33,8 @@ _LEARNED: Final = 4000  # pixels from which bins are learned
 _BAND: Final = 0.0030  # m, width of the band around the silhouette
 _THIN: Final = 0.0004  # m, to either side of the outline, where edges are
 _USUAL: Final = 0.05  # of the image's longer side, width of a shaft, below which an instrument is less likely
-_WEIGHTS: Final = 2.0, 0.25, 0.3, 1.5  # of separation, edges, rarity, and of the logarithm of a width that is not usual
+_WEIGHTS: Final = 2.0, 0.25, 0.3, 0.6, 1.5  # of separation, edges, rarity, ending, and of a width that is not usual
+_BEYOND: Final = 0.008  # m along the shaft, by which the instrument is moved to see what is beyond its tip
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
 _LEAST: Final = 1.5, 0.8, 6.0, 4.0
 """Pixels whose histograms count fully, of the shaft and of wrist and jaws, in squared widths of the shaft; and pixels
@@ -47,6 +48,7 @@ class Scores:
     shaft, distal : separation from the band around, 0 to 1, of the shaft, and of wrist and jaws.
     edges, distal_edges : mean edge along the outline of all, and of wrist and jaws.
     rarity : by how much the colours of wrist and jaws are rarer in the picture than those beside them.
+    ending : separation, 0 to 1, of wrist and jaws from what is beyond their tip.
     narrow : logarithm of the usual width of a shaft over this one's, at least 0.
     """
 
@@ -55,18 +57,19 @@ class Scores:
     edges: Float64
     distal_edges: Float64
     rarity: Float64
+    ending: Float64
     narrow: Float64
 
     @property
     def total(self) -> Float64:
         """Return the sum that ranks candidates, (C,)."""
-        separation, edges, rarity, narrow = _WEIGHTS
+        separation, edges, rarity, ending, narrow = _WEIGHTS
         found = separation * np.sqrt(self.shaft * self.distal) + edges * (self.edges + self.distal_edges)
-        return np.asarray(found + rarity * self.rarity - narrow * self.narrow)
+        return np.asarray(found + rarity * self.rarity + ending * self.ending - narrow * self.narrow)
 
     def of(self, number: int) -> tuple[float, ...]:
         """Return the measures of one candidate."""
-        each = (self.shaft, self.distal, self.edges, self.distal_edges, self.rarity, self.narrow)
+        each = (self.shaft, self.distal, self.edges, self.distal_edges, self.rarity, self.ending, self.narrow)
         return tuple(float(values[number]) for values in each)
 
 
@@ -92,15 +95,19 @@ class Appearance:
         self._wide, self._wide_shaft, self._all, self._shaft = drawn
         self._bounds = outlined
 
-    def scores(self, at: Posed) -> Scores:
-        """Measure C candidates."""
+    def scores(self, at: Posed, *, edges: bool = True) -> Scores:
+        """Measure C candidates, with or without edges."""
         shaft, whole, wide, wide_shaft = (
             renderer.sums(at.pose, at.joints, self._bins, to_pixel=True)
             for renderer in (self._shaft, self._all, self._wide, self._wide_shaft)
         )
         distal, band = np.maximum(whole - shaft, 0), np.maximum(wide - whole, 0)
+        moved = at.pose.copy()
+        moved[:, :3, 3] += _BEYOND * moved[:, :3, 2]
+        beyond = np.maximum(self._all.sums(moved, at.joints, self._bins, to_pixel=True) - whole, 0)
         beside_distal = np.maximum(wide - wide_shaft - distal, 0)
-        outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in self._bounds]
+        bounds = self._bounds if edges else ()
+        outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in bounds] or [np.zeros((1, 2))] * 4
         width = 2 * self._radius * self._focal / np.maximum(at.pose[:, 2, 3], 1e-3)
         return Scores(
             self._separation(shaft, band, _LEAST[0] * width**2),
@@ -108,6 +115,7 @@ class Appearance:
             _mean(outlines[0] - outlines[1], _LEAST[2] * width),
             _mean(outlines[2] - outlines[3], _LEAST[3] * width),
             self._mean_rarity(distal) - self._mean_rarity(beside_distal),
+            self._separation(distal, beyond, np.minimum(_LEAST[1] * width**2, beyond.sum(axis=1))),
             np.maximum(np.log(_USUAL * self._longer / width), 0),
         )
 
@@ -121,7 +129,11 @@ class Appearance:
         a, b = (_smoothed(each, self._whole) for each in (inside, band))
         middle = (a + b) / 2
         divergence = 0.5 * ((a * np.log2(a / middle)).sum(axis=1) + (b * np.log2(b / middle)).sum(axis=1))
-        return np.asarray(divergence * np.minimum(count / least, 1) * np.minimum(band.sum(axis=1) / least, 1))
+        return np.asarray(
+            divergence
+            * np.minimum(count / np.maximum(least, 1), 1)
+            * np.minimum(band.sum(axis=1) / np.maximum(least, 1), 1)
+        )
 
 
 def _mean(sums: Float64, least: Float64) -> Float64:

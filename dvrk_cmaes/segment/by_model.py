@@ -29,7 +29,8 @@ Image = NDArray[np.uint8]
 
 _REDUCED: Final = 320  # px, longer side at which candidates are compared
 _LINES: Final = 800  # px, longer side at which edges are looked for
-_DETAIL: Final = 0.0015  # m, cells of the meshes
+_DETAILS: Final = 0.0015, 0.002, 0.003, 0.004, 0.006  # m, cells of the meshes
+_FACES: Final = 260, 620  # of the meshes that are compared, at most, as candidates are looked for and in the end
 _PAIRS: Final = 28
 _STEP: Final = 5.0  # px along an axis
 _MOST_STEPS: Final = 40
@@ -41,9 +42,12 @@ _JAW: Final = 0.5  # rad, where none is read
 _BENDS: Final = np.deg2rad([(0, 0), (45, 0), (-45, 0), (0, 45), (0, -45), (35, 35), (-35, 35), (0, 75), (0, -75)])
 """Wrist pitch and yaw that are tried without readings."""
 _JAWS: Final = (0.4,)
-_STARTS: Final = 2  # of a group
-_EVALUATIONS: Final = 160
+_STARTS: Final = 4  # of a group
+_EVALUATIONS: Final = 90  # of each start
+_FINALISTS: Final = 4  # best ends, each of another instrument, that are optimised further
+_FINAL_EVALUATIONS: Final = 260
 _SCALE: Final = np.array([1e-3, 1e-3, 4e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
+_LATER: Final = 0.5  # of these, as the finalists are optimised
 _SEED: Final = 1
 _STRAIN: Final = 0.01  # of the score, for each squared unit of change
 _EVEN, _STEEPNESS = 1.6, 3.0  # score at which right and wrong are as likely, and slope of the log-odds there
@@ -87,15 +91,15 @@ def find_instruments(
     if not pairs:
         return []
     coarse = camera.scaled(small.shape[1], small.shape[0])
-    decimated = decimated_body(body, _DETAIL)
-    appearance = Appearance(small, coarse, decimated, _resized_flags(outside, small))
+    bodies = [_with_few_faces(body, most) for most in _FACES]
+    appearance, finer = (Appearance(small, coarse, each, _resized_flags(outside, small)) for each in bodies)
     read = np.array([np.nan if joints is None else joints.get(name, np.nan) for name in instrument.joint_names])
     jaw = np.array([name == "jaw" for name in instrument.joint_names])
     straight = np.where(np.isnan(read), np.where(jaw, _JAW, 0.0), read)
     places = _along(pairs, coarse)
     tried = Posed(places, np.tile(straight, (len(places), 1)))
-    renderer = Renderer(decimated, coarse, threads=1)
-    groups = _grouped(tried, appearance.scores(tried).total, renderer)
+    renderer = Renderer(bodies[0], coarse, threads=1)
+    groups = _grouped(tried, appearance.scores(tried, edges=False).total, renderer)
     turned = [_turned(tried[group], read, jaw, instrument.joint_names) for group in groups]
     scores = [appearance.scores(each).total for each in turned]
     starts = [_distinct(each, own, coarse, _STARTS, near=4.0) for each, own in zip(turned, scores, strict=True)]
@@ -103,21 +107,38 @@ def find_instruments(
     known = [-float(own[k]) for own, each in zip(scores, starts, strict=True) for k in each]
     scale = np.concatenate([_SCALE, np.where(np.isnan(read), 0.35, 0.08)])
 
-    def loss(index: NDArray[np.intp], change: Float64) -> Float64:
-        strain = _STRAIN * (change**2).sum(axis=1)
-        return np.asarray(strain - appearance.scores(begin[index].moved(change * scale)).total)
+    def optimised(by: Appearance, begin: Posed, known: list[float], scale: Float64, evaluations: int) -> Posed:
+        def loss(index: NDArray[np.intp], change: Float64) -> Float64:
+            strain = _STRAIN * (change**2).sum(axis=1)
+            return np.asarray(strain - by.scores(begin[index].moved(change * scale)).total)
 
-    found = minimise_each("cmaes", loss, known, len(scale), _EVALUATIONS, _SEED)
-    ends = Posed.stacked([begin[k].moved(each.best * scale) for k, each in enumerate(found)])
-    measured = appearance.scores(ends)
-    masks = renderer.masks(ends.pose, ends.joints)
-    kept: list[Candidate] = []
-    for k in np.argsort(-measured.total, kind="stable").tolist():
-        if len(kept) == most:
+        found = minimise_each("cmaes", loss, known, len(scale), evaluations, _SEED)
+        return Posed.stacked([begin[k].moved(each.best * scale) for k, each in enumerate(found)])
+
+    def best_of_each(by: Appearance, at: Posed, most: int) -> list[Candidate]:
+        measured, masks = by.scores(at), renderer.masks(at.pose, at.joints)
+        kept: list[Candidate] = []
+        for k in np.argsort(-measured.total, kind="stable").tolist():
+            if len(kept) == most:
+                break
+            if masks[k].any() and not any(_share(masks[k], each.silhouette) for each in kept):
+                kept.append(Candidate(at[k], float(measured.total[k]), measured.of(k), masks[k]))
+        return kept
+
+    first = best_of_each(finer, optimised(appearance, begin, known, scale, _EVALUATIONS), max(most, _FINALISTS))
+    if not first:
+        return []
+    begin, known = Posed.stacked([each.at for each in first]), [-each.score for each in first]
+    return best_of_each(finer, optimised(finer, begin, known, _LATER * scale, _FINAL_EVALUATIONS), most)
+
+
+def _with_few_faces(body: Body, most: int) -> Body:
+    """Return a body with at most some faces, or as few as the coarsest meshes have."""
+    for cell in _DETAILS:
+        found = decimated_body(body, cell)
+        if sum(len(link.faces) for link in found.instrument.links) <= most:
             break
-        if masks[k].any() and not any(_share(masks[k], each.silhouette) for each in kept):
-            kept.append(Candidate(ends[k], float(measured.total[k]), measured.of(k), masks[k]))
-    return kept
+    return found
 
 
 def _share(first: Bool, second: Bool) -> bool:
