@@ -33,7 +33,9 @@ _LEARNED: Final = 4000  # pixels from which bins are learned
 _BAND: Final = 0.0030  # m, width of the band around the silhouette
 _THIN: Final = 0.0004  # m, to either side of the outline, where edges are
 _USUAL: Final = 0.05  # of the image's longer side, width of a shaft, below which an instrument is less likely
-_WEIGHTS: Final = 2.0, 0.25, 0.3, 0.6, 1.5  # of separation, edges, rarity, ending, and of a width that is not usual
+_WEIGHTS: Final = 2.5, 0.25, 0.25, 0.3, 0.4, 0.6, 1.5
+"""Of separation, edges of all and of wrist and jaws, rarity, ending, unlikeness, and of a width that is not usual."""
+_UNLIKE: Final = 0.3  # separation of wrist and jaws from the shaft, from which on more says nothing
 _BEYOND: Final = 0.008  # m along the shaft, by which the instrument is moved to see what is beyond its tip
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
 _LEAST: Final = 1.5, 0.8, 6.0, 4.0
@@ -49,6 +51,7 @@ class Scores:
     edges, distal_edges : mean edge along the outline of all, and of wrist and jaws.
     rarity : by how much the colours of wrist and jaws are rarer in the picture than those beside them.
     ending : separation, 0 to 1, of wrist and jaws from what is beyond their tip.
+    unlike : separation of wrist and jaws from the shaft, as a share of what is enough, 0 to 1.
     narrow : logarithm of the usual width of a shaft over this one's, at least 0.
     """
 
@@ -58,19 +61,22 @@ class Scores:
     distal_edges: Float64
     rarity: Float64
     ending: Float64
+    unlike: Float64
     narrow: Float64
 
     @property
     def total(self) -> Float64:
         """Return the sum that ranks candidates, (C,)."""
-        separation, edges, rarity, ending, narrow = _WEIGHTS
-        found = separation * np.sqrt(self.shaft * self.distal) + edges * (self.edges + self.distal_edges)
-        return np.asarray(found + rarity * self.rarity + ending * self.ending - narrow * self.narrow)
+        separation, edges, distal, rarity, ending, unlike, narrow = _WEIGHTS
+        found = separation * np.sqrt(self.shaft * self.distal) + edges * self.edges + distal * self.distal_edges
+        found = found + rarity * self.rarity + ending * self.ending + unlike * self.unlike
+        return np.asarray(found - narrow * self.narrow)
 
-    def of(self, number: int) -> tuple[float, ...]:
-        """Return the measures of one candidate."""
-        each = (self.shaft, self.distal, self.edges, self.distal_edges, self.rarity, self.ending, self.narrow)
-        return tuple(float(values[number]) for values in each)
+    @property
+    def measures(self) -> Float64:
+        """Return all measures, (C, 8)."""
+        each = (self.shaft, self.distal, self.edges, self.distal_edges, self.rarity, self.ending, self.unlike)
+        return np.stack([*each, self.narrow], axis=1)
 
 
 class Appearance:
@@ -95,8 +101,8 @@ class Appearance:
         self._wide, self._wide_shaft, self._all, self._shaft = drawn
         self._bounds = outlined
 
-    def scores(self, at: Posed, *, edges: bool = True) -> Scores:
-        """Measure C candidates, with or without edges."""
+    def scores(self, at: Posed) -> Scores:
+        """Measure C candidates."""
         shaft, whole, wide, wide_shaft = (
             renderer.sums(at.pose, at.joints, self._bins, to_pixel=True)
             for renderer in (self._shaft, self._all, self._wide, self._wide_shaft)
@@ -106,8 +112,7 @@ class Appearance:
         moved[:, :3, 3] += _BEYOND * moved[:, :3, 2]
         beyond = np.maximum(self._all.sums(moved, at.joints, self._bins, to_pixel=True) - whole, 0)
         beside_distal = np.maximum(wide - wide_shaft - distal, 0)
-        bounds = self._bounds if edges else ()
-        outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in bounds] or [np.zeros((1, 2))] * 4
+        outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in self._bounds]
         width = 2 * self._radius * self._focal / np.maximum(at.pose[:, 2, 3], 1e-3)
         return Scores(
             self._separation(shaft, band, _LEAST[0] * width**2),
@@ -116,6 +121,7 @@ class Appearance:
             _mean(outlines[2] - outlines[3], _LEAST[3] * width),
             self._mean_rarity(distal) - self._mean_rarity(beside_distal),
             self._separation(distal, beyond, np.minimum(_LEAST[1] * width**2, beyond.sum(axis=1))),
+            np.minimum(self._separation(distal, shaft, _LEAST[1] * width**2) / _UNLIKE, 1),
             np.maximum(np.log(_USUAL * self._longer / width), 0),
         )
 
@@ -125,14 +131,12 @@ class Appearance:
 
     def _separation(self, inside: Float64, band: Float64, least: Float64) -> Float64:
         """Return the Jensen-Shannon divergence (C,), 0 to 1, of histograms (C, K), less for few pixels."""
-        count = inside.sum(axis=1)
+        full = np.maximum(least, 1)
         a, b = (_smoothed(each, self._whole) for each in (inside, band))
         middle = (a + b) / 2
         divergence = 0.5 * ((a * np.log2(a / middle)).sum(axis=1) + (b * np.log2(b / middle)).sum(axis=1))
         return np.asarray(
-            divergence
-            * np.minimum(count / np.maximum(least, 1), 1)
-            * np.minimum(band.sum(axis=1) / np.maximum(least, 1), 1)
+            divergence * np.minimum(inside.sum(axis=1) / full, 1) * np.minimum(band.sum(axis=1) / full, 1)
         )
 
 

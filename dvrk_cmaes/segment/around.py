@@ -23,6 +23,7 @@ from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import fill_holes
 from dvrk_cmaes.segment.segmentation import Segmentation, noted
+from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -30,6 +31,8 @@ Image = NDArray[np.uint8]
 
 FREE: Final = 3.0
 """px on either side of a silhouette's outline, in which a silhouette that is known well has no say."""
+ROUGH: Final = 10.0
+"""px on either side of the outline of a rough mask that was found in the image, likewise."""
 FINEST: Final = 1000
 """px, longer side above which masks are found in a reduced image."""
 REACH: Final = 12.0
@@ -70,6 +73,8 @@ def mask_around(
     reach: float | Float32 = REACH,
     steepness: float = _STEEPNESS,
     colours: Float32 | None = None,
+    edges: bool = True,
+    straight: bool = False,
     prompts: Prompts | None = None,
     passes: int = _PASSES,
 ) -> Around | None:
@@ -89,6 +94,10 @@ def mask_around(
         Log-odds by the silhouette for each px beyond the free band.
     colours
         (H, W), log-odds by known colours; without, those on both sides of the outline are learned in the image.
+    edges
+        Whether the edges between local colours count: where the silhouette is known roughly, shadows have such edges.
+    straight
+        Whether the sides of the shaft are made straight, where these are found.
     prompts
         Pixels whose label is given.
     passes
@@ -112,13 +121,18 @@ def mask_around(
     never, fixed = distance > band + far, Prompts() if prompts is None else prompts.within(window)
     if fixed.background is not None:
         never |= fixed.background
-    table = ColourTable(measure_colours(part)) if colours is None else None
+    measured = measure_colours(part) if colours is None else None
+    table = None if measured is None else ColourTable(measured)
     by_colour = np.zeros(prior.shape, np.float32) if colours is None else colours[window]
-    features, mask = guide(part), expected
+    features, mask = guide(part) if measured is None else measured.guide, expected
     for _ in range(passes):
         if table is not None:
             by_colour = _COLOURS_WEIGHT * local_colour_log_odds(table, mask)
-        odds = by_colour + prior + edge_log_odds(part, mask)
+        odds = by_colour + prior
+        if edges:
+            odds += edge_log_odds(part, mask)
+        if straight and (sides := _sides(mask, silhouette.shape, window)) is not None:
+            odds += sides
         before, mask = mask, cut(np.asarray(odds, np.float32), features, background=never, tool=fixed.tool)
         if not mask.any() or mask.all():
             return None
@@ -137,19 +151,18 @@ def log_odds_beyond(distance: Float32, free: float | Float32 = FREE, steepness: 
 
 
 def segmentation_around(
-    image: Image, silhouette: Bool, prompts: Prompts, colours: Float32 | None = None
+    image: Image, silhouette: Bool, prompts: Prompts, free: float = FREE, *, straight: bool = False
 ) -> Segmentation:
-    """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W) that is known well, and assess the mask."""
-    nothing = Segmentation(np.zeros_like(silhouette), None, 0.0, ("no instrument found",))
+    """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W), as `mask_around`, and assess the mask."""
     height, width = silhouette.shape
-    scale = FINEST / max(height, width)
-    size = (width, height) if scale >= 1 else (max(round(width * scale), 1), max(round(height * scale), 1))
+    scale = min(FINEST / max(height, width), 1.0)
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
     if scale < 1:
         image, prompts = shrunk(image, size), prompts.resized(*size, scale)
-        colours = None if colours is None else np.asarray(cv2.resize(colours, size), np.float32)
-    found = mask_around(image, resized(silhouette, size), colours=colours, prompts=prompts)
+    expected = resized(silhouette, size)
+    found = mask_around(image, expected, free, straight=straight, prompts=prompts, passes=3 if straight else _PASSES)
     if found is None:
-        return nothing
+        return Segmentation(np.zeros_like(silhouette), None, 0.0, ("no instrument found",))
     own = measure_colours(np.ascontiguousarray(image[found.window]))
     verdict = assess_mask(found.mask, found.window, found.by_colour, own, prompts=prompts)
     score = np.zeros(found.mask.shape, np.float32)
@@ -177,6 +190,14 @@ def guide(image: Image) -> Float32:
     smooth = cv2.GaussianBlur(image, (0, 0), _NOISE).astype(np.float32) + 8.0
     colourful = np.log(smooth[..., 2] / smooth[..., 1])
     return np.stack([np.log(smooth.max(axis=2)), colourful], axis=-1)
+
+
+def _sides(mask: Bool, shape: tuple[int, ...], window: tuple[slice, slice]) -> Float32 | None:
+    """Return log-odds (h, w) by the straight sides of the shaft of a mask in a window of an image of a shape (H, W)."""
+    whole = np.zeros(shape, np.bool_)
+    whole[window] = mask
+    sides = shaft_log_odds(whole)
+    return None if sides is None else sides[window]
 
 
 def _within(mask: Bool, near: Bool) -> Bool:

@@ -30,43 +30,53 @@ Image = NDArray[np.uint8]
 _REDUCED: Final = 320  # px, longer side at which candidates are compared
 _LINES: Final = 800  # px, longer side at which edges are looked for
 _DETAILS: Final = 0.0015, 0.002, 0.003, 0.004, 0.006  # m, cells of the meshes
-_FACES: Final = 260, 620  # of the meshes that are compared, at most, as candidates are looked for and in the end
+_FACES: Final = 520, 700  # of the meshes that are compared, at most, as candidates are looked for and in the end
 _PAIRS: Final = 28
 _STEP: Final = 5.0  # px along an axis
 _MOST_STEPS: Final = 40
-_GROUPED: Final = 240  # best places along axes
+_GROUPED: Final = 480  # best places along axes
 _GROUPS: Final = 5  # of places, each an instrument
-_PLACES: Final = 6  # of a group, that are tried at all rolls and wrists
-_ROLLS: Final = 8
+_TURNED: Final = 432  # of a group: places, rolls and wrists that are tried
+_ROLLS: Final = 8, 16  # without, and with readings of the wrist
 _JAW: Final = 0.5  # rad, where none is read
 _BENDS: Final = np.deg2rad([(0, 0), (45, 0), (-45, 0), (0, 45), (0, -45), (35, 35), (-35, 35), (0, 75), (0, -75)])
 """Wrist pitch and yaw that are tried without readings."""
-_JAWS: Final = (0.4,)
 _STARTS: Final = 4  # of a group
-_EVALUATIONS: Final = 90  # of each start
-_FINALISTS: Final = 4  # best ends, each of another instrument, that are optimised further
-_FINAL_EVALUATIONS: Final = 260
+_EVALUATIONS: Final = 100  # of each start
+_FINALISTS: Final = 3  # best ends, each of another instrument, that are optimised further
+_FINAL_EVALUATIONS: Final = 400
 _SCALE: Final = np.array([1e-3, 1e-3, 4e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
+_SLIDES: Final = np.arange(-0.012, 0.031, 0.003)  # m along the shaft, by which finalists are moved
 _LATER: Final = 0.5  # of these, as the finalists are optimised
 _SEED: Final = 1
 _STRAIN: Final = 0.01  # of the score, for each squared unit of change
-_EVEN, _STEEPNESS = 1.6, 3.0  # score at which right and wrong are as likely, and slope of the log-odds there
+_USUAL: Final = 95  # percentile of the scores along all axes, over which a candidate's margin is measured
+_EVEN: Final = -9.0
+_LOG_ODDS: Final = np.array([3.0, 1.0, 0.8, 0.4, 0.5, 0.5, 1.0, -1.5, 0.5])
+"""Log-odds that a candidate is an instrument: its measures and its margin, each times this, and ``_EVEN``.
+
+Fitted by ``scripts/segmentation.py fit`` to drawn pictures.
+"""
 _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of different instruments may share
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An instrument found in a picture: where it is, how well the picture bears it out, and its silhouette (h, w)."""
+    """An instrument found in a picture: where it is, and its silhouette (h, w).
+
+    score : what the search makes large. measures : those of `appearance.Scores`, (8,), and the margin of the score over
+    the best of most other places, by which its confidence follows.
+    """
 
     at: Posed
     score: float
-    parts: tuple[float, ...]
+    measures: Float64
     silhouette: Bool
 
     @property
     def confidence(self) -> float:
-        """Probability that it is an instrument, by its score."""
-        return float(1 / (1 + np.exp(-_STEEPNESS * (self.score - _EVEN))))
+        """Probability that it is an instrument."""
+        return float(1 / (1 + np.exp(-(self.measures @ _LOG_ODDS + _EVEN))))
 
 
 def assumed_camera(width: int, height: int) -> Camera:
@@ -99,10 +109,14 @@ def find_instruments(
     places = _along(pairs, coarse)
     tried = Posed(places, np.tile(straight, (len(places), 1)))
     renderer = Renderer(bodies[0], coarse, threads=1)
-    groups = _grouped(tried, appearance.scores(tried, edges=False).total, renderer)
-    turned = [_turned(tried[group], read, jaw, instrument.joint_names) for group in groups]
+    count = _ROLLS[not np.isnan(read[~jaw]).any()]
+    rolls = rotation_about_z(np.arange(count) * 2 * np.pi / count)
+    turns = _turns(rolls, read, jaw, instrument.joint_names)
+    scored = appearance.scores(tried).total
+    groups = _grouped(tried, scored, renderer, _TURNED // len(turns.pose))
+    turned = [_turned(tried[group], turns) for group in groups]
     scores = [appearance.scores(each).total for each in turned]
-    starts = [_distinct(each, own, coarse, _STARTS, near=4.0) for each, own in zip(turned, scores, strict=True)]
+    starts = [_distinct(each, own, coarse, _STARTS, near=8.0) for each, own in zip(turned, scores, strict=True)]
     begin = Posed.stacked([each[k] for each, own in zip(turned, starts, strict=True) for k in own])
     known = [-float(own[k]) for own, each in zip(scores, starts, strict=True) for k in each]
     scale = np.concatenate([_SCALE, np.where(np.isnan(read), 0.35, 0.08)])
@@ -115,20 +129,26 @@ def find_instruments(
         found = minimise_each("cmaes", loss, known, len(scale), evaluations, _SEED)
         return Posed.stacked([begin[k].moved(each.best * scale) for k, each in enumerate(found)])
 
+    usual = float(np.percentile(scored, _USUAL))
+
     def best_of_each(by: Appearance, at: Posed, most: int) -> list[Candidate]:
-        measured, masks = by.scores(at), renderer.masks(at.pose, at.joints)
+        scores, masks = by.scores(at), renderer.masks(at.pose, at.joints)
+        measures = np.c_[scores.measures, scores.total - usual]
         kept: list[Candidate] = []
-        for k in np.argsort(-measured.total, kind="stable").tolist():
+        for k in np.argsort(-(measures @ _LOG_ODDS), kind="stable").tolist():
             if len(kept) == most:
                 break
             if masks[k].any() and not any(_share(masks[k], each.silhouette) for each in kept):
-                kept.append(Candidate(at[k], float(measured.total[k]), measured.of(k), masks[k]))
+                kept.append(Candidate(at[k], float(scores.total[k]), measures[k], masks[k]))
         return kept
 
-    first = best_of_each(finer, optimised(appearance, begin, known, scale, _EVALUATIONS), max(most, _FINALISTS))
+    first = best_of_each(finer, optimised(appearance, begin, known, scale, _EVALUATIONS), _FINALISTS)
     if not first:
         return []
-    begin, known = Posed.stacked([each.at for each in first]), [-each.score for each in first]
+    slid = [_slid(each.at, rolls) for each in first]
+    scores = [appearance.scores(each).total for each in slid]
+    begin = Posed.stacked([each[int(own.argmax())] for each, own in zip(slid, scores, strict=True)])
+    known = [-float(own.max()) for own in scores]
     return best_of_each(finer, optimised(finer, begin, known, _LATER * scale, _FINAL_EVALUATIONS), most)
 
 
@@ -146,7 +166,7 @@ def _share(first: Bool, second: Bool) -> bool:
     return int((first & second).sum()) > _SHARED * min(int(first.sum()), int(second.sum()))
 
 
-def _grouped(at: Posed, scores: Float64, renderer: Renderer) -> list[list[int]]:
+def _grouped(at: Posed, scores: Float64, renderer: Renderer, places: int) -> list[list[int]]:
     """Return the best places in groups, of which each is one instrument: those that share pixels with its first one."""
     best = np.argsort(-scores, kind="stable")[:_GROUPED]
     masks = renderer.masks(at.pose[best], at.joints[best])
@@ -160,7 +180,7 @@ def _grouped(at: Posed, scores: Float64, renderer: Renderer) -> list[list[int]]:
         elif own is not None:
             own.append(k)
     parts = [np.array(members) for _, members in groups]
-    chosen = [_distinct(at[part], scores[part], renderer.camera, _PLACES) for part in parts]
+    chosen = [_distinct(at[part], scores[part], renderer.camera, places, near=5.0) for part in parts]
     return [part[own].tolist() for part, own in zip(parts, chosen, strict=True)]
 
 
@@ -184,22 +204,30 @@ def _along(pairs: list[Pair], camera: Camera) -> Float64:
     return np.concatenate(poses)
 
 
-def _turned(places: Posed, read: Float64, jaw: Bool, names: tuple[str, ...]) -> Posed:
-    """Return places at all rolls, a little before and behind, at the joints that are read or at some angles."""
-    rolls = transform(rotation_about_z(np.arange(_ROLLS) * 2 * np.pi / _ROLLS), np.zeros((_ROLLS, 3)))
+def _turns(rolls: Float64, read: Float64, jaw: Bool, names: tuple[str, ...]) -> Posed:
+    """Return all rolls (R, 3, 3), at the joints that are read or at some angles."""
     bends = _BENDS if np.isnan(read[~jaw]).any() else np.zeros((1, 2))
     rows = []
     for bend in bends:
-        for opening in _JAWS if np.isnan(read[jaw]).any() else (0.0,):
-            row = read.copy()
-            for k, name in enumerate(names):
-                if np.isnan(row[k]):
-                    row[k] = opening if jaw[k] else bend[0] if name == "wrist_pitch" else bend[1]
-            rows.append(row)
-    table = np.array(rows)
-    poses = places.pose[:, None] @ rolls[None]
-    poses = np.repeat(poses.reshape(-1, 4, 4), len(table), axis=0)
-    return Posed(poses, np.tile(table, (len(poses) // len(table), 1)))
+        angles = [_JAW if jaw[k] else bend[0] if name == "wrist_pitch" else bend[1] for k, name in enumerate(names)]
+        rows.append(np.where(np.isnan(read), angles, read))
+    turns = transform(np.repeat(rolls, len(rows), axis=0), np.zeros((len(rolls) * len(rows), 3)))
+    return Posed(turns, np.tile(rows, (len(rolls), 1)))
+
+
+def _slid(at: Posed, rolls: Float64) -> Posed:
+    """Return a pose, the first, and those moved along the shaft, at each place turned by all rolls (R, 3, 3)."""
+    steps = np.concatenate([[0.0], _SLIDES])
+    places = np.tile(at.pose, (len(steps), 1, 1))
+    places[:, :3, 3] += steps[:, None] * at.pose[:3, 2]
+    turned = places[:, None] @ transform(rolls, np.zeros((len(rolls), 3)))[None]
+    return Posed(turned.reshape(-1, 4, 4), np.tile(at.joints, (len(steps) * len(rolls), 1)))
+
+
+def _turned(places: Posed, turns: Posed) -> Posed:
+    """Return places, each at all turns about its own axis and with their joints."""
+    poses = (places.pose[:, None] @ turns.pose[None]).reshape(-1, 4, 4)
+    return Posed(poses, np.tile(turns.joints, (len(places.pose), 1)))
 
 
 def _distinct(at: Posed, scores: Float64, camera: Camera, most: int, near: float = 9.0) -> list[int]:

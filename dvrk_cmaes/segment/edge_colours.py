@@ -63,8 +63,11 @@ def _local_mean(parts: Float32, where: Bool) -> Float32:
     """
     stage(SEGMENTING)
     height, width = where.shape
-    weighted = np.concatenate([parts * where[..., None], where[..., None].astype(np.float32)], axis=-1)
     size = max(width // _COARSER, 1), max(height // _COARSER, 1)
-    small = cv2.resize(weighted, size, interpolation=cv2.INTER_AREA)
-    total = cv2.resize(cv2.GaussianBlur(small, (0, 0), _NEARBY / _COARSER), (width, height))
-    return np.asarray(total[..., :-1] / np.maximum(total[..., -1:], 1e-6), np.float32)
+
+    def smoothed(values: Float32) -> Float32:
+        small = cv2.GaussianBlur(cv2.resize(values, size, interpolation=cv2.INTER_AREA), (0, 0), _NEARBY / _COARSER)
+        return np.asarray(cv2.resize(small, (width, height)), np.float32)
+
+    weight = where.astype(np.float32)
+    return np.asarray(smoothed(parts * weight[..., None]) / np.maximum(smoothed(weight), 1e-6)[..., None], np.float32)

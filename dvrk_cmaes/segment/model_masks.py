@@ -18,7 +18,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.segment.around import mask_around, resized, segmentation_around, shrunk
+from dvrk_cmaes.segment.around import ROUGH, mask_around, resized, segmentation_around, shrunk
 from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
@@ -32,9 +32,10 @@ Float32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 _SIZE: Final = 480  # px, longer side at which masks are cut
-_FREE: Final = 0.12, 0.6  # widths of the shaft from the shaft, and from wrist and jaws, beyond which there is a prior
+_FREE: Final = 0.1, 0.6  # widths of the shaft from the shaft, and from wrist and jaws, beyond which there is a prior
+_FREE_INSIDE: Final = 0.15  # widths from the outline of wrist and jaws, within it, likewise
 _STEEPNESS: Final = 6.0  # log-odds for each width beyond
-_REACH: Final = 0.25, 1.5  # widths beyond, from which on nothing is instrument
+_REACH: Final = 0.15, 1.5  # widths beyond, from which on nothing is instrument
 _BESIDE: Final = 0.15, 3.0  # widths around a mask, between which the colours of the surroundings are learned
 _LARGEST: Final = 3.0  # log-odds by the colours
 _UNSEEN: Final = 0.05  # share of the instrument whose colours the silhouette does not show
@@ -52,6 +53,7 @@ def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: P
     """
     at_shaft = distance_to(whole & ~shaft) > distance_to(shaft) + 1
     free, reach = (np.where(at_shaft, *of).astype(np.float32) * np.float32(width) for of in (_FREE, _REACH))
+    free[whole] = np.minimum(free[whole], _FREE_INSIDE * width)
     unsure = ~at_shaft & (signed_distance(whole) < _REACH[1] * width)  # may be wrist or jaws
     table, mask = ColourTable(measure_colours(image)), whole
     for _ in range(_PASSES):
@@ -67,6 +69,7 @@ def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: P
             reach=reach,
             steepness=_STEEPNESS / width,
             colours=np.asarray(odds, np.float32),
+            edges=False,
             prompts=prompts,
             passes=1,
         )
@@ -149,7 +152,7 @@ def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, pr
         return None
     across = 2 * instrument.shaft.radius * float(np.sqrt(own.fx * own.fy)) / found.at.pose[2, 3]
     rough = _rough_mask(shrunk(image, size), shaft, whole, across, prompts.resized(*size, scale))
-    mask = segmentation_around(image, resized(rough, (image.shape[1], image.shape[0])), prompts)
+    mask = segmentation_around(image, resized(rough, (image.shape[1], image.shape[0])), prompts, ROUGH, straight=True)
     return replace(mask, confidence=min(mask.confidence, found.confidence), before=None)
 
 

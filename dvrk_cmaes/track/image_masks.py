@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.segment import around
 from dvrk_cmaes.segment.around import FINEST, resized, shrunk
-from dvrk_cmaes.segment.classic import refine_outline
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.moving_colours import moving_pixels
 from dvrk_cmaes.segment.prompts import Prompts
@@ -143,7 +142,7 @@ def mask_by_colours(image: Image, colours: ColourModel, prompts: Prompts) -> Seg
     odds = _by_colours(small, colours)
     rough = cut(odds, around.guide(small), background=fixed.background, tool=fixed.tool)
     rough = fill_holes(instrument_region(rough, _GAP * max(size), fixed))
-    return refine_outline(image, resized(rough, (width, height)), prompts)
+    return around.segmentation_around(image, resized(rough, (width, height)), prompts, around.ROUGH, straight=True)
 
 
 def _by_colours(image: Image, colours: ColourModel) -> Float32:
