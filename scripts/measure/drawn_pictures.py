@@ -63,9 +63,11 @@ def _laboratory(size: tuple[int, int], rng: np.random.Generator) -> Float32:
         corners = cv2.boxPoints(((float(centre[0]), float(centre[1])), (float(long), float(wide)), rng.uniform(0, 180)))
         colour = rng.uniform(10, 245) * np.clip(1 + rng.choice([0.05, 0.4]) * rng.standard_normal(3), 0.1, 1.6)
         shadow = scene.copy()
-        cv2.fillConvexPoly(shadow, np.int32(corners + rng.uniform(2, 12, 2)), (scene.mean(axis=(0, 1)) * 0.5).tolist())
+        cv2.fillConvexPoly(
+            shadow, (corners + rng.uniform(2, 12, 2)).astype(np.int32), (scene.mean(axis=(0, 1)) * 0.5).tolist()
+        )
         scene = 0.5 * scene + 0.5 * cv2.GaussianBlur(shadow, (0, 0), 4)
-        cv2.fillConvexPoly(scene, np.int32(corners), np.clip(colour, 5, 250).tolist())
+        cv2.fillConvexPoly(scene, corners.astype(np.int32), np.clip(colour, 5, 250).tolist())
     light = np.linspace(rng.uniform(0.6, 1), rng.uniform(0.6, 1), width, dtype=np.float32)[None, :, None]
     noise = rng.standard_normal(scene.shape).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(scene, (0, 0), 1.0) * light + 3 * noise, np.float32)
