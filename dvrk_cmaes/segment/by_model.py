@@ -51,7 +51,7 @@ _LATER: Final = 0.5  # of these, as the finalists are optimised
 _SEED: Final = 1
 _STRAIN: Final = 0.01  # of the score, for each squared unit of change
 _USUAL: Final = 95  # percentile of the scores along all axes, over which a candidate's margin is measured
-_EVEN: Final = -9.0
+_EVEN: Final = -5.8
 _LOG_ODDS: Final = np.array([3.0, 1.0, 0.8, 0.4, 0.5, 0.5, 1.0, -1.5, 0.5])
 """Log-odds that a candidate is an instrument: its measures and its margin, each times this, and ``_EVEN``.
 
