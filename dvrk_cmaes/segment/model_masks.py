@@ -42,6 +42,7 @@ _UNSEEN: Final = 0.05  # share of the instrument whose colours the silhouette do
 _PASSES: Final = 2
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
+_SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
 _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
 
 
@@ -98,8 +99,8 @@ def segment_by_model(
     hints
         Prompts: the best instrument that fits them is taken.
     otherwise
-        A function that finds a mask by other means. It is taken where it agrees with the instrument's silhouette, for
-        its outline is finer, and where no instrument is found; there it is a guess, unless it has some likeness of one.
+        A function that finds a mask by other means, where no instrument is found. The mask is a guess there, unless it
+        has some likeness of an instrument.
     """
     height, width = image.shape[:2]
     camera = assumed_camera(width, height) if camera is None else camera
@@ -115,8 +116,11 @@ def segment_by_model(
     masks: list[Segmentation] = []
     for each in found if not prompts.given else found[:1]:
         mask = _segmentation(image, each, body, camera, prompts)
-        if mask is not None and not any((mask.mask & former.mask).any() for former in masks):
-            masks.append(mask)
+        if mask is None:
+            continue
+        before = np.any([former.mask for former in masks], axis=0) if masks else np.zeros_like(mask.mask)
+        if (mask.mask & before).sum() <= _SHARED * mask.mask.sum():
+            masks.append(replace(mask, mask=mask.mask & ~before))
     if not masks:
         return otherwise()
     first, others = masks[0], tuple(each for each in masks[1:] if each.confidence >= GUESS)
@@ -133,8 +137,7 @@ def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: C
 
 def _overlap(found: Candidate, mask: Bool) -> float:
     """Return the intersection over union of a candidate's silhouette and a mask (H, W)."""
-    height, width = found.silhouette.shape
-    small = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
+    small = resized(mask, (found.silhouette.shape[1], found.silhouette.shape[0]))
     return float((small & found.silhouette).sum() / max((small | found.silhouette).sum(), 1))
 
 
@@ -159,13 +162,13 @@ def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, pr
 def _fits(found: Candidate, prompts: Prompts, image: Image) -> bool:
     """Whether a candidate is where the prompts say: its silhouette has the points, or fills the box."""
     height, width = image.shape[:2]
-    silhouette = cv2.resize(found.silhouette.astype(np.float32), (width, height)) > 0.5
+    silhouette = resized(found.silhouette, (width, height))
     near = cv2.dilate(silhouette.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
     if not all(near[round(v), round(u)] for u, v in prompts.points):
         return False
     if prompts.box is None or not silhouette.any():
         return True
-    left, top, across, down = window_around(np.asarray(silhouette), 0)
+    left, top, across, down = window_around(silhouette, 0)
     box = prompts.box
     common = max(min(box[2], left + across - 1) - max(box[0], left) + 1, 0.0)
     common *= max(min(box[3], top + down - 1) - max(box[1], top) + 1, 0.0)
