@@ -158,6 +158,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--only", action="append", choices=[*KINDS], help="for worlds: solve by this command only; may be repeated"
     )
+    parser.add_argument(
+        "--wrong-focal",
+        type=int,
+        metavar="N",
+        help="for fleet: calibrate every N-th frame with a focal length that is 10 % too short, or too long, too",
+    )
     parser.add_argument("--causal", action="store_true", help="for fleet: use nothing later than each image")
     parser.add_argument("--first", type=int, default=0, help="for fleet: figures of the frames from this number on")
     parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
@@ -261,7 +267,12 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "lag": lambda given, _: lag_report(find_lags(given)),
     "track": _track,
     "fleet": lambda given, options: fleet_report(
-        given, causal=options.causal, keep=options.keep, every=options.calibrate_every, first=options.first
+        given,
+        causal=options.causal,
+        keep=options.keep,
+        every=options.calibrate_every,
+        first=options.first,
+        wrong_focal=options.wrong_focal,
     ),
     "perturbed": lambda given, _: perturbed_report(given),
     "cables": lambda given, options: cables_report(given, estimated=options.estimated),

@@ -7,6 +7,7 @@
     python scripts/fuzz.py live --tries 300        # the loop of live with faults of times and messages
     python scripts/fuzz.py kills --tries 200        # commands that are killed, or whose disk is full
     python scripts/fuzz.py folders                  # commands that are told to write to folders of all kinds
+    python scripts/fuzz.py links                    # links in sessions, which lead out of them
     python scripts/fuzz.py cases                    # files as other laboratories have them
     python scripts/fuzz.py earlier --tries 100      # commands that are killed while they replace an earlier result
 
@@ -36,6 +37,7 @@ from measure.fuzz.families import FAMILIES, OPTIONS, Family, write_material
 from measure.fuzz.folders import FolderReport, fuzz_folders
 from measure.fuzz.kills import FAULTS, KillReport, fuzz_kills
 from measure.fuzz.lab_files import LabReport, fuzz_cases
+from measure.fuzz.links import fuzz_links
 from measure.fuzz.live_faults import LiveReport, fuzz_live
 from measure.fuzz.runs import SLOW, Outcome, Runner, in_a_process, in_this_process, stubbed
 from measure.fuzz.tracker import TrackerReport, fuzz_tracker
@@ -56,7 +58,7 @@ def main() -> int:
     parser.add_argument(
         "what",
         nargs="?",
-        choices=("inputs", "tracker", "live", "kills", "folders", "earlier", "cases"),
+        choices=("inputs", "tracker", "live", "kills", "folders", "links", "earlier", "cases"),
         default="inputs",
     )
     parser.add_argument("--tries", type=int, default=200, metavar="N", help="tries a family (default: %(default)s)")
@@ -76,7 +78,7 @@ def main() -> int:
             report = fuzz_live(arguments.tries, arguments.between)
         elif arguments.what == "cases":
             report = fuzz_cases(in_this_process)
-        elif arguments.what in ("folders", "earlier"):
+        elif arguments.what in ("folders", "links", "earlier"):
             report = _over_earlier_files(arguments.what, arguments.tries, arguments.seed)
         else:
             report = fuzz_kills(arguments.tries, arguments.seed, faults=arguments.fault or FAULTS)
@@ -110,7 +112,7 @@ def _over_earlier_files(what: str, tries: int, seed: int) -> FolderReport | Earl
         if what == "earlier":
             return fuzz_earlier(tries, seed, material, Path(place, "try"))
         with stubbed(material):
-            return fuzz_folders(material, Path(place, "try"), in_this_process)
+            return (fuzz_links if what == "links" else fuzz_folders)(material, Path(place, "try"), in_this_process)
 
 
 class Report:

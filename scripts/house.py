@@ -1,7 +1,8 @@
 """Print counts of the source: code by package, ways of solving, constants without a source, classes, tests.
 
 What is named in the table of this file, such as the loops that solve, must exist. The rest is found in the source. The
-source of a constant is a comment or docstring at it that names the script of scripts/ and the data that measured it.
+source of a constant is a comment or docstring at it that names the script of scripts/ and the data that measured it, or
+rows of scripts/measure/sensitivity.csv with its value, which tell what changes of it do.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ import re
 import sys
 import tokenize
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Final
 
+from measure.constants import constants_in, measured, read_table
 from measure.places import ROOT
 from measure.tables import Report, print_report
 
@@ -94,21 +96,19 @@ class Module:
             if isinstance(node, ast.ClassDef):
                 yield from (f"{node.name}.{each.name}" for each in node.body if isinstance(each, Function))
 
-    def constants(self, root: Path) -> Iterator[bool]:
-        """Yield for each number in the module's assignments whether its source is stated."""
+    def constants(self, root: Path, known: Mapping[tuple[str, str], set[str]]) -> Iterator[bool]:
+        """Yield for each number in assignments whether its source is stated, or its value is a measured one."""
         lines = self.text.splitlines()
         for node, after in zip(self.body, [*self.body[1:], None], strict=True):
-            if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
-                continue
-            first, last = node.lineno - 1, node.end_lineno
-            while first and lines[first - 1].startswith("#"):
-                first -= 1
-            stated = "\n".join(lines[first : after.end_lineno if after and _is_text(after) else last])
-            scripts = SCRIPT.findall(stated)
-            known = bool(scripts and DATA.search(stated)) and all((root / each).is_file() for each in scripts)
-            for each in ast.walk(node.value):
-                if isinstance(each, ast.Constant) and type(each.value) in (int, float):
-                    yield known
+            for constant in constants_in([node]):
+                first, last = node.lineno - 1, node.end_lineno
+                while first and lines[first - 1].startswith("#"):
+                    first -= 1
+                stated = "\n".join(lines[first : after.end_lineno if after and _is_text(after) else last])
+                scripts = SCRIPT.findall(stated)
+                sourced = bool(scripts and DATA.search(stated)) and all((root / each).is_file() for each in scripts)
+                sourced |= constant.value in known.get((self.path.as_posix(), constant.name), ())
+                yield from [sourced] * constant.numbers
 
 
 def _is_text(node: ast.stmt) -> bool:
@@ -154,7 +154,8 @@ def counts(root: Path) -> Report:
     package, tests = modules_in(root / "dvrk_cmaes"), modules_in(root / "tests")
     check_names(package)
     code = Counter({name: sum(m.code for m in package if m.package == name) for name in {m.package for m in package}})
-    stated = [known for module in package if module.package in METHODS for known in module.constants(root)]
+    tried = measured(read_table(root / "scripts" / "measure" / "sensitivity.csv"))
+    stated = [known for module in package if module.package in METHODS for known in module.constants(root, tried)]
     classes = [(module, node) for module in package for node in module.nodes if isinstance(node, ast.ClassDef)]
     held = [
         (len(attributes(each)), each.name) for m, each in classes if m.package in STATES and m.path.stem != "document"

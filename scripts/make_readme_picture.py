@@ -2,8 +2,8 @@
 
     python scripts/make_readme_picture.py
 
-The frame is one of the bundled session. The recording is made by `dvrk-cmaes synth`: another instrument and a piece of
-tissue pass before the one that is followed.
+The frame is one of the bundled session. The recording is that of the gallery in which another instrument and a piece of
+tissue pass before the one that is followed, in a smaller size.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import tempfile
 from pathlib import Path
 
 import cv2
+from pages.gallery import CAMERA, EXHIBITS
 from pages.moving_picture import moving_picture
 
 from dvrk_cmaes.draw.overlay import draw_overlay
@@ -30,14 +31,10 @@ FRAME = "0001"
 WIDTH = 800  # px
 QUALITY = 64  # of the JPEG, 0 to 100
 
-RECORDING = (
-    "synth recording --motion video --level medium --frames 90 --seed 7",
-    "track recording --every 2 --out tracks --no-page",
-)
-"""Commands that make and follow the recording."""
-FOLLOWED_WIDTH = 320  # px
-FOLLOWED_QUALITY = 30  # of the WebP, 0 to 100
-FOLLOWED_MS = 67  # between two images; 30 images a second, every second one
+FOLLOWED_WIDTH = 480  # px
+FOLLOWED_QUALITY = 24  # of the WebP, 0 to 100
+FOLLOWED_EVERY = 3  # of the frames that were followed
+FOLLOWED_MS = 200  # between two images; 30 images a second, every sixth one
 
 
 def main() -> None:
@@ -63,11 +60,14 @@ def frame_picture() -> bytes:
 
 def recording_picture() -> bytes:
     """Make and follow the recording, and return it as an animated WebP."""
+    (hidden,) = (exhibit for exhibit in EXHIBITS if exhibit.title == "A hidden instrument")
     with tempfile.TemporaryDirectory() as folder:
-        for command in RECORDING:
+        Path(folder, "camera.yaml").write_text(CAMERA, encoding="utf-8")
+        for command in hidden.commands:
             subprocess.run([sys.executable, "-m", "dvrk_cmaes", *shlex.split(command)], cwd=folder, check=False)
-        tracks = Path(folder) / "tracks"
-        return moving_picture(tracks, width=FOLLOWED_WIDTH, milliseconds=FOLLOWED_MS, quality=FOLLOWED_QUALITY)
+        tracks = Path(folder) / hidden.shown
+        shown = {"width": FOLLOWED_WIDTH, "milliseconds": FOLLOWED_MS, "every": FOLLOWED_EVERY}
+        return moving_picture(tracks, quality=FOLLOWED_QUALITY, **shown)
 
 
 if __name__ == "__main__":

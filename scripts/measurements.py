@@ -45,13 +45,7 @@ TABLES: Final[Mapping[str, tuple[Shown, ...]]] = {
             ("0617", "synth, 16 frames, seeds 710", "another program, hard 621"),
         ),
     ),
-    "followed by masks and images": (
-        Shown("recordings", "By masks and by images", ("by masks, 300", "by images alone, 120 frames: hard 751")),
-    ),
-    "followed from image to image": (
-        Shown("recordings", "From image to image, by masks", ("the same: hard 701", "from frame 90 of 150")),
-        Shown("recordings", "Images alone, from image to image", ("hard 911",)),
-    ),
+    "followed": (Shown("recordings", "By the window of images"),),
     "clocks": (Shown("clocks_and_cables", "Made recordings of two seconds"),),
     "cables": (Shown("clocks_and_cables", "Cables of a real arm"),),
     "both eyes": (Shown("rig_and_arms", "Five sessions of both eyes", (), (0, 1, 2, 3)),),

@@ -8,7 +8,7 @@ from importlib import import_module
 from types import ModuleType
 
 import pytest
-from helpers.places import ROOT, SCRIPTS
+from helpers.places import HELPERS, ROOT, SCRIPTS
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.io.toml_file import leaves
@@ -76,23 +76,46 @@ def test_texts_that_the_page_on_problems_names_are_printed_by_the_program() -> N
     assert [code for code, pattern in patterns.items() if not re.search(pattern, source)] == []
 
 
-def test_values_in_pages_are_those_of_the_settings() -> None:
-    settings = dict(leaves(EstimateConfig()))
-    stated = {
-        "results": (
-            ("trust.tip_mm", r"`trust\.tip_mm` \((\S+) mm\)"),
-            ("trust.least_probability", r"`tip_probability` is below (\S+),"),
-        ),
-        "how_sessions": (
-            ("session.focal_length_percent", r"standard deviation of (\S+) % and 10 px"),
-            ("session.principal_point_px", r"standard deviation of 1 % and (\S+) px"),
-            ("session.rounds", r"solved in turn, in (\w+) rounds"),
-        ),
-    }
-    words = {"four": 4.0}
-    for page, figures in stated.items():
-        text = " ".join((ROOT / "data" / "reference" / f"{page}.md").read_text(encoding="utf-8").split())
-        for name, pattern in figures:
-            found = re.findall(pattern, text)
-            assert found, (page, name)
-            assert {words.get(each) or float(each) for each in found} == {float(settings[name])}, (page, name)
+SETTINGS = dict(leaves(EstimateConfig()))
+VALUES = [
+    line for line in (HELPERS / "page_values.txt").read_text(encoding="utf-8").splitlines() if not line.startswith("#")
+]
+WORDS = ["half", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
+
+
+def number_of(text: str) -> float:
+    """Give the number that a page states in digits or as a word."""
+    word = text.lower()
+    if word in ("half", "twice"):
+        return {"half": 0.5, "twice": 2.0}[word]
+    return float(WORDS.index(word)) if word in WORDS else float(text.replace(",", ""))
+
+
+def set_value(source: str) -> float:
+    """Give what the program sets: of a setting, of a constant as ``module:NAME``, or its part ``module:NAME.KEY``."""
+    if " " in source:
+        one, sign, other = source.split()
+        return set_value(one) * set_value(other) if sign == "*" else set_value(one) / set_value(other)
+    if source in SETTINGS:
+        return float(SETTINGS[source])
+    module, _, name = source.partition(":")
+    if not name:
+        return float(source)
+    name, *keys = name.split(".")
+    values = vars(import_module(f"dvrk_cmaes.{module}"))
+    value = values[name if name in values else f"_{name}"]
+    for key in keys:
+        value = value[int(key) if key.isdigit() else key]
+    return float(value)
+
+
+@pytest.mark.parametrize("line", VALUES)
+def test_values_in_pages_are_those_that_the_program_sets(line: str) -> None:
+    page, said = line.split(": ", 1)
+    words, source = said.split(" => ")
+    text = " ".join((ROOT / "data" / "reference" / f"{page}.md").read_text(encoding="utf-8").split())
+    before, after = map(re.escape, words.split("{}"))
+    found = re.findall(rf"{before}([\w.,-]*\w){after}", text)
+    assert len(set(found)) == 1, found
+    digits = len(found[0].partition(".")[2])  # as many as the page states
+    assert number_of(found[0]) == pytest.approx(set_value(source), rel=0, abs=0.51 * 10**-digits if digits else 1e-9)

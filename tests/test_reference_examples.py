@@ -10,6 +10,7 @@ import shlex
 import shutil
 import tomllib
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ import pytest
 from helpers.made_examples import make_examples
 from helpers.places import ROOT
 from helpers.plain_pictures import plain_pictures
-from helpers.printed_blocks import PROGRAM, Block, blocks, run
+from helpers.printed_blocks import PROGRAM, Block, blocks, has_in_order, printed_parts, run, words
 from helpers.processes_here import processes_here
 from helpers.shared_estimates import shared_estimates
 
@@ -42,6 +43,8 @@ NOT_HERE = {
     ),
 }
 """Words of commands that cannot run here, and what they need; their options are checked."""
+WITH_OUTPUT: set[str] = set()
+"""Pages whose first screen shows the output of its command."""
 OTHER_PROGRAMS = ("pip install ", "ros2 ", "rerun ", "hf download ", "make demo ", "python scripts/run_benchmark.py ")
 
 
@@ -109,14 +112,23 @@ TOML = of_kind(r"\[|seed = ")
 LISTINGS = of_kind(r"recording/\n")
 LINES = of_kind("warning: ")
 SHOWN = of_kind("dvrk-cmaes: ")  # of `live`, as are its commands: tests/live/test_page.py
+OUTPUTS = {
+    before.name: after
+    for before, after in pairwise(EXAMPLES)
+    if before.page == after.page and before.block.commands and not before.block.text.startswith("$ ")
+    if after not in [*COMMANDS, *PYTHON, *TOML, *LISTINGS, *LINES, *SHOWN]
+    if not after.block.text.startswith(OTHER_PROGRAMS)
+}
+"""What pages show of the output of the block before, by its name."""
 
 
 def test_every_block_is_known() -> None:
-    known = [*COMMANDS, *PYTHON, *TOML, *LISTINGS, *LINES, *SHOWN]
+    known = [*COMMANDS, *PYTHON, *TOML, *LISTINGS, *LINES, *SHOWN, *OUTPUTS.values()]
     shells = [each for each in EXAMPLES if each.block.text.startswith(OTHER_PROGRAMS)]
     assert [each.name for each in EXAMPLES if each not in [*known, *shells]] == []
     assert [len(kind) for kind in (PYTHON, TOML, LISTINGS, LINES, SHOWN)] == [3, 2, 1, 2, 1]
     assert len(COMMANDS) > 20
+    assert {each.page for each in OUTPUTS.values()} >= WITH_OUTPUT
     for each in COMMANDS:
         shell = each.block.text.startswith("$ ")  # followed by its output, which tests/test_readme.py compares
         others = [line for line in each.block.lines if line and not PROGRAM.match(line)] if not shell else []
@@ -125,9 +137,11 @@ def test_every_block_is_known() -> None:
 
 @pytest.mark.parametrize("example", COMMANDS, ids=lambda example: example.name)
 def test_commands_run_as_printed(example: Example, request: pytest.FixtureRequest) -> None:
-    commands = [line for line in example.block.commands if line not in README]
+    shown = OUTPUTS.get(example.name)
+    commands = [line for line in example.block.commands if shown or line not in README]
     for command in commands:
         check_options(command)
+    said = ""
     if run_here := [line for line in commands if needed(line) is None]:
         request.getfixturevalue("folder")
     for command in run_here:
@@ -135,6 +149,10 @@ def test_commands_run_as_printed(example: Example, request: pytest.FixtureReques
         ran = run(command)
         assert ran.code in (0, 3), (command, ran.err)
         assert "Traceback" not in ran.err
+        said += ran.out
+    if shown is not None:
+        assert run_here
+        assert has_in_order(words(said), printed_parts(shown.block.text)), said
 
 
 def make_way(command: str) -> None:

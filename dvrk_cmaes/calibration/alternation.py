@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus
+from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus, find_consensus_at_any_roll
 from dvrk_cmaes.calibration.constants import few_of
 from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
 from dvrk_cmaes.calibration.frame_fit import FrameFit
@@ -90,7 +90,7 @@ def _less_lag(state: SessionState) -> SessionState:
 def _on_one_base(state: SessionState) -> tuple[SessionState, Consensus]:
     """Return the consensus of the frames, of which those before or after a move of the base are left out."""
     offset_std = state.problem.offset_std
-    consensus = find_consensus(state.model, state.modes, offset_std)
+    consensus = find_consensus_at_any_roll(state.model, state.modes, offset_std)
     check_arm(state.model, state.modes, offset_std, consensus)
     move = find_move(state.model, state.modes, offset_std, consensus)
     if move is None:
@@ -317,8 +317,8 @@ def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[Fr
     tasks = report_tasks(frames, state.stored, state.fits, model, solution, disagreements, session, stated)
     first = {} if state.again is None else state.again.first
     for i, task in enumerate(tasks):
-        of_camera = covariance_of_camera(camera, task.fit.at, state.stored[i].camera)
-        tasks[i] = replace(
-            task, first=first.get(i), change=state.imaging.change, covariance=task.covariance + of_camera
-        )
+        further = covariance_of_camera(camera, task.fit.at, state.stored[i].camera)
+        if state.imaging.growth is not None:
+            further = further + state.imaging.growth.of_frames[i]
+        tasks[i] = replace(task, first=first.get(i), change=state.imaging.change, covariance=task.covariance + further)
     return problem.run(report_task, tasks), reasons

@@ -25,7 +25,7 @@ from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
-from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again
+from dvrk_cmaes.calibration.solution_trials import solve_session, with_freed_camera, with_masks_again
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -155,11 +155,14 @@ def calibrate_with_evidence(
     state = solve_session(SessionState.of(problem, usable, rotations))
     if settings.session.masks_again:
         state = with_masks_again(state)
+    solved, (state, check) = state, checked_camera(state)
+    if check.camera is not None and check.camera.contradicts and not check.camera.applied:
+        freed = with_freed_camera(solved, SessionState.of(problem, usable, rotations))
+        state, check = (state, check) if freed is None else checked_camera(freed)
     lag, applied = state.lag, state.lag.applied
     if applied is not None:
         option = f"taken out; other commands take it out with {applied.option}"
         state = state.noted(remarks=[f"{applied.describe()}: {option}"])
-    state, check = checked_camera(state)
     reports, reasons = reported(state, check.camera)
     results = {frame.name: frame.result for frame in frames}
     by_name = dict(zip((frame.name for frame in state.frames), reports, strict=True))
@@ -194,6 +197,7 @@ def calibrate_with_evidence(
         lag_curve=lag.curve,
         cables=SessionCables.of(state.cables, tuple(frame.name for frame in state.frames), lag.seconds()),
         camera=check.camera,
+        shaft=check.shaft,
         masks=state.imaging.masks,
         masks_again=again.compared,
         rig=state.imaging.rig,

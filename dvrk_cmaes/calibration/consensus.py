@@ -21,6 +21,10 @@ Float64 = NDArray[np.float64]
 
 _MAX_HYPOTHESIS_FRAMES = 60  # frames whose modes are used as hypotheses
 _MAX_TEST_FRAMES = 240  # frames on which each hypothesis is scored
+_ENOUGH = 0.5  # share of the frames that agree, from which on no other offset of roll is tried
+_MAX_ROLLED_FRAMES = 20  # frames whose modes are tried, and scored, at other offsets of roll
+_ROLL_STEP = np.deg2rad(20.0)  # between offsets of roll, and standard deviation of each frame's
+_ROLLS = np.arange(-4, 5) * _ROLL_STEP
 INLIER_MISFIT = 4.0
 """Squared Mahalanobis distance per degree of freedom below which a mode agrees with a prediction."""
 
@@ -86,6 +90,7 @@ def find_consensus(
     *,
     hypothesis_frames: int = _MAX_HYPOTHESIS_FRAMES,
     test_frames: int = _MAX_TEST_FRAMES,
+    roll: float = 0.0,
 ) -> Consensus:
     """Find the calibration on which most frames agree.
 
@@ -99,13 +104,38 @@ def find_consensus(
         Standard deviations of the offsets about zero, m and rad.
     hypothesis_frames, test_frames
         Largest numbers of frames whose modes are used as hypotheses, and on which each hypothesis is scored.
+    roll
+        Offset of roll of all hypotheses, rad.
     """
     proposing = evenly_spaced(len(modes), hypothesis_frames).tolist()
     tested = evenly_spaced(len(modes), test_frames)
-    hypotheses = _Hypotheses(model, modes, offset_std)
+    hypotheses = _Hypotheses(model, modes, offset_std, roll)
     candidates = [(frame, k) for frame in proposing for k in range(len(modes[frame]))]
     best = min(candidates, key=lambda source: float(hypotheses.tested(source, tested).cost.sum()))
     return hypotheses.tested(best, np.arange(len(modes)))
+
+
+def find_consensus_at_any_roll(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> Consensus:
+    """Find the calibration on which most frames agree, at the usual offset of roll or at any.
+
+    A tool that was not homed, or readings of another roll joint, turn all frames about their shafts. Where fewer than
+    half of the frames agree, they need to agree on the remote centre and on the shafts' directions only: offsets of
+    roll are tried all round, each frame's roll with a wide standard deviation.
+
+    Parameters
+    ----------
+    model, modes, offset_std
+        As in `find_consensus`.
+    """
+    usual = find_consensus(model, modes, offset_std)
+    if usual.agree.mean() >= _ENOUGH:
+        return usual
+    wide = offset_std.copy()
+    wide[1] = _ROLL_STEP
+    few = {"hypothesis_frames": _MAX_ROLLED_FRAMES, "test_frames": _MAX_ROLLED_FRAMES}
+    tried = [find_consensus(model, modes, wide, roll=roll, **few) for roll in _ROLLS]
+    best = min(tried, key=lambda one: float(one.cost.sum()))
+    return best if best.agree.sum() > usual.agree.sum() else usual
 
 
 def choose_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> list[Mode]:
@@ -155,24 +185,26 @@ class _Hypotheses:
     ``offset_std`` (2 + J,) are the standard deviations of the offsets about zero, m and rad.
     """
 
-    def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> None:
+    def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, roll: float) -> None:
         self._model = model
         self._modes = modes
         self._at, self._covariance = _stacked(modes)
-        # No hypothesis has an offset of insertion or roll, so the kinematics and their errors are the same for all.
-        none = Calibration(np.eye(4), np.zeros(len(offset_std)))
-        self._read = model.predict(none)  # as seen from the base
+        # All hypotheses have the same offsets of insertion and roll, so the kinematics and their errors are the same.
+        self._offsets = np.zeros(len(offset_std))
+        self._offsets[1] = roll
+        same = Calibration(np.eye(4), self._offsets)
+        self._read = model.predict(same)  # as seen from the base
         self._root_from_base = inverse(self._read.pose)
-        self._of_readings = model.covariance(none)
+        self._of_readings = model.covariance(same)
         self._of_readings[:, 5, 5] += offset_std[1] ** 2
 
     def _calibration(self, frame: int, k: int) -> Calibration:
-        """Return the calibration that predicts mode ``k`` of a frame, with zero offsets of insertion and roll.
+        """Return the calibration that predicts mode ``k`` of a frame, with the same offsets of insertion and roll.
 
         Joints without a reading have an offset of zero, too.
         """
         at = self._modes[frame][k].at
-        offsets = np.zeros(len(at.joints) + 2)
+        offsets = self._offsets.copy()
         offsets[2:] = np.nan_to_num(at.joints - self._model.joints[frame])
         return Calibration(at.pose @ self._root_from_base[frame], offsets)
 

@@ -9,9 +9,9 @@ and that is repeated until the constants stay where they are.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[Session
 _SETTLED = 0.25  # standard deviations of the constants, below which the outlines are not linearised again
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
-_FEW, _PAYS = 100, 2  # number of frames that are enough on the way, and the multiple of it from which on that is done
+FEW, _PAYS = 100, 2  # number of frames that are enough on the way, and the multiple of it from which on that is done
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +84,9 @@ class Constant(ABC):
     start : (n,)
         Values from which estimates start; zero by default.
     """
+
+    is_linear: ClassVar[bool] = False
+    """Whether the outlines are always linearised where the unknowns are zero."""
 
     def __init__(self, name: str, std: Float64, start: Float64 | None = None) -> None:
         self.name, self.std = name, std
@@ -179,6 +182,7 @@ class SessionOutlines:
         InputError
             With a changed focal length, the lens distortion is not one-to-one over the image.
         """
+        values = {**values} | {one.name: one.start for one in self.constants if one.is_linear}
         tasks = [
             OutlineTask(stored, views, tuple(self._seen(stored, view, values) for view in views), at[k], self.constants)
             for k, (stored, views) in enumerate(zip(self.stored, self.views, strict=True))
@@ -237,6 +241,27 @@ class Linearised:
         """Return the standard deviations (n,) of a block."""
         own = np.diag(self.covariance)[self.solution.calibration.place(constant.name)]
         return np.hypot(np.sqrt(own), constant.least_std)
+
+    def with_std(self, changed: Mapping[str, Float64 | float]) -> tuple[Float64, Float64]:
+        """Return what the last linearisation tells if other standard deviations hold beforehand.
+
+        Parameters
+        ----------
+        changed
+            The standard deviations (n,) of some blocks, by name.
+
+        Returns
+        -------
+        ((K,), (K, K))
+            The calibration's unknowns as changes, with the values of the constants, and their covariance.
+        """
+        calibration, more = self.solution.calibration, np.zeros(len(self.prior))
+        for name, std in changed.items():
+            place = calibration.place(name)
+            more[place] = np.square(std) ** -1.0 - np.diag(self.prior)[place]
+        inverse = inverse_information(self.information + np.diag(more))
+        values = np.concatenate([np.zeros(len(self.prior) - len(calibration.further)), calibration.further])
+        return values - inverse @ (more * values), self.solution.covariance_of(inverse)
 
 
 def linearise(
@@ -314,7 +339,7 @@ def few_of(count: int) -> NDArray[np.intp] | None:
     count
         Number of the session's frames.
     """
-    return evenly_spaced(count, _FEW) if count >= _PAYS * _FEW else None
+    return evenly_spaced(count, FEW) if count >= _PAYS * FEW else None
 
 
 def shifted(model: SessionModel, at: Posed, before: Calibration, after: Calibration) -> Posed:

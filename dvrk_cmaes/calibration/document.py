@@ -28,6 +28,7 @@ from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_doubts import doubts_of
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
+from dvrk_cmaes.calibration.session_shaft import SessionShaft
 from dvrk_cmaes.calibration.solve import Solution
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, changed_views
@@ -111,7 +112,8 @@ class SessionCalibration:
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
     cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera : change of the camera that the frames fit; None if it was not tested.
-    masks : the margin that all masks share; None if it was not estimated.
+    shaft : the radius of the shaft that the frames fit; None if it was not tested.
+    masks : the margin and the other errors that all masks share; None if they were not estimated.
     masks_again : what changed as masks were found again around the expected silhouettes; None where they were not.
     rig : what the further views differ in from the rig's file, of those that were tested.
     views : the cameras and their places with which the session was solved; empty of frames in memory.
@@ -139,6 +141,7 @@ class SessionCalibration:
     lag_curve: LagCurve | None = None
     cables: SessionCables | None = None
     camera: SessionCamera | None = None
+    shaft: SessionShaft | None = None
     masks: SessionMasks | None = None
     masks_again: MasksAgain | None = None
     rig: tuple[ViewRotation, ...] = ()
@@ -228,7 +231,7 @@ class SessionCalibration:
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "masks", "masks_again", "rig", "views", "instruments"),
+            **encoded_fields(self, "camera", "shaft", "masks", "masks_again", "rig", "views", "instruments"),
             **encoded_fields(self, "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),

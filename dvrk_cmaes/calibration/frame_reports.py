@@ -93,7 +93,8 @@ def report_tasks(
     config, stated
         The settings of sessions, and what the results state of all settings.
     """
-    covariance = frame_covariances(model, FrameFits.of(fits), solution)
+    # what errors of all masks do to a frame is told with what they do to its own mask
+    covariance = frame_covariances(model, FrameFits.of(fits), replace(solution, of_growth=None))
     base_from_root = model.base_from_root(solution.calibration.offsets)
     tasks = []
     for i, fit in enumerate(fits):

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.constants import SessionOutlines
 from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras, with_changed_views, with_data
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
+from dvrk_cmaes.calibration.mask_growth import MaskGrowth
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.rig_estimate import ViewDifference, estimate_rig
 from dvrk_cmaes.calibration.session_camera import (
@@ -29,6 +30,7 @@ from dvrk_cmaes.calibration.session_camera import (
 )
 from dvrk_cmaes.calibration.session_masks import MaskMargin, estimate_margin
 from dvrk_cmaes.calibration.session_rig import FEWEST, changes_of
+from dvrk_cmaes.calibration.session_shaft import ShaftRadius
 from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
@@ -90,7 +92,16 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     problem.progress("checking the camera", len(state.frames))
     at, config = Posed.stacked(fit.at for fit in state.fits), problem.config.session
     of_all = state.model, state.solution.calibration, problem.prior, config, at
-    check = check_camera(*of_all, _outlines(state), applied=change)
+    outlines = _outlines(state)
+    shaft, masks = problem.instrument.shaft, state.imaging.masks
+    growth = MaskGrowth() if masks is None else MaskGrowth(masks.side_px or 0.0, masks.taken_off)
+    further = [growth, *([] if shaft is None else [ShaftRadius(shaft.radius)])]
+    outlines = replace(outlines, constants=(*outlines.constants, *further))
+    check = check_camera(*of_all, outlines, applied=change)
+    if check.growth is not None:
+        widened = replace(state.solution, of_growth=check.growth.of_calibration)
+        imaging = replace(state.imaging, growth=check.growth)
+        state = replace(state, found=widened, imaging=imaging)
     if check.camera is None:
         state = state.noted(undetermined=[check.undetermined])
     elif problem.guessed_camera:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, fit_frame
+from dvrk_cmaes.calibration.mask_growth import covariance_of_growth
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
@@ -85,7 +86,10 @@ def fit_session_pose(
     if doubts := OF_FRAMES["alone"].doubts(quality, misfit, session, config.session):
         return f"session: {'; '.join(doubts)}: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
-    fitted += covariance_of_camera(session.camera, fit.at, views[0].evidence.camera)
+    camera = views[0].evidence.camera
+    fitted += covariance_of_camera(session.camera, fit.at, camera)
+    if session.masks is not None:
+        fitted += covariance_of_growth(session.masks.rms_growth_px, fit.at, camera, instrument)
     error = expected_error(instrument, fit.at, fitted)
     doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust)
     base_from_root = model.base_from_root(calibration.offsets)[0]

@@ -14,16 +14,20 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.constants import (
     Constant,
+    Linearised,
     OutlineOfView,
     SessionOutlines,
     ViewAsSeen,
     inverse_information,
     linearise,
 )
+from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthTold, MaskGrowth, growth_told
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solution
+from dvrk_cmaes.calibration.session_shaft import SHAFT, SessionShaft
+from dvrk_cmaes.calibration.solve import FrameFits, Solution, cost_at, solve
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
@@ -41,7 +45,7 @@ CAMERA = "camera"
 """Name of the constant."""
 
 _WEAK_STD = np.array([0.3, 300.0, 300.0])  # of the change where it is estimated from the frames: relative, and px
-_PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
+PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
 _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
@@ -54,6 +58,7 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 
 _CONTRADICTION = 7.81  # squared Mahalanobis distance from no change; that of 95 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
+_LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
 _HARDLY_TOLD = 2.0  # standard deviations of the file's principal point
 _PASSES = 6  # largest number of linearisations of the outlines
 _NOT_ASKED = "camera: not tested, as the settings say"
@@ -72,7 +77,7 @@ class CameraChange(Constant):
 
     def is_plausible(self, values: Float64) -> bool:
         """Whether the outlines are not likely to have left the image."""
-        return bool((np.abs(values) < _PLAUSIBLE * _WEAK_STD).all())
+        return bool((np.abs(values) < PLAUSIBLE * _WEAK_STD).all())
 
     def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
         """Return a view with the changed camera."""
@@ -117,7 +122,8 @@ class SessionCamera(Document):
 
         Where the frames hardly determine the principal point, as those of a short recording, each linearisation may be
         farther away than the one before. What they tell at the camera of the file must then contradict it as well,
-        unless the file is ``unusual`` in itself. Few frames must contradict a usual file clearly.
+        unless the file is ``unusual`` in itself. Few frames must contradict a usual file clearly. A camera that is not
+        applied must also explain the frames better than that of the file.
         """
         change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
         limit = _CONTRADICTION if unusual or applied or frames >= _MANY_FRAMES else _CLEAR_CONTRADICTION
@@ -128,6 +134,8 @@ class SessionCamera(Document):
         ):
             first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
             contradicts = contradicts and first > limit
+        if not applied and estimate.gain < max(limit, _LEAST_GAIN):
+            contradicts = False
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
         scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))
@@ -272,11 +280,15 @@ class CameraCheck:
 
     ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
+    ``growth`` and ``shaft`` are what the outlines tell of errors of the masks on some sides, beside the camera, and of
+    the radius of the shaft, with the camera of the file; None where the camera cannot be changed.
     """
 
     camera: SessionCamera | None
     undetermined: str
     covariance: Float64
+    growth: GrowthTold | None = None
+    shaft: SessionShaft | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +298,9 @@ class CameraEstimate:
     ``covariance`` (3, 3) is that of the change, of which hardly anything is known beforehand. ``sensitivity`` (K, 3) is
     the derivative of the calibration, in the order of `SessionModel.axes`, by the change. ``at`` are the poses of the N
     frames with the changed camera. ``plausible`` is as in `Linearised`. ``first_change`` (3,) and ``first_covariance``
-    (3, 3) are what the first linearisation told, at the start.
+    (3, 3) are what the first linearisation told, at the start, and ``gain`` is by how much less its sum of squares is
+    with any camera than with one that the file expects. ``growth`` and ``shaft`` are what the last one told of errors
+    of the masks on some sides, and of the shaft's radius; None if they are not among the constants.
     """
 
     change: Float64
@@ -297,6 +311,9 @@ class CameraEstimate:
     calibration: Calibration
     at: Posed
     plausible: bool = True
+    gain: float = np.inf
+    growth: GrowthTold | None = None
+    shaft: SessionShaft | None = None
 
 
 def estimate_camera(
@@ -318,16 +335,47 @@ def estimate_camera(
     there = linearise(model, calibration, prior, at, outlines, solver, [CAMERA], passes=passes)
     first, own = there.first or there, there.solution.calibration.place(CAMERA)
     count, information = len(prior), there.information
+    told = [(one.value(CAMERA), one.covariance[own, own]) for one in (there, first)]
+    growth, shaft, constants = None, None, there.solution.calibration.constants
+    usual_px = next((one.usual_px for one in outlines.constants if isinstance(one, MaskGrowth)), None)
+    if usual_px is not None:
+        known = [growth_told(one, count, usual_px) for one in ((there,) if first is there else (there, first))]
+        told, growth = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])], known[0]
+        if SHAFT in constants:
+            shaft = SessionShaft.of(there, {CAMERA: file_deviations(config), GROWTH: growth.std_px})
     return CameraEstimate(
-        there.value(CAMERA),
-        there.covariance[own, own],
-        first.value(CAMERA),
-        first.covariance[own, own],
+        *told[0],
+        *told[1],
         -inverse_information(information[:count, :count]) @ information[:count, own],
         replace(there.solution.calibration, constants={}),
         there.at,
         there.plausible,
+        _gain_of_any_camera(model, replace(calibration, constants={}), first, config),
+        growth,
+        shaft,
     )
+
+
+def _gain_of_any_camera(
+    model: SessionModel, calibration: Calibration, first: Linearised, config: SessionConfig
+) -> float:
+    """Return by how much less the frames' sum of squares is with any camera than with one that the file expects.
+
+    Far from the camera of the file, the covariance of an estimate says little about how well the file explains the
+    frames. Variances and weights are those of the session with the file. Arguments are as in `estimate_camera`;
+    ``first`` is the linearisation at the start.
+    """
+    if len(first.at) != len(model.outer):
+        model = model.subset(evenly_spaced(len(model.outer), len(first.at)))
+    start = replace(calibration, constants={name: 0.0 * own for name, own in first.fits.constants.items()})
+    with_file, place = first.prior.copy(), start.place(CAMERA)
+    with_file[place, place] += np.diag(file_deviations(config) ** -2)
+    by_file, by_any = (solve(model, first.fits, start, prior) for prior in (with_file, first.prior))
+    costs = [
+        cost_at(model, first.fits, one.calibration, prior, by_file.weights)
+        for one, prior in ((by_file, with_file), (by_any, first.prior))
+    ]
+    return costs[0] - costs[1]
 
 
 def _with_variances(
@@ -365,7 +413,7 @@ def check_camera(
         estimate = replace(estimate, change=applied)
     covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None)
     if reason is not None:
-        return CameraCheck(None, reason, covariance)
+        return CameraCheck(None, reason, covariance, estimate.growth, estimate.shaft)
     camera = SessionCamera.of(
         estimate,
         config,
@@ -374,7 +422,7 @@ def check_camera(
         frames=len(at),
         unusual=any(text.startswith(FILE) for text in outlines.camera.remarks),
     )
-    return CameraCheck(camera, "", covariance)
+    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft)
 
 
 def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool, applied: bool) -> Float64:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
+from dvrk_cmaes.calibration.mask_growth import GrowthTold
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
 from dvrk_cmaes.geometry import Posed
@@ -83,6 +84,9 @@ class SessionMasks(Document):
     side_px : standard deviation of the error of a side of the shaft as a whole, which lasts from frame to frame, px.
     std_side_px : its standard deviation. lasting_seconds, std_lasting_seconds : the time in which the correlation of
     these errors falls to 37 %, s; None where the times of the frames are not known.
+    growth_px : mean errors, px, of both sides of the shaft (to the right of its direction towards the tip in the image,
+    and to the left) and of what faces right, left, down and up, none below 0. rms_growth_px : the roots of their mean
+    squares, with what is not known of them.
     """
 
     margin_px: Number
@@ -93,21 +97,25 @@ class SessionMasks(Document):
     std_side_px: Number | None = None
     lasting_seconds: Number | None = None
     std_lasting_seconds: Number | None = None
+    growth_px: tuple[Number, ...] = ()
+    rms_growth_px: tuple[Number, ...] = ()
 
     @classmethod
-    def of(cls, margins: Sequence[tuple[str, Margin]], lasting: LastingEstimate | None) -> SessionMasks:
-        """State the margins of the views, of which there is at least one, and what lasts from frame to frame."""
+    def of(
+        cls, margins: Sequence[tuple[str, Margin]], lasting: LastingEstimate | None, growth: GrowthTold | None = None
+    ) -> SessionMasks:
+        """State the margins of the views, of which there is at least one, and the errors that frames share."""
         (_, first), *others = margins
         further = tuple(ViewMargin(view, margin.px, margin.std_px, margin.applied) for view, margin in others)
         stated = cls(first.px, first.std_px, first.applied, further)
+        if growth is not None:
+            rms = np.sqrt(np.diag(growth.square))
+            stated = replace(stated, growth_px=tuple(growth.px.tolist()), rms_growth_px=tuple(rms.tolist()))
         if lasting is None:
             return stated
         seconds = lasting.size.seconds if lasting.timed else None
-        return cls(
-            first.px,
-            first.std_px,
-            first.applied,
-            further,
+        return replace(
+            stated,
             side_px=lasting.side_px,
             std_side_px=lasting.side_px * lasting.log_std_scale,
             lasting_seconds=seconds,

@@ -17,6 +17,7 @@ from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
+from dvrk_cmaes.calibration.mask_growth import GrowthTold
 from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, offset_deviations, outer_readings
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
@@ -74,18 +75,20 @@ class Imaging:
 
     ``change`` (3,) is that of the camera, as of `changed`, None where the camera's file is used; ``rig`` what the
     further views differ in from the file; ``margins`` those of the views' masks by name, in the views' order, empty
-    until they are estimated; ``lasting`` the size of the masks' errors that last, None until it is estimated.
+    until they are estimated; ``lasting`` the size of the masks' errors that last, ``growth`` what is told of their
+    errors on some sides, both None until they are estimated.
     """
 
     change: Float64 | None = None
     rig: tuple[ViewRotation, ...] = ()
     margins: tuple[tuple[str, Margin], ...] = ()
     lasting: LastingEstimate | None = None
+    growth: GrowthTold | None = None
 
     @property
     def masks(self) -> SessionMasks | None:
         """What is stated of errors that the masks share; None if their margin was not estimated."""
-        return SessionMasks.of(self.margins, self.lasting) if self.margins else None
+        return SessionMasks.of(self.margins, self.lasting, self.growth) if self.margins else None
 
 
 @dataclass(frozen=True)

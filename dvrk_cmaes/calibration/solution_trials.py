@@ -156,6 +156,32 @@ def with_masks_again(session: SessionState) -> SessionState:
     return replace(better, again=replace(better.again or FoundMasks(), compared=again))
 
 
+def with_freed_camera(session: SessionState, start: SessionState) -> SessionState | None:
+    """Solve a session again with the camera that its frames fit; None where that predicts frames no better.
+
+    A camera file that is contradicted is replaced where frames that are left out show that it is wrong: an error of the
+    masks or the instrument, too, can look like another camera in the frames that are fitted.
+
+    Parameters
+    ----------
+    session
+        The session, solved with the camera of the file, which its frames contradict.
+    start
+        The same session, of which nothing is solved yet.
+    """
+    if session.again is not None:
+        return None
+    session.problem.progress("trying the camera that the frames fit", len(start.frames))
+    problem = replace(start.problem, refine_camera=True)
+    imaging = replace(start.imaging, change=np.zeros(3))
+    try:
+        freed = solve_session(replace(start, problem=problem, imaging=imaging))
+    except InputError:
+        return None
+    predicted = [_left_out_overlaps(one) for one in (session, freed)]
+    return None if best_predicting(predicted[0], predicted[1:]) is None else freed
+
+
 def _at_lags(start: SessionState, lags: Sequence[float]) -> list[SessionState]:
     """Solve a session at some lags, but for those that its readings contradict."""
     trials = []

@@ -133,7 +133,8 @@ class Solution:
     share of one. The frames are in the order they were taken. ``independent`` (K, K) is the covariance of the sum of
     these gradients and of the prior's if the frames were independent; it is the information matrix where each counts as
     one. ``lasting`` are the changes of the gradients by errors of the masks that last from frame to frame, ``by_lag``
-    (K,) is the change of their sum by one standard deviation of the lag.
+    (K,) is the change of their sum by one standard deviation of the lag. ``of_growth`` (K, K) is the mean square of the
+    errors that errors of all masks on some sides cause; None where these are not known.
     """
 
     calibration: Calibration
@@ -145,6 +146,7 @@ class Solution:
     independent: Float64
     lasting: LastingSlopes
     by_lag: Float64
+    of_growth: Float64 | None = None
 
     @cached_property
     def covariance(self) -> Float64:
@@ -155,7 +157,8 @@ class Solution:
         of the errors of the masks that last from frame to frame, with their correlation, and where the slopes of
         successive parts of the recording scatter more (the covariance for clustered errors), as those of cables do.
         """
-        return self.covariance_of(np.asarray(np.linalg.inv(self.information), dtype=np.float64))
+        alone = self.covariance_of(np.asarray(np.linalg.inv(self.information), dtype=np.float64))
+        return alone if self.of_growth is None else alone + self.of_growth
 
     def covariance_of(self, inverse: Float64) -> Float64:
         """Return the covariance for a given inverse (K, K) of the information, as of a matrix with something added."""
@@ -200,6 +203,23 @@ def solve(
         if step @ information @ step < 1e-6 * len(step):
             break
     return solution
+
+
+def cost_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64, weights: Float64) -> float:
+    """Return the sum of squares of a calibration's frames, with given weights (N,), and of the prior.
+
+    It is that where the frames' own unknowns are best, up to a constant; the other arguments are as in `solve`.
+    """
+    own, outlines = fits.at.joints.shape[1] + 6, fits.outlines
+    predicted, constants = model.predict(calibration).minus(fits.at), calibration.further - fits.further
+    known = np.asarray(np.linalg.inv(model.covariance(calibration)), dtype=np.float64)
+    of_own, cross = outlines.information[:, :own, :own] + known, outlines.information[:, :own, own:]
+    pulled = times(known, predicted) - outlines.slope[:, :own] - cross @ constants
+    squares = (predicted * times(known, predicted)).sum(axis=1)
+    squares += (constants * (outlines.information[:, own:, own:] @ constants + 2 * outlines.slope[:, own:])).sum(axis=1)
+    squares -= (pulled * np.linalg.solve(of_own, pulled[:, :, None])[:, :, 0]).sum(axis=1)
+    at = np.concatenate([np.zeros(6), calibration.offsets, calibration.further])
+    return float((np.broadcast_to(fits.shares, len(weights)) * weights) @ squares + at @ prior @ at)
 
 
 def solve_unchanged(

@@ -12,6 +12,7 @@ from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
+from dvrk_cmaes.evidence.shadows import shadow_stretches
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import shown_views
 from dvrk_cmaes.geometry import Posed
@@ -91,7 +92,8 @@ class StoredFrame:
     ) -> StoredFrame:
         """Gather the evidence of a frame's views, and measure the frame's own estimate in them.
 
-        ``keypoints`` (2, 2) px are the jaw tips in the first view; ``features`` is as in `gather_evidence`.
+        ``keypoints`` (2, 2) px are the jaw tips in the first view; ``features`` is as in `gather_evidence`. Stretches
+        of a mask's contour that are no edge of the view's image, if there is one, do not count.
 
         Raises
         ------
@@ -101,11 +103,13 @@ class StoredFrame:
         views = []
         for view in shown_views(data.views):
             tips = keypoints if view is data.views[0] else None
+            shadows = None if view.image is None else shadow_stretches(view.image, view.mask)
+            hidden = [part for part in (view.ignore, shadows) if part is not None]
             evidence = gather_evidence(
                 view.mask,
                 view.camera,
                 body.instrument,
-                ignore=view.ignore,
+                ignore=np.logical_or.reduce(hidden) if hidden else None,
                 keypoints=tips,
                 seed=config.seed,
                 features=features,

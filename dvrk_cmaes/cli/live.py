@@ -226,6 +226,7 @@ def live(
     from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
     from dvrk_cmaes.runs.long_run import prepare_long_run
     from dvrk_cmaes.runs.solver_process import SolverProcess
+    from dvrk_cmaes.runs.worker_process import WorkerProcess
 
     if rehearse is not None:
         cameras = CameraOptions(camera=camera, camera_right=camera_right, rectified=rectified)
@@ -268,15 +269,18 @@ def live(
                     body,
                     instrument.kinematics,
                     calibrated,
-                    stack.enter_context(SolverProcess(body.instrument, background=True)),
+                    partial(SolverProcess, body.instrument, background=True),
                     earlier,
-                    partial(_save, save_calibration, folder),
+                    None if folder is None else partial(save_calibration, folder),
                 )
             )
             if folder is not None:
                 stack.enter_context(output(folder, "live", owns=False)).refuse((SESSION,))
         origin = time.time_ns()
-        setup = LiveSetup(inputs, tuple(arms), method.resolve(), lag, rig, rectified, overlay, origin=origin)
+        apart = partial(WorkerProcess, for_long=True)
+        setup = LiveSetup(
+            inputs, tuple(arms), method.resolve(), lag, rig, rectified, overlay, origin=origin, apart=apart
+        )
         connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
         prepare_long_run()
         stop = stack.enter_context(_stopped(seconds))
@@ -288,12 +292,6 @@ def live(
             connection.close()
     show([Line(f"{counts.followed} images followed, {counts.published} results published, {counts.refused} refused")])
     return 0
-
-
-def _save(write: Callable[[Path, Any], None], folder: Path | None, found: Any) -> None:
-    """Write a calibration, if there is a folder for it."""
-    if folder is not None:
-        write(folder, found)
 
 
 def _rig_of_files(camera: Path | None, right: Path | None, topics: InputTopics, *, rectified: bool) -> Rig | None:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,7 +26,7 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import header
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Receive
+from dvrk_cmaes.live.connection import LocalConnection
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.repeated_lines import RepeatedLines
@@ -173,15 +173,14 @@ def _image(stamp: int, array: NDArray[np.uint8]) -> dict[str, Any]:
 
 
 @dataclass(eq=False)
-class Stage:
+class Stage(LocalConnection):
     """A connection within this process, which has the clock of what is sent, and counts what is published.
 
-    ``poses`` (4, 4) and ``statuses`` are by arm and time, ns.
+    ``stamp`` is the time of what was sent last, ns; ``poses`` (4, 4) and ``statuses`` are by arm and time, ns.
     """
 
-    stamp: int
     name: str = "rehearsal"
-    receivers: dict[str, Receive] = field(default_factory=dict)
+    stamp: int = 0
     published: Counter[str] = field(default_factory=Counter)
     poses: dict[str, dict[int, NDArray[np.float64]]] = field(default_factory=dict)
     statuses: dict[str, dict[int, str]] = field(default_factory=dict)
@@ -190,23 +189,6 @@ class Stage:
     def now(self) -> float:
         """The time of what was sent last, s."""
         return self.stamp / NANOSECONDS
-
-    def topics(self, timeout: float) -> dict[str, str]:
-        """There are no topics but those that are read."""
-        return dict.fromkeys(self.receivers, "")
-
-    def open(self, timeout: float) -> bool:
-        """There is nothing to connect to."""
-        return True
-
-    def close(self) -> None:
-        """There is nothing to close."""
-
-    def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
-    ) -> None:
-        """Keep the receiver of a topic."""
-        self.receivers[topic] = receive
 
     def advertise(self, topic: str, kind: str) -> None:
         """Begin to count the messages of a topic."""
@@ -250,12 +232,12 @@ def play(
     InputError
         A file of a frame is wrong.
     """
-    stage, lines = Stage(recorded.stamps[0]), list[Line]()
+    stage, lines = Stage(stamp=recorded.stamps[0]), list[Line]()
     with ExitStack() as stack:
 
-        def solver(arm: str) -> SolverProcess | None:
+        def solver(arm: str) -> Callable[[], SolverProcess] | None:
             keeps = recorded.settings(arm, config, lag).keeps_keyframes
-            return stack.enter_context(SolverProcess(recorded.arms[arm].body.instrument)) if keeps else None
+            return partial(SolverProcess, recorded.arms[arm].body.instrument) if keeps else None
 
         arms = [
             ArmSetup(
@@ -272,7 +254,7 @@ def play(
             recorded.topics, tuple(arms), config, lag, rig, overlay=overlay, waits=True, origin=recorded.origin
         )
         say = RepeatedLines(note)
-        loop = setup.loop(Inputs(setup.topics, say, now=lambda: stage.now), stage, say, show)
+        loop = setup.loop(Inputs(setup.topics, say, now=lambda: stage.now), stage, say, stack, show)
         for stamp, messages in recorded.messages():
             stage.send(stamp, messages)
             loop.turn()

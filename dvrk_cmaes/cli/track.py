@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 AUTO = "auto"
 
 _DOUBTFUL, _INTERRUPTED = 3, 130
+_MOST_REASONS = 8
 _REPORT_EVERY = 5.0  # s
 
 
@@ -310,9 +311,10 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
 
     from dvrk_cmaes.results.track_files import VIDEO
 
-    total = sum(done.counts.values())
+    total = len(done.rows)
     counts = ", ".join(f"{done.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if done.counts.get(name))
     yield Line(f"{frames_text(total)}: {counts}", "bold")
+    yield from reason_lines(done.rows)
     if done.calibration is not None:
         lag = done.calibration.lag
         yield Line("lag: not determined" if lag is None else f"lag: {lag.describe()}")
@@ -325,3 +327,26 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
         yield Line(f"page: {out / 'report.html'}")
     if rerun is not None and not done.interrupted:
         yield Line(f"for the Rerun viewer: {rerun}")
+
+
+def reason_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[Line]:
+    """Yield a line for each kind of reason why frames are not ok, most frequent first, with these frames."""
+    from dvrk_cmaes.report.page_session import frames_by_reason
+
+    names = [row["frame"] for row in rows]
+    kinds = frames_by_reason([row["reasons"] for row in rows])
+    for kind, places in kinds[:_MOST_REASONS]:
+        yield Line(f"  {kind}: {frames_text(len(places))} ({listed(_stretches(names, places))})")
+    if len(kinds) > _MOST_REASONS:
+        yield Line(f"  ... and {len(kinds) - _MOST_REASONS} more, in tracks.jsonl")
+    if kinds:
+        yield Line("  what to do about reasons: dvrk-cmaes help problems")
+
+
+def _stretches(names: Sequence[str], places: Sequence[int]) -> Iterator[str]:
+    """Yield the frames at increasing places, those that follow each other as ``FIRST to LAST``."""
+    first = places[0]
+    for place, following in zip(places, (*places[1:], None), strict=True):
+        if following != place + 1:
+            yield names[first] if first == place else f"{names[first]} to {names[place]}"
+            first = following or 0

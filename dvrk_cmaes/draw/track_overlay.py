@@ -18,6 +18,7 @@ Image = NDArray[np.uint8]
 _STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLION}
 _FAINT = 0.25  # brightness of the mask where there is no image
 _TINT = 0.35  # of an arm's colour within its tool
+_MASK_LINES, _LINES = 140, 480  # widths of a line in that of the picture: 5 and 1 px at 640 px, 9 and 3 px at 1280
 _STRIP = 22  # px, height of the strip with the status
 
 
@@ -62,7 +63,7 @@ def draw_track_of_arms(
             if silhouette is not None:
                 mixed = (1 - _TINT) * picture[silhouette] + _TINT * np.array(colours[arm])
                 picture[silhouette] = np.rint(mixed).astype(np.uint8)
-                _contour(picture, silhouette, colours[arm])
+                _contour(picture, silhouette, colours[arm], _LINES)
         drawn.append(picture)
     beside = _beside(drawn)
     _write(beside, [(frame, YELLOW), *((f"{arm} {status}", colours[arm]) for arm, status in statuses.items())])
@@ -72,9 +73,9 @@ def draw_track_of_arms(
 def _outlined(view: TrackView) -> Image:
     """Draw the contours of a view's mask and silhouette; the mask's is wider, to be seen beside the silhouette's."""
     drawn = _background(view.image, view.mask, view.size)
-    for region, colour, thickness in ((view.mask, YELLOW, 3), (view.silhouette, SKY_BLUE, 1)):
+    for region, colour, lines in ((view.mask, YELLOW, _MASK_LINES), (view.silhouette, SKY_BLUE, _LINES)):
         if region is not None:
-            _contour(drawn, region, colour, thickness)
+            _contour(drawn, region, colour, lines)
     return drawn
 
 
@@ -87,8 +88,9 @@ def _background(image: Image | None, mask: Bool | None, size: tuple[int, int]) -
     return drawn
 
 
-def _contour(picture: Image, region: Bool, colour: Colour, thickness: int = 1) -> None:
-    """Draw the contours of a region (H, W) into a picture, with lines of some px."""
+def _contour(picture: Image, region: Bool, colour: Colour, lines: int) -> None:
+    """Draw the contours of a region (H, W) into a picture whose width is ``lines`` times that of the lines."""
+    thickness = max(1, round(picture.shape[1] / lines))
     contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     cv2.drawContours(picture, contours, -1, colour, thickness, cv2.LINE_AA)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import cv2
@@ -115,9 +115,11 @@ def gather_evidence(
         raise InputError("mask: expected some instrument, got no pixel that counts")
     if (mask if ignore is None else mask | ignore).all():
         raise InputError("mask: expected some background, got instrument everywhere")
+    if not features:
+        return _without_features(mask.copy(), ignore, camera, keypoints)
     marks = None if keypoints is None else tuple(keypoints.ravel().tolist())
     hidden = None if ignore is None else ignore.tobytes()
-    return _gathered(mask.tobytes(), hidden, marks, camera, instrument, seed, features)
+    return _gathered(mask.tobytes(), hidden, marks, camera, instrument, seed)
 
 
 @lru_cache(maxsize=4)
@@ -128,9 +130,8 @@ def _gathered(
     camera: Camera,
     instrument: Instrument,
     seed: int,
-    features: bool,
 ) -> Evidence:
-    """Collect the evidence of one frame; that of the last ones is kept, because an overlay shows it, too.
+    """Collect all evidence of one frame; that of the last ones is kept, because an overlay shows it, too.
 
     ``mask_bytes`` and ``ignore_bytes`` are the contents of ``mask`` and ``ignore``, ``marks`` those of ``keypoints``;
     the others are as in `gather_evidence`.
@@ -139,12 +140,8 @@ def _gathered(
     mask = np.frombuffer(mask_bytes, dtype=np.bool_).reshape(size)
     ignore = None if ignore_bytes is None else np.frombuffer(ignore_bytes, dtype=np.bool_).reshape(size)
     keypoints = None if marks is None else np.reshape(marks, (2, 2))
-    weight = np.ones(mask.shape, dtype=np.float32)
-    if ignore is not None:
-        weight[ignore] = 0.0
-    contour = find_contour(mask, camera, ignore)
-    if not features:
-        return Evidence(camera, mask, weight, contour, (), keypoints, keypoints is not None)
+    bare = _without_features(mask, ignore, camera, keypoints)
+    contour = bare.contour
     unused: list[str] = []
     edges: tuple[ShaftEdges, ...] = ()
     if instrument.shaft is None:
@@ -165,7 +162,17 @@ def _gathered(
             unused.append(f"jaw tips: {located}")
         else:
             tips = located
-    return Evidence(camera, mask, weight, contour, edges, tips, keypoints is not None, tuple(unused))
+    return replace(bare, shaft_edges=edges, tips=tips, unused=tuple(unused))
+
+
+def _without_features(
+    mask: NDArray[np.bool_], ignore: NDArray[np.bool_] | None, camera: Camera, keypoints: Float64 | None
+) -> Evidence:
+    """Collect the evidence of a mask (H, W) alone, and the jaw tips that are given."""
+    weight = np.ones(mask.shape, dtype=np.float32)
+    if ignore is not None:
+        weight[ignore] = 0.0
+    return Evidence(camera, mask, weight, find_contour(mask, camera, ignore), (), keypoints, keypoints is not None)
 
 
 def shrunk(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -83,6 +85,8 @@ class LiveArm:
         Makes, for cameras, a function that draws a result over the image of the first eye; None to publish no overlay.
     beside
         Is called before and after each step; its state is published.
+    run
+        Begins a step, and returns its future result; by default the step is done at once.
     origin
         The time, ns, from which those of the tracker are counted: seconds since 1970 have few digits left.
     """
@@ -97,6 +101,7 @@ class LiveArm:
         *,
         draw: Callable[[Rig], DrawOverlay] | None = None,
         beside: Beside | None = None,
+        run: Callable[[Callable[[], StepResult]], Future[StepResult]] | None = None,
         origin: int = 0,
     ) -> None:
         self.name, self.state = name, "waiting for the camera"
@@ -105,6 +110,7 @@ class LiveArm:
         self.draws = draw is not None
         self._make_tracker, self._make_drawing = make_tracker, draw
         self._outputs, self._report, self._now, self._beside = outputs, report, now, beside
+        self._run = _at_once if run is None else run
         self._reason, self._ros1, self._told = "", False, now()
         self._failures, self._origin = 0, origin
 
@@ -132,16 +138,37 @@ class LiveArm:
                 self._report(str(error))
         return left_out
 
-    def follow(
+    def start(self, frame: LiveFrame, arrays: Decoded) -> None:
+        """Begin to follow a frame."""
+        self._began = self._now()
+        self._result = self._run(partial(self._step, frame, arrays))
+
+    @property
+    def runs(self) -> bool:
+        """Whether the step that was started goes on elsewhere."""
+        return not self._result.done()
+
+    def _step(self, frame: LiveFrame, arrays: Decoded) -> StepResult:
+        """Follow a frame."""
+        seconds = self._seconds(frame)
+        if self._beside is not None:
+            self._beside.before_step(seconds)
+        masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)
+        return self._tracker.step(seconds, masks, arrays.images or None, ignored or None)
+
+    def _seconds(self, frame: LiveFrame) -> float:
+        """Return the time of a frame for the tracker, s."""
+        return (frame.time - self._origin) / NANOSECONDS
+
+    def finish(
         self, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]
     ) -> tuple[bool, bool]:
-        """Follow a frame and publish the result, or say why not.
+        """Publish the result of the frame that was started, or say why there is none.
 
         Returns whether it was followed, and whether following is to begin anew, after several that were not.
         """
-        began = self._now()
         try:
-            self._follow(frame, arrays, age, silent)
+            self._publish(self._result.result(), frame, arrays, age, silent)
         except InputError as error:
             self._report(str(error))
             self.leave_out(str(error))
@@ -149,16 +176,13 @@ class LiveArm:
         except Exception as error:
             return False, self._fail(error)
         self.stepped = self._now()
-        self.seconds += _SHARE * (self.stepped - began - self.seconds)
+        self.seconds += _SHARE * (self.stepped - self._began - self.seconds)
         self._failures = 0
         return True, False
 
-    def _follow(self, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]) -> None:
-        seconds = (frame.time - self._origin) / NANOSECONDS
-        if self._beside is not None:
-            self._beside.before_step(seconds)
-        masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)
-        result = self._tracker.step(seconds, masks, arrays.images or None, ignored or None)
+    def _publish(
+        self, result: StepResult, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]
+    ) -> None:
         image = next(iter(arrays.images.values()), None)
         overlay = None if self._draw is None or image is None else self._draw(image, result)
         old = age()
@@ -178,7 +202,7 @@ class LiveArm:
         self._told, self._ros1 = self._now(), frame.ros1
         self.wait("waiting for images")
         if self._beside is not None:
-            self._beside.after_step(seconds)
+            self._beside.after_step(self._seconds(frame))
 
     def _fail(self, error: Exception) -> bool:
         """Leave out a frame whose step failed; returns whether that was the last of several in a row."""
@@ -206,3 +230,13 @@ class LiveArm:
         if self._now() - self._told >= _STATE_EVERY:
             self._told = self._now()
             self._outputs.publish_state(self.state, self._reason, ros1=self._ros1, silent=silent)
+
+
+def _at_once(step: Callable[[], StepResult]) -> Future[StepResult]:
+    """Do a step, and return its result or what it raised as a future one."""
+    done = Future[StepResult]()
+    try:
+        done.set_result(step())
+    except Exception as error:
+        done.set_exception(error)
+    return done

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
 Receive = Callable[[Mapping[str, Any]], None]
@@ -53,3 +54,36 @@ class Connection(Protocol):
 
     def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
         """Send a message without waiting; returns whether it was sent, which it is not while there is no connection."""
+
+
+@dataclass(eq=False)
+class LocalConnection:
+    """A connection within this process: ``receivers`` take what is sent, by topic; what is published goes nowhere."""
+
+    name: str
+    receivers: dict[str, Receive] = field(default_factory=dict)
+
+    def topics(self, timeout: float) -> dict[str, str]:
+        """Return the topics that are read."""
+        return dict.fromkeys(self.receivers, "")
+
+    def open(self, timeout: float) -> bool:
+        """There is nothing to connect to."""
+        return True
+
+    def close(self) -> None:
+        """Forget the receivers."""
+        self.receivers.clear()
+
+    def subscribe(
+        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
+    ) -> None:
+        """Keep the receiver of a topic."""
+        self.receivers[topic] = receive
+
+    def advertise(self, topic: str, kind: str) -> None:
+        """There is nobody to announce a topic to."""
+
+    def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
+        """Take a message."""
+        return True

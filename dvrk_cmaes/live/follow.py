@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, closing
+from dataclasses import dataclass, replace
 from functools import partial
 from threading import Event
 
@@ -16,7 +18,8 @@ from dvrk_cmaes.errors import DvrkCmaesError, nearest_first
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.live.arm import Beside, DrawOverlay, LiveArm
+from dvrk_cmaes.live.apart import Process, TrackerApart
+from dvrk_cmaes.live.arm import DrawOverlay, LiveArm
 from dvrk_cmaes.live.connection import Connection, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
@@ -36,17 +39,18 @@ _ANSWER = 2.0  # s, for the topics of a server
 class ArmSetup:
     """An arm that is followed: its names and instrument, and what is known of its base.
 
-    With a ``solver``, masks, and no given lag, the arm's base is found from keyframes, which are solved beside the
-    loop; ``earlier`` is the calibration of an earlier run, and ``save`` keeps what is found.
+    With a ``solver``, which is made for the time of following, masks, and no given lag, the arm's base is found from
+    keyframes, which are solved beside the loop; ``earlier`` is the calibration of an earlier run, and ``save`` keeps
+    what is found.
     """
 
     names: FrameNames
     body: Body
     kinematics: Arm = "classic"
     calibration: SessionCalibration | None = None
-    solver: Solver | None = None
+    solver: Callable[[], AbstractContextManager[Solver]] | None = None
     earlier: SessionCalibration | None = None
-    save: Callable[[SessionCalibration], None] = lambda calibration: None
+    save: Callable[[SessionCalibration], None] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,7 @@ class LiveSetup:
     ``rig`` is used instead of the topics' cameras if given; ``rectified`` says which of the topics' matrices is used.
     ``overlay`` publishes an overlay of each image. ``waits`` uses each solution a fixed time of images after its
     keyframes, for which steps wait, instead of as soon as it is there. Trackers count time from ``origin``, ns.
+    ``apart`` starts a process in which one of several arms is followed; without it all are followed in this one.
     """
 
     topics: InputTopics
@@ -67,37 +72,26 @@ class LiveSetup:
     overlay: bool = False
     waits: bool = False
     origin: int = 0
+    apart: Callable[[], Process] | None = None
 
-    def arm(self, own: ArmSetup, inputs: Inputs, connection: Connection, report: Report) -> LiveArm:
+    def arm(self, own: ArmSetup, inputs: Inputs, connection: Connection, report: Report, stack: ExitStack) -> LiveArm:
         """Return an arm that publishes on a connection."""
-        solutions = None
-        if own.solver is not None:
-            solutions = LiveSolutions(own.solver, report, own.save, own.earlier, waits=self.waits)
-
-        def make_tracker(rig: Rig) -> Tracker:
-            earlier = None if solutions is None or own.calibration is not None else solutions.earlier_of(rig)
-            tracker = Tracker(
-                rig,
-                own.body,
-                earlier or own.calibration,
-                self.config,
-                arm=own.kinematics,
-                lag=self.lag,
-                earlier=earlier is not None,
-                sliced=True,
-            )
-            if solutions is not None:
-                solutions.follow(tracker)
-            return tracker
-
+        followed: FollowedArm | TrackerApart
+        if self.apart is None or len(self.arms) == 1:
+            followed, run = stack.enter_context(FollowedArm(self, own, report)), None
+        else:
+            alone = replace(self, arms=(own,), apart=None)
+            followed = stack.enter_context(closing(TrackerApart(self.apart, partial(_opened, alone), report)))
+            run = stack.enter_context(ThreadPoolExecutor(1)).submit
         return LiveArm(
             own.names.arm,
-            make_tracker,
+            followed.begin,
             Outputs(connection, own.names, own.body.instrument.root_link),
             report,
             inputs.now,
-            draw=partial(_drawing, own.body, solutions) if self.overlay else None,
-            beside=solutions,
+            draw=partial(_drawing, own.body, followed) if self.overlay else None,
+            beside=followed,
+            run=run,
             origin=self.origin,
         )
 
@@ -106,12 +100,64 @@ class LiveSetup:
         inputs: Inputs,
         connection: Connection,
         report: Report,
+        stack: ExitStack,
         show: Callable[[Callable[[], str]], None] = lambda text: None,
     ) -> LiveLoop:
-        """Subscribe to the topics, and return the loop."""
+        """Subscribe to the topics, and return the loop; what it uses is closed with the stack."""
         inputs.subscribe(connection)
-        arms = [self.arm(own, inputs, connection, report) for own in self.arms]
+        arms = [self.arm(own, inputs, connection, report, stack) for own in self.arms]
         return LiveLoop(arms, inputs, report, rig=self.rig, show=show)
+
+
+class FollowedArm(ExitStack):
+    """An arm that is followed in this process: its newest tracker, and the solution of its keyframes."""
+
+    tracker: Tracker
+
+    def __init__(self, setup: LiveSetup, own: ArmSetup, report: Report) -> None:
+        super().__init__()
+        self._setup, self._own, self._solutions = setup, own, None
+        if own.solver is not None:
+            solver = self.enter_context(own.solver())
+            self._solutions = LiveSolutions(solver, report, own.save, own.earlier, waits=setup.waits)
+
+    def begin(self, rig: Rig) -> Tracker:
+        """Follow anew, by these cameras."""
+        own, solutions = self._own, self._solutions
+        earlier = None if solutions is None or own.calibration is not None else solutions.earlier_of(rig)
+        self.tracker = Tracker(
+            rig,
+            own.body,
+            earlier or own.calibration,
+            self._setup.config,
+            arm=own.kinematics,
+            lag=self._setup.lag,
+            earlier=earlier is not None,
+            sliced=True,
+        )
+        if solutions is not None:
+            solutions.follow(self.tracker)
+        return self.tracker
+
+    @property
+    def state(self) -> str:
+        """How far the arm's base is known, in words."""
+        return "" if self._solutions is None else self._solutions.state
+
+    def before_step(self, time: float) -> None:
+        """Do what is due before the step to a time, s."""
+        if self._solutions is not None:
+            self._solutions.before_step(time)
+
+    def after_step(self, time: float) -> None:
+        """Do what is due after the step to a time, s."""
+        if self._solutions is not None:
+            self._solutions.after_step(time)
+
+
+def _opened(setup: LiveSetup, report: Report) -> FollowedArm:
+    """Return the only arm of a setup, in a process of its own, until that ends."""
+    return FollowedArm(setup, setup.arms[0], report)
 
 
 def follow(
@@ -134,15 +180,16 @@ def follow(
     """
     say = RepeatedLines(report)
     inputs = Inputs(setup.topics, say, rectified=setup.rectified)
-    loop = setup.loop(inputs, connection, say, show)
-    counts = loop.run(stop, begin_within=begin_within)
+    with ExitStack() as stack:
+        loop = setup.loop(inputs, connection, say, stack, show)
+        counts = loop.run(stop, begin_within=begin_within)
     if not loop.began:
         raise DvrkCmaesError(_what_to_check(setup, inputs, connection))
     return counts
 
 
-def _drawing(body: Body, solutions: Beside | None, rig: Rig) -> DrawOverlay:
-    return LiveOverlay(body, rig.camera, lambda: "" if solutions is None else solutions.state)
+def _drawing(body: Body, followed: FollowedArm | TrackerApart, rig: Rig) -> DrawOverlay:
+    return LiveOverlay(body, rig.camera, lambda: followed.state)
 
 
 def _what_to_check(setup: LiveSetup, inputs: Inputs, connection: Connection) -> str:

@@ -176,7 +176,7 @@ class LiveLoop:
 
         Where the time is too short for all arms, those are followed that have waited longest.
         """
-        began, followed = self._inputs.now(), False
+        began, followed, running = self._inputs.now(), False, list[LiveArm]()
 
         def age() -> float:
             return self._ages.age(frame.time, self._inputs.now())
@@ -185,15 +185,17 @@ class LiveLoop:
             self.counts.refused += arm.add_readings(self._inputs.readings[arm.name].take_all(), frame.time)
         for arm in sorted(self._arms, key=lambda arm: arm.stepped):
             steps = self._inputs.now() - began + arm.seconds
-            if followed and steps > _BUDGET:
+            if (followed or running) and steps > _BUDGET:
                 took = f"{1e3 * steps:.0f} ms, more than {1e3 * _BUDGET:.0f}"
                 self._report(f"arms take turns: the steps of all take {took}")
                 continue
-            done, anew = arm.follow(frame, arrays, age, silent)
-            followed |= done
-            if anew and self._rig is not None:
-                arm.begin(self._rig)
-                self.counts.restarts += 1
+            arm.start(frame, arrays)
+            if arm.runs:
+                running.append(arm)
+            else:
+                followed |= self._finish(arm, frame, arrays, age, silent)
+        for arm in running:
+            followed |= self._finish(arm, frame, arrays, age, silent)
         self.counts.published = sum(arm.published for arm in self._arms)
         self.counts.followed += followed
         self.counts.refused += not followed
@@ -201,6 +203,16 @@ class LiveLoop:
             self._latest.append(age())
             if self._latest[-1] > OLD:
                 self._report(f"images are {self._latest[-1]:.1f} s old: this computer, or the way here, is too slow")
+        return followed
+
+    def _finish(
+        self, arm: LiveArm, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: tuple[str, ...]
+    ) -> bool:
+        """Publish what an arm that was started has found; returns whether the frame was followed."""
+        followed, anew = arm.finish(frame, arrays, age, silent)
+        if anew and self._rig is not None:
+            arm.begin(self._rig)
+            self.counts.restarts += 1
         return followed
 
     def _is_overtaken(self, late: float) -> bool:

@@ -28,7 +28,7 @@ class LiveSolutions:
 
     solver: Solver
     report: Report
-    save: Callable[[SessionCalibration], None]
+    save: Callable[[SessionCalibration], None] | None
     earlier: SessionCalibration | None = None
     waits: bool = False
     tracker: Tracker | None = None
@@ -92,6 +92,7 @@ class LiveSolutions:
     def _save(self, calibration: SessionCalibration) -> None:
         """Write a calibration; where that is not possible, the user is told."""
         try:
-            self.save(calibration)
+            if self.save is not None:
+                self.save(calibration)
         except (DvrkCmaesError, OSError) as error:
             self.report(one_line(error))

@@ -242,8 +242,16 @@ def reason_counts(results: Sequence[Result]) -> list[tuple[str, int]]:
 
 def counted_reasons(reasons: Iterable[Sequence[str]]) -> list[tuple[str, int]]:
     """Return the kinds of the reasons of frames and their numbers of frames, most frequent first."""
-    kinds = (dict.fromkeys(map(reason_kind, of_frame)) for of_frame in reasons)
-    return sorted(Counter(kind for frame in kinds for kind in frame).items(), key=lambda item: (-item[1], item[0]))
+    return [(kind, len(frames)) for kind, frames in frames_by_reason(reasons)]
+
+
+def frames_by_reason(reasons: Iterable[Sequence[str]]) -> list[tuple[str, list[int]]]:
+    """Return the kinds of the reasons of frames, most frequent first, and the places of the frames that have each."""
+    kinds: dict[str, list[int]] = {}
+    for place, of_frame in enumerate(reasons):
+        for kind in dict.fromkeys(map(reason_kind, of_frame)):
+            kinds.setdefault(kind, []).append(place)
+    return sorted(kinds.items(), key=lambda item: (-len(item[1]), item[0]))
 
 
 def common_warnings(results: Sequence[Result]) -> list[str]:

@@ -82,6 +82,7 @@ class _Row(Struct):
     offsets: dict[str, Number] = {}
     searched: bool = False
     residual_px: Number | None = None
+    tip_probability: Number | None = None
     base: _Base | None = None
 
 
@@ -98,7 +99,11 @@ def table_cells(rows: Sequence[dict[str, Any]], joints: Sequence[str]) -> tuple[
     tips = sorted({len(row["tips"]) for row in rows if row["tips"] is not None}, reverse=True)[:1] or [0]
     header = ["frame", "time", "status", "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
     header += [f"{name}_deg" for name in joints] + stds + [f"std_{name}_deg" for name in joints]
-    header += [f"tip_{k + 1}_{axis}_mm" for k in range(tips[0]) for axis in "xyz"] + ["seconds", "reasons"]
+    header += [f"tip_{k + 1}_{axis}_mm" for k in range(tips[0]) for axis in "xyz"] + [
+        "tip_probability",
+        "seconds",
+        "reasons",
+    ]
     return header, [_cells(row, joints, tips[0]) for row in rows]
 
 
@@ -120,4 +125,5 @@ def _cells(row: dict[str, Any], joints: Sequence[str], tips: int) -> list[object
         cells += [round(value, 4) for value in (*std["translation_mm"], *std["rotation_deg"])]
         cells += [round(std["joints_deg"][name], 4) for name in joints]
         cells += np.round(np.array(row["tips"], dtype=np.float64).ravel() * 1e3, 4).tolist()
-    return [*cells, row["seconds"], "; ".join(row["reasons"])]
+    probability = row.get("tip_probability")
+    return [*cells, "" if probability is None else probability, row["seconds"], "; ".join(row["reasons"])]

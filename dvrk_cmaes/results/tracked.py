@@ -44,9 +44,11 @@ class TrackResult:
     without tips. camera_from_base : (4, 4) m, None without readings of the outer joints. offsets : of roll and the
     joints, if they were read, rad: true = reading + offset. seconds : of this step. searched : whether the step
     included a global search. residual_px : standard deviation, px, of the distances between the outline and the edges
-    that support it; None where none do, and in images that were searched globally. base : how far the base is known, of
-    a tracker that keeps keyframes. remarks : on the camera's file and the session that the result rests on; they do not
-    decide the status. renderer : of the instrument in the first camera, for `overlay`; it is not pickled.
+    that support it; None where none do, and in images that were searched globally. tip_probability : that the tips are
+    within ``trust.tip_mm`` of their true positions; None without a pose, and where it is lost. base : how far the base
+    is known, of a tracker that keeps keyframes. remarks : on the camera's file and the session that the result rests
+    on; they do not decide the status. renderer : of the instrument in the first camera, for `overlay`; it is not
+    pickled.
     """
 
     time: float
@@ -62,6 +64,7 @@ class TrackResult:
     seconds: float = 0.0
     searched: bool = False
     residual_px: float | None = None
+    tip_probability: float | None = None
     base: BaseKnown | None = None
     remarks: tuple[str, ...] = ()
     renderer: Any = field(default=None, repr=False)
@@ -144,7 +147,7 @@ class TrackResult:
             "time": rounded(self.time) if timed else None,
             **encoded_fields(self, "status", "reasons", "remarks", "camera_from_root", "joints"),
             "std": std,
-            **encoded_fields(self, "offsets", "tips"),
+            **encoded_fields(self, "tip_probability", "offsets", "tips"),
             "seconds": round(self.seconds, 5),
             **encoded_fields(self, "searched", "residual_px"),
             **(

@@ -101,8 +101,7 @@ def calibrate_folder(
             raise InputError(
                 f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
             )
-        # The image is only needed for the overlay.
-        reader = functools.partial(read_frame, own.changed(image=None), session.rig)
+        reader = functools.partial(read_frame, own, session.rig)
         frames.append(SessionFrame(name, reader, result, own.keypoints, find_masks=finders.get(name)))
     with ExitStack() as stack:
         if processes is None:

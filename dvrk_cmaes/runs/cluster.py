@@ -15,7 +15,7 @@ from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.runs.executor import ExternalExecutor
 
 _ADDRESS: Final = re.compile(r"(?:tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})")
-_TIMEOUT: Final = 15  # s, for the connection to the scheduler, and then for its first worker
+CONNECT_S: Final = 15  # s, for the connection to the scheduler, and then for its first worker
 
 
 @contextmanager
@@ -48,12 +48,12 @@ def dask_executor(address: str, folder: str | Path) -> Iterator[ExternalExecutor
     connect: Any = Client  # Dask has no type annotations
     try:
         _check_address(address)
-        client = connect(address, timeout=_TIMEOUT, set_as_default=False)
+        client = connect(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler: expected a Dask scheduler's address, got {shown(address)}: {error}") from None
     with client:
         try:
-            client.wait_for_workers(1, timeout=_TIMEOUT)
+            client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError:
             raise DvrkCmaesError(f"--scheduler: {address} has no workers") from None
         _check_workers(client, Path(folder).absolute())
@@ -73,7 +73,7 @@ def _check_address(address: str) -> None:
         raise ValueError("expected tcp://HOST:PORT")
     if int(parts[2]) not in range(1, 2**16):
         raise ValueError("expected a port from 1 to 65535")
-    socket.create_connection((parts[1].strip("[]"), int(parts[2])), timeout=_TIMEOUT).close()
+    socket.create_connection((parts[1].strip("[]"), int(parts[2])), timeout=CONNECT_S).close()
 
 
 def _check_workers(client: Any, folder: Path) -> None:

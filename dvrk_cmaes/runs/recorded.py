@@ -167,6 +167,7 @@ def follow_window(
                 session,
                 instrument,
                 camera,
+                config.trust.tip_mm,
                 seconds=0.0 if fitted is None else fitted.seconds,
                 residual_px=None if quality is None else quality.residual_px,
                 remarks=recorded.rig.remarks,

@@ -51,7 +51,7 @@ KEYFRAMES: Final = "keyframes.json"
 KEYFRAMES_BY_IMAGES: Final = "keyframes_images.json"
 """Solution of keyframes whose masks were found in their images, and the colours that they tell."""
 _EXPECTED: Final = "the solution of a recording's keyframes"
-_SEARCHED: Final = 16  # keyframes that are searched for; the others start from where these expect them
+SEARCHED: Final = 16  # keyframes that are searched for; the others start from where these expect them
 _OVERLAP_LOSS: Final = 0.06  # below the overlap of the frames that were searched for, from which on one is as well
 _REFUSED: Final = "session: "  # begins what `calibrate_session` says of a session that it cannot solve
 
@@ -152,7 +152,7 @@ def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A keyframe: its number in the recording, its files, and the function that reads its data without images.
+    """A keyframe: its number in the recording, its files, and the function that reads its data.
 
     That function is picklable.
     """
@@ -212,7 +212,7 @@ def solve_keyframes(
 ) -> SessionCalibration | str:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
     keyframes = [
-        Keyframe(i, own, partial(read_frame, own.changed(image=None), recorded.rig))
+        Keyframe(i, own, partial(read_frame, own, recorded.rig))
         for i, own in ((i, recorded.files[i]) for i in recorded.keyframes())
     ]
     solved = solve_together(recorded, keyframes, body, arm, config, run, progress)
@@ -265,7 +265,7 @@ def _estimated(
         time = None if recorded.series is None else recorded.series.frames.get(one.files.name)
         return SessionFrame(one.files.name, one.read, result, one.files.keypoints, time)
 
-    searched = set(recorded.keyframes(_SEARCHED))
+    searched = set(recorded.keyframes(SEARCHED))
     some, rest = ([one for one in keyframes if (one.number in searched) == kind] for kind in (True, False))
     results = run(alone_task, [AloneTask(one, arm) for one in some])
     first = {one.number: in_session(one, result) for one, result in zip(some, results, strict=True)}

@@ -44,11 +44,12 @@ class SolverProcess:
         self._driver = ThreadPoolExecutor(1)
         self._process: WorkerProcess | None = None
         self._futures: deque[Future[Solution]] = deque()
+        self._problems: deque[tuple[KeyframeProblem, Future[Solution]]] = deque()  # not begun
         self._alone: dict[str, Result] = {}
         self._unsolved: set[str] = set()  # names of the keyframes that no solution has estimated yet
         self._waiting: dict[str, KeyframeTask] = {}  # of these, those that are to be estimated by themselves
         self._begun: set[str] = set()  # and those that were
-        self._turns = 0  # for which the driver was asked, each for one of those that wait then
+        self._turns = 0  # for which the driver was asked, each for a problem or one of those that wait then
         self._lock = Lock()
         self._solved_names: set[str] = set()  # of those of the last solution
         self._closed = False
@@ -65,21 +66,29 @@ class SolverProcess:
 
     def begin(self, problem: KeyframeProblem) -> None:
         """Begin with a problem, after those before it; returns at once."""
-        self._futures.append(self._driver.submit(self._solved, problem))
+        future = Future[Solution]()
+        self._futures.append(future)
+        with self._lock:
+            self._problems.append((problem, future))
+            self._ask()
 
     def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
-        """Estimate keyframes by themselves after what was begun before, each once; returns at once.
+        """Estimate keyframes by themselves, each once, while there is no problem; returns at once.
 
-        ``tasks`` are all that no solution has estimated yet. Those before that are not among them any more, as where
-        others were kept instead, are not estimated, and forgotten.
+        ``tasks`` are all that no solution has estimated yet, in the order in which they are wanted. Those before that
+        are not among them any more, as where others were kept instead, are not estimated, and forgotten.
         """
         with self._lock:
             self._unsolved = {task.keyframe.name for task in tasks}
             self._begun &= self._unsolved
             self._waiting = {task.keyframe.name: task for task in tasks if task.keyframe.name not in self._begun}
-            while self._turns < len(self._waiting):
-                self._turns += 1
-                self._driver.submit(self._estimate_next)
+            self._ask()
+
+    def _ask(self) -> None:
+        """Ask the driver for as many turns as there is work."""
+        while self._turns < len(self._problems) + len(self._waiting):
+            self._turns += 1
+            self._driver.submit(self._turn)
 
     @property
     def ready(self) -> bool:
@@ -103,6 +112,8 @@ class SolverProcess:
         if process is not None:
             process.kill()
         self._driver.shutdown(cancel_futures=True)
+        for _, future in self._problems:
+            future.cancel()
         begun = self._process  # meanwhile
         if begun is not None and begun is not process:
             begun.kill()
@@ -126,16 +137,26 @@ class SolverProcess:
             raise
         return self._process
 
-    def _estimate_next(self) -> None:
-        """Estimate a keyframe by itself in the process; what fails here is tried again, and raised, with a problem."""
+    def _turn(self) -> None:
+        """Solve the first problem, or else estimate the first keyframe by itself."""
         with self._lock:
             self._turns -= 1
+            problem, future = self._problems.popleft() if self._problems else (None, None)
             name = next(iter(self._waiting), None)
-            if name is None:
-                return
-            task = self._waiting.pop(name)
-            self._begun.add(name)
-            wanted = self._unsolved | self._solved_names
+            if problem is None and name is not None:
+                task = self._waiting.pop(name)
+                self._begun.add(name)
+        if problem is not None and future is not None:
+            try:
+                future.set_result(self._solved(problem))
+            except Exception as error:
+                future.set_exception(error)
+        elif name is not None:
+            self._estimate(name, task)
+
+    def _estimate(self, name: str, task: KeyframeTask) -> None:
+        """Estimate a keyframe by itself in the process; what fails here is tried again, and raised, with a problem."""
+        wanted = self._unsolved | self._solved_names
         self._alone = {other: result for other, result in self._alone.items() if other in wanted}
         process = None if name in self._alone else self._process or self._start()
         if process is None:

@@ -55,16 +55,21 @@ UNREAD: Final = "no readings: nothing tells the pose from its mirror twin"
 
 @dataclass(frozen=True, eq=False)
 class TrackSummary:
-    """Numbers of frames by status, whether the run was stopped before the end, and what was found.
+    """The rows of tracks.jsonl, whether the run was stopped before the end, and what was found.
 
     ``frames_a_second`` are those that were followed; ``readings`` those of each joint at the frames, less the lag.
     """
 
-    counts: dict[str, int]
+    rows: list[dict[str, Any]]
     interrupted: bool
     calibration: SessionCalibration | None
     frames_a_second: float
     readings: Mapping[str, NDArray[np.float64]]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of frames by status."""
+        return dict(Counter(row["status"] for row in self.rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,8 +205,7 @@ def track_folder(
             write_table(out / TABLE, rows, body.instrument.joint_names)
             if rows and (video or page or rerun is not None):
                 _show(run, rows, readings, calibration, video=video, page=page, rerun=rerun)
-    counts = Counter(row["status"] for row in rows)
-    return TrackSummary(dict(counts), interrupted, calibration, run.frames_a_second, readings)
+    return TrackSummary(rows, interrupted, calibration, run.frames_a_second, readings)
 
 
 def _forwards(run: _Run, tracker: Tracker) -> list[dict[str, Any]]:

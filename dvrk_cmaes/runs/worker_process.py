@@ -24,6 +24,7 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from dvrk_cmaes.errors import DvrkCmaesError, one_line
+from dvrk_cmaes.runs.long_run import prepare_long_run
 
 R = TypeVar("R")
 
@@ -37,12 +38,16 @@ class CallTimeoutError(Exception):
 
 
 class WorkerProcess:
-    """A spawned process; its libraries use one thread, and it is not interrupted by Ctrl-C."""
+    """A spawned process; its libraries use one thread, and it is not interrupted by Ctrl-C.
 
-    def __init__(self) -> None:
+    One ``for_long`` follows an instrument for hours: it is prepared for that, may have processes of its own, and is to
+    be killed before this one ends.
+    """
+
+    def __init__(self, *, for_long: bool = False) -> None:
         spawn = multiprocessing.get_context("spawn")
         self._connection, theirs = spawn.Pipe()
-        self._process = spawn.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process = spawn.Process(target=_serve, args=(theirs, for_long), daemon=not for_long)
         with theirs, _interrupts_blocked():
             self._process.start()
 
@@ -101,12 +106,14 @@ def _interrupts_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(connection: Connection) -> None:
+def _serve(connection: Connection, for_long: bool) -> None:
     """Answer calls with (value, None) or (None, exception) until the other end of the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     limit_library_threads()
+    if for_long:
+        prepare_long_run()
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()

@@ -14,10 +14,11 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.doubts import doubts_of_tips
 from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.window import covariance_of_margin, mean_of_tips_mm
+from dvrk_cmaes.track.window import covariance_of_masks, mean_of_tips_mm
 
 _KNOWN: Final = 2.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
 _AGREES: Final = 4.0  # largest squared misfit per parameter
@@ -51,7 +52,7 @@ def confirmed_by(
     if float(apart @ np.linalg.solve(spread, apart)) > _AGREES * len(apart):
         return None
     camera = calibration.corrected(rig.views[0].camera)
-    covariance = result.covariance + covariance_of_margin(at, calibration.masks, camera, instrument)
+    covariance = result.covariance + covariance_of_masks(at, calibration.masks, camera, instrument)
     error = expected_error(instrument, at, covariance)
     reasons = doubts_of_tips(error, config.trust)
     return replace(
@@ -60,4 +61,5 @@ def confirmed_by(
         reasons=tuple(reasons),
         covariance=covariance,
         tip_std_mm=mean_of_tips_mm(instrument, error),
+        tip_probability=tip_probability(error.of_tips_mm, config.trust.tip_mm),
     )

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.mask_growth import change_by_margin
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.seen_view import seen_views
@@ -31,7 +32,7 @@ from dvrk_cmaes.track.quick_fit import quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, judged
 from dvrk_cmaes.track.sight import Seen, Sight
-from dvrk_cmaes.track.window import LIMITS, Told, WindowImage, change_by_margin, result_of, solve_window, status_of
+from dvrk_cmaes.track.window import LIMITS, Told, WindowImage, result_of, solve_window, status_of
 
 Float64 = NDArray[np.float64]
 
@@ -217,6 +218,7 @@ class Following:
             self.calibration,
             instrument,
             camera,
+            self._config.trust.tip_mm,
             seconds=clock.perf_counter() - started,
             residual_px=of_image.residual_px,
         )

@@ -6,7 +6,7 @@ one of the two that are nearest to each other is dropped, so that they stay spre
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -17,8 +17,8 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, packed
-from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, well_in_view
+from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, packed
+from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, farthest_first, well_in_view
 from dvrk_cmaes.track.reading_buffer import ReadingRows
 
 Bool = NDArray[np.bool_]
@@ -140,12 +140,21 @@ class KeyframeStore:
         """Names of the keyframes that are kept."""
         return [keyframe.name for keyframe in self._kept]
 
-    def unsolved(self, config: EstimateConfig, alone: Mapping[str, Result]) -> list[KeyframeTask]:
-        """Return the keyframes without a result of their own among ``alone``, by name, as tasks."""
-        return [KeyframeTask(one, self._rig, config) for one in self._kept if one.name not in alone]
+    def spread(self, most: int, first: Collection[str] = ()) -> list[Keyframe]:
+        """Return at most some keyframes: those named ``first``, and each time that one which is farthest from them."""
+        before = [index for index, keyframe in enumerate(self._kept) if keyframe.name in first]
+        return [self._kept[index] for index in farthest_first(self._places, before, most)]
 
-    def problem(self, arm: Arm, config: EstimateConfig, alone: Mapping[str, Result], base: int = 0) -> KeyframeProblem:
-        """Return what the keyframes pose to be solved; ``alone`` are results of keyframes, by name, if known."""
+    def problem(
+        self,
+        keyframes: Sequence[Keyframe],
+        arm: Arm,
+        config: EstimateConfig,
+        alone: Mapping[str, Result],
+        base: int = 0,
+    ) -> KeyframeProblem:
+        """Return what some keyframes pose to be solved; ``alone`` are results of keyframes, by name, if known."""
+        kept = tuple(sorted(keyframes, key=lambda one: one.time))
         rows = self._rows.series
         read = {name: ~np.isnan(values) for name, values in zip(rows.joints, rows.values.T, strict=True)}
         known = {name: at for name, at in read.items() if at.any()}
@@ -153,11 +162,11 @@ class KeyframeStore:
             "s",
             {name: rows.times[at] for name, at in known.items()},
             {name: rows.values[at, rows.joints.index(name)] for name, at in known.items()},
-            {keyframe.name: keyframe.time for keyframe in self._kept},
+            {keyframe.name: keyframe.time for keyframe in kept},
             float(np.median(self._interval)) if self._interval else 1 / 30,
         )
-        known_alone = {name: alone[name] for name in self.names if name in alone}
-        return KeyframeProblem(tuple(self._kept), series, self._rig, arm, config, known_alone, base)
+        known_alone = {one.name: alone[one.name] for one in kept if one.name in alone}
+        return KeyframeProblem(kept, series, self._rig, arm, config, known_alone, base)
 
     def _prune(self) -> None:
         """Drop old readings that are near no keyframe."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -87,12 +88,18 @@ def choose_keyframes(
     duration = max(float(np.ptp(times)), 1e-12)
     place = np.column_stack([np.nan_to_num(readings) / units, (times - times[0]) / duration * _TIME_UNITS])
     place = place[candidates]
-    chosen = [int(np.argmin(np.linalg.norm(place - np.median(place, axis=0), axis=1)))]
-    distance = np.linalg.norm(place - place[chosen[0]], axis=1)
-    while len(chosen) < most:
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(place - place[chosen[-1]], axis=1))
-    return sorted(candidates[chosen].tolist())
+    middle = int(np.argmin(np.linalg.norm(place - np.median(place, axis=0), axis=1)))
+    return sorted(candidates[farthest_first(place, [middle], most)].tolist())
+
+
+def farthest_first(places: Float64, chosen: Sequence[int], most: int) -> list[int]:
+    """Return the indices of some places (N, D) that were chosen, and each time that of the one farthest from them."""
+    found, distance = list[int](), np.full(len(places), np.inf)
+    while len(found) < min(max(most, len(chosen)), len(places)):
+        found.append(chosen[len(found)] if len(found) < len(chosen) else int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(places - places[found[-1]], axis=1))
+        distance[found[-1]] = -1.0
+    return found
 
 
 def distance_units(joint_names: tuple[str, ...]) -> Float64:

@@ -58,7 +58,8 @@ class KnownBase:
         self._rig, self._body, self._arm, self._config = rig, body, arm, config
         self._alone: dict[str, Result] = {}
         self._solved = 0  # keyframes of the last solution
-        self._asked = 0  # keyframes when they were last given to be solved
+        self._asked = 0  # keyframes that were last given to be solved
+        self._asked_names: frozenset[str] = frozenset()  # of these
         self._asked_taken = 0  # images that had been kept as keyframes until then
         self._reason = ""
         self._known_mm = np.inf  # as `Solution.tip_mm`, of the last solution
@@ -115,23 +116,34 @@ class KnownBase:
             return new >= (_NEW_THAT_DISAGREE if len(self.store) >= SOLVED_AT[-1] else 1)
         if given >= SOLVED_AT[-1] and new >= NEW_AT_MOST:
             return True
-        return any(given < count <= len(self.store) for count in SOLVED_AT)
+        return any(given < count <= self._most for count in SOLVED_AT)
+
+    @property
+    def _most(self) -> int:
+        """Most keyframes to solve next: twice those before, since more would take too long to be used soon."""
+        return min(len(self.store), max(SOLVED_AT[0], 2 * max(self._solved, self._asked)))
 
     def problem(self) -> KeyframeProblem:
-        """Return what the keyframes pose to be solved.
+        """Return what the keyframes pose to be solved; of many new ones, those that are farthest from each other.
 
         They test the camera file, which takes long, once as many as are kept have been solved without that.
         """
-        self._asked, self._asked_taken = len(self.store), self.store.taken
+        keyframes = self.store.spread(self._most, self._asked_names)
+        self._asked, self._asked_taken = len(keyframes), self.store.taken
+        self._asked_names = frozenset(one.name for one in keyframes)
         session = self._config.session
         if self._solved < SOLVED_AT[-1]:
             session = replace(session, test_camera=False)
-        return self.store.problem(self._arm, replace(self._config, session=session), self._alone, self._bases)
+        config = replace(self._config, session=session)
+        return self.store.problem(keyframes, self._arm, config, self._alone, self._bases)
 
     @property
     def unsolved(self) -> list[KeyframeTask]:
-        """The keyframes that no solution has estimated by themselves yet."""
-        return self.store.unsolved(self._config, self._alone)
+        """The keyframes that no solution has estimated by themselves yet, first those that are solved next."""
+        if all(name in self._alone for name in self.store.names):
+            return []
+        keyframes = self.store.spread(len(self.store), self._asked_names)
+        return [KeyframeTask(one, self._rig, self._config) for one in keyframes if one.name not in self._alone]
 
     def use(self, solution: Solution) -> bool:
         """Follow by a solution, if it has a calibration that predicts its frames; returns whether it has.
@@ -248,6 +260,7 @@ class KnownBase:
         few = self._is_of_few and len(self.store) > self._solved
         self._following, self._reason, self._known_mm = None, "", np.inf
         self._solved = self._asked = 0
+        self._asked_names = frozenset()
         if self._agreeing is None and not few:
             self._bases += 1
             self._alone.clear()

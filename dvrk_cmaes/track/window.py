@@ -13,15 +13,17 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.mask_growth import change_by_margin, covariance_of_growth
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Posed, apply, inverse
+from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
+from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit
@@ -111,32 +113,20 @@ def solve_window(
     ):
         at = image.at.moved(deviation)
         covariance = own + response @ calibrated @ response.T
-        covariance += covariance_of_margin(at, calibration.masks, camera, instrument)
+        covariance += covariance_of_masks(at, calibration.masks, camera, instrument)
         found.append((at, covariance + covariance_of_camera(calibration.camera, at, camera)))
     return found
 
 
-def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float64:
-    """Return the change (D,) of a pose, per px, by which an outline seems wider on every side: the tool is nearer.
-
-    A shaft that looks wider by twice the margin is nearer in the same proportion.
-    """
-    along = np.zeros(6 + len(at.joints))
-    if instrument.shaft is not None:
-        tips = apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
-        width = camera.fx * 2 * instrument.shaft.radius / float(np.linalg.norm(tips))
-        along[:3] = at.pose[:3, :3].T @ tips * 2 / width
-    return along
-
-
-def covariance_of_margin(at: Posed, masks: SessionMasks | None, camera: Camera, instrument: Instrument) -> Float64:
-    """Return the covariance (D, D) of a pose by a margin that all masks share: the tool seems nearer or farther."""
+def covariance_of_masks(at: Posed, masks: SessionMasks | None, camera: Camera, instrument: Instrument) -> Float64:
+    """Return the covariance (D, D) of a pose by errors that all masks share, all round and on some sides."""
     margin = _MARGIN_PX**2
     if masks is not None:  # what was found but is not clear counts as one more standard deviation, at most
         left = min(abs(masks.margin_px - masks.taken_off), masks.std_margin_px)
         margin += masks.std_margin_px**2 + left**2
     along = change_by_margin(at, camera, instrument)
-    return np.asarray(margin * np.outer(along, along))
+    of_growth = covariance_of_growth(() if masks is None else masks.rms_growth_px, at, camera, instrument)
+    return np.asarray(margin * np.outer(along, along) + of_growth)
 
 
 def mean_of_tips_mm(instrument: Instrument, error: ExpectedError) -> float | None:
@@ -173,6 +163,7 @@ def result_of(
     calibration: SessionCalibration,
     instrument: Instrument,
     camera: Camera,
+    within_mm: float,
     *,
     seconds: float = 0.0,
     residual_px: float | None = None,
@@ -194,6 +185,8 @@ def result_of(
         The calibration on which the result rests.
     instrument, camera
         The instrument, and the camera as its file has it.
+    within_mm
+        Distance of the tips from the truth whose probability is stated.
     """
     at, covariance = found
     tips, _ = locate_tips(instrument, camera, at)
@@ -211,6 +204,7 @@ def result_of(
         offsets=predicted.offsets(number, at, instrument.joint_names),
         seconds=seconds,
         residual_px=residual_px,
+        tip_probability=None if status == "lost" else tip_probability(error.of_tips_mm, within_mm),
         remarks=remarks,
     )
     return resting_on(result, calibration)

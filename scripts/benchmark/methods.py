@@ -59,8 +59,8 @@ def _estimate(given: Given, _: Path) -> Iterator[Row]:
 
 
 def _calibrate(given: Given, out: Path) -> Iterator[Row]:
-    """Calibrate a session, once for its frames and its base."""
-    folder = out / f"calibrate-{given.given.frames}"
+    """Calibrate a session, once for its frames and its base, and that of both eyes."""
+    folder = out / f"calibrate-{given.given.path.name}"
     spent = folder / "processor_seconds.json"
     if not spent.exists() or spent.stat().st_mtime < given.given.path.stat().st_mtime:
         started = sum(os.times()[:4])
@@ -156,7 +156,7 @@ def _particles(given: Given, out: Path) -> Iterator[Row]:
 
 METHODS: Final[Mapping[str, tuple[tuple[TaskName, ...], Method]]] = {
     "estimate": (("frame",), _estimate),
-    "calibrate": (("session", "base"), _calibrate),
+    "calibrate": (("session", "eyes", "base"), _calibrate),
     "track": (("masks", "images"), _track),
     "track-causal": (("masks", "images"), lambda given, out: _track(given, out, "--causal")),
     "pnp": (("frame", "base", "masks"), _pnp),

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from worlds.drawing import picture
-from worlds.folders import USUAL_PIXELS, Folder, drawn_folder
+from worlds.folders import USUAL_PIXELS, Folder, add_right_eye, drawn_folder
 from worlds.motion import Kind, draw_motion, frame_times
 from worlds.scene import NEAREST, Scene
 from worlds.table import World, worlds
@@ -36,7 +36,7 @@ from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.synth.levels import LEVELS
 
 Float64 = NDArray[np.float64]
-TaskName = Literal["frame", "session", "base", "masks", "images"]
+TaskName = Literal["frame", "session", "eyes", "base", "masks", "images"]
 
 INSTRUMENT: Final = "lnd"
 """The bundled instrument, which is in all worlds."""
@@ -59,21 +59,23 @@ _BURIED: Final = 2.5e-3  # m, by which the surface may be nearer than a marker t
 
 @dataclass(frozen=True)
 class Task:
-    """What is asked: ``kind`` of folder that is given, whether with masks, and what is stated in the page."""
+    """What is asked: ``kind`` of folder that is given, what of it is not, and whether of both eyes."""
 
     kind: Kind
     asked: str
     without: tuple[str, ...] = ()
+    eyes: bool = False
 
     @property
     def folder(self) -> str:
         """Name of the given folder."""
-        return f"{self.kind}-images" if self.without else self.kind
+        return f"{self.kind}-eyes" if self.eyes else f"{self.kind}-images" if self.without else self.kind
 
 
 TASKS: Final[Mapping[TaskName, Task]] = {
     "frame": Task("session", "pose and joints of each frame, from its own mask or image and readings alone"),
     "session": Task("session", "the same from all frames of a session together"),
+    "eyes": Task("session", "the same from both eyes; poses are those in the left one", eyes=True),
     "base": Task("session", "camera_from_base of a session (the hand-eye transform of a camera that stands)"),
     "masks": Task("recording", "pose and joints in every frame of a recording, by masks and readings"),
     "images": Task(
@@ -139,6 +141,8 @@ def given_task(
         shutil.rmtree(path, ignore_errors=True)
         hidden = shutil.ignore_patterns("golden.json", "world.json", *asked.without)
         shutil.copytree(drawn.path, path, ignore=hidden, copy_function=shutil.copyfile)
+        if asked.eyes:
+            add_right_eye(drawn, seed, path)
         if "masks" in asked.without:
             write_text(path / "boxes.csv", _first_box(drawn))
         os.utime(path)

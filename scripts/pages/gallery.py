@@ -21,7 +21,17 @@ _INTRODUCTION: Final = """\
 
 What the commands write. All of it was made by the commands shown when this site was built: the bundled session and the
 recordings are drawn, so that their truth is known. The pages are those that the commands write, as they are.
+
+The recordings were drawn with this `camera.yaml`:
+
 """
+CAMERA: Final = """\
+width: 960
+height: 720
+K: [1540, 0, 480, 0, 1540, 360, 0, 0, 1]
+D: [0, 0, 0, 0, 0]
+"""
+"""The camera of the recordings, which is in the folder in which the commands are run."""
 _DONE: Final = (0, 3)
 """Exit codes of commands whose output is shown: ok and doubtful."""
 FOLLOWED: Final = "followed.webp"
@@ -102,7 +112,7 @@ EXHIBITS: Final = (
         "The silhouette of the pose over the images; the strip has the status. The report shows joints, offsets and "
         "tips over time, and where the pose is doubtful.",
         (
-            "synth recording --motion video --level easy --frames 45 --lag 3frames --seed 5",
+            "synth recording --motion video --level easy --frames 45 --lag 3frames --seed 5 --camera camera.yaml",
             "track recording --every 3 --out tracks",
         ),
         "tracks",
@@ -113,7 +123,10 @@ EXHIBITS: Final = (
         "A hidden instrument",
         "Another instrument and a piece of tissue pass before the one that is followed. The pose goes on, and is "
         "called doubtful meanwhile.",
-        ("synth passing --motion video --level medium --frames 90 --seed 7", "track passing --every 2 --out hidden"),
+        (
+            "synth passing --motion video --level medium --frames 90 --seed 7 --camera camera.yaml",
+            "track passing --every 2 --out hidden",
+        ),
         "hidden",
         ((FOLLOWED, "A followed instrument that others hide, drawn over the images of the recording"),),
     ),
@@ -127,7 +140,10 @@ EXHIBITS: Final = (
     Exhibit(
         "Two arms",
         "Two tools in one recording, each followed without the pixels of the other one, and each in its colour.",
-        ("synth two --motion video --arms 2 --level easy --frames 30 --seed 1", "track two --every 2 --out arms"),
+        (
+            "synth two --motion video --arms 2 --level easy --frames 60 --seed 1 --camera camera.yaml",
+            "track two --every 2 --out arms",
+        ),
         "arms",
         ((FOLLOWED, "The silhouettes of two followed instruments, drawn over the images of the recording"),),
         (("report.html", "the report of both arms"),),
@@ -148,7 +164,8 @@ def gallery_page(out: Path, work: Path, exhibits: Sequence[Exhibit] = EXHIBITS) 
         What is shown; a command that several of them name is run once.
     """
     (work / "data").symlink_to(bundled_path(), target_is_directory=True)
-    parts, ran = [_INTRODUCTION], set[str]()
+    (work / "camera.yaml").write_text(CAMERA, encoding="utf-8")
+    parts, ran = [_INTRODUCTION + textwrap.indent(CAMERA, "    ")], set[str]()
     for exhibit in exhibits:
         for command in exhibit.commands:
             if command not in ran:

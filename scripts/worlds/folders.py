@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import apply, transform
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.synth.levels import LEVELS, Mistakes
@@ -34,6 +34,8 @@ WORLD: Final = "world.json"
 USUAL_PIXELS: Final = 640 * 480
 USUAL_SHAFT: Final = 68.0
 """Pixels of the images, and width of the shaft, px, for which the levels' mistakes are stated; they grow with both."""
+BASELINE: Final = 0.0053
+"""Distance of both eyes, m."""
 _BESIDE: Final = 2  # px beside another tool that do not count in `ignored`
 
 
@@ -133,6 +135,32 @@ def _draw(folder: Folder, seed: int) -> None:
         golden[name] = _truth(moving[0], placed[0]) | seen
     base = moving[0].camera_from_base.tolist()
     write_json(out / "golden.json", {"camera_from_base": base, "lag": lag, "frames": golden})
+
+
+def add_right_eye(drawn: Folder, seed: int, out: Path) -> None:
+    """Make a copy of a drawn folder one of both eyes: it has the left eye's pictures, and the right one's are drawn.
+
+    The right camera is the same one, ``BASELINE`` to the right of the left one.
+    """
+    world, right = drawn.world, replace(drawn, path=out / "right")
+    right_from_left = transform(np.eye(3), np.array([-BASELINE, 0.0, 0.0]))
+    times = frame_times(world, drawn.kind, drawn.frames)
+    placed_at = [draw_motion(world, seed, place).placed(times) for place in range(world.tools)]
+    for number in range(drawn.frames):
+        tools = [each[number] for each in placed_at]
+        seen = [replace(tool, camera_from_root=right_from_left @ tool.camera_from_root) for tool in tools]
+        _draw_frame(right, seed + 1, number, draw_tools(world.camera, seen))
+    for own in sorted(right.path.iterdir()):
+        (out / own.name).rename(out / "left")
+        (out / own.name).mkdir()
+        (out / "left").rename(out / own.name / "left")
+        own.rename(out / own.name / "right")
+    right.path.rmdir()
+    (out / "camera.yaml").unlink()
+    write_camera_info(out / "left.yaml", world.camera, "left")
+    write_camera_info(out / "right.yaml", world.camera, "right", right_from_left=right_from_left)
+    entries = [_tool_entry(world, place, arm) for place, arm in enumerate(arms(world))]
+    write_text(out / SESSION_FILE, session_toml(CameraEntry(left=Path("left.yaml"), right=Path("right.yaml")), entries))
 
 
 def _tool_entry(world: World, place: int, arm: str) -> ToolEntry:

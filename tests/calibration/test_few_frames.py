@@ -46,7 +46,7 @@ def test_few_frames_lead_to_the_same_calibration_as_all(bundled_body: Body, monk
     by_all, tasks = solved(bundled_body)
     assert tasks[0] == ("fit_task", COUNT)
     assert all(count in (COUNT, FEW) or name == "fit_task" for name, count in tasks)
-    monkeypatch.setattr(constants, "_FEW", FEW)
+    monkeypatch.setattr(constants, "FEW", FEW)
     by_few, tasks = solved(bundled_body)
     fitted = [count for name, count in tasks if name == "fit_task"]
     assert fitted[0] == FEW
@@ -67,7 +67,7 @@ def test_few_frames_lead_to_the_same_calibration_as_all(bundled_body: Body, monk
 
 
 def test_all_frames_take_part_in_the_only_round(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(constants, "_FEW", FEW)
+    monkeypatch.setattr(constants, "FEW", FEW)
     by_few, tasks = solved(bundled_body, EstimateConfig(session=SessionConfig(rounds=1, test_camera=False)))
     assert tasks[0] == ("fit_task", COUNT)
     assert len(by_few.results) == COUNT

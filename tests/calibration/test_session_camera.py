@@ -213,7 +213,7 @@ def test_document_is_read_back() -> None:
 def test_estimate_far_away_says_nothing_about_the_camera(
     bundled_body: Body, made: Made, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dvrk_cmaes.calibration.session_camera._PLAUSIBLE", 1.0)  # 0.3 in the logarithm of the factor
+    monkeypatch.setattr("dvrk_cmaes.calibration.session_camera.PLAUSIBLE", 1.0)  # 0.3 in the logarithm of the factor
     found, _ = check(bundled_body, made, 0.6)
     assert found.camera is None
     assert found.undetermined == "camera: its estimate from these frames is not plausible"

@@ -121,7 +121,7 @@ def test_wrong_usage_is_refused(run: Run, arguments: tuple[str, ...], complaint:
 
 
 def test_missing_scheduler_is_refused(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dvrk_cmaes.runs.cluster._TIMEOUT", 0.3)
+    monkeypatch.setattr("dvrk_cmaes.runs.cluster.CONNECT_S", 0.3)
     make_session(tmp_path / "session", ["a"])
     code, out, said = run("session", "--scheduler", "tcp://127.0.0.1:9")
     assert (code, out) == (2, "")

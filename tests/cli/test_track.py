@@ -15,6 +15,7 @@ from helpers.commands import run_command
 from helpers.moving_worlds import SMALL
 from rerun.chunk import RrdReader
 
+from dvrk_cmaes.cli.track import reason_lines
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.track_files import read_tracks
@@ -65,6 +66,7 @@ def test_all_files_are_written(recording: Path, tmp_path: Path, capsys: pytest.C
     assert [row["searched"] for row in rows] == [True, False, False, False]
     assert {row["status"] for row in rows} == {"doubtful"}  # of so few frames nothing tells the base
     assert ran.code == 3
+    assert "4 frames: 4 doubtful\n  base not known yet: 4 frames (0000 to 0006)\n" in ran.out
     with open(out / "tracks.csv", encoding="utf-8") as file:
         table = list(csv.DictReader(file))
     assert [row["frame"] for row in table] == [row["frame"] for row in rows]
@@ -81,6 +83,15 @@ def test_all_files_are_written(recording: Path, tmp_path: Path, capsys: pytest.C
     assert "<b><bdi>session</bdi></b> · 4 frames" in page
     assert all(f'id="chart-{name}"' in page for name in ("joints", "offsets", "residual", "tips", "speed", "spread"))
     assert f"page: {out / 'report.html'}" in ran.out
+
+
+def test_reasons_are_counted_with_their_frames() -> None:
+    seen = {"reasons": []}
+    rows = [seen, *[{"reasons": ["lost: no mask", "no mask"]}] * 2, seen, {"reasons": ["lost: 3 px"]}, seen]
+    lines = [line.text for line in reason_lines([{"frame": f"{k:04d}", **row} for k, row in enumerate(rows)])]
+    assert lines[:2] == ["  lost: 3 frames (0001 to 0002, 0004)", "  no mask: 2 frames (0001 to 0002)"]
+    assert lines[2:] == ["  what to do about reasons: dvrk-cmaes help problems"]
+    assert list(reason_lines([{"frame": "0000", **seen}])) == []
 
 
 def test_recording_for_the_rerun_viewer_is_written(

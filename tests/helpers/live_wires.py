@@ -9,37 +9,18 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Receive
+from dvrk_cmaes.live.connection import LocalConnection
 
 SECOND = 10**9
 BEGIN = 1_795_000_000 * SECOND
 
 
-@dataclass
-class Wire:
+@dataclass(eq=False)
+class Wire(LocalConnection):
     """A connection within this process, which keeps what is published."""
 
-    receivers: dict[str, Receive] = field(default_factory=dict)
-    published: list[tuple[str, Mapping[str, Any]]] = field(default_factory=list)
     name: str = "wire"
-
-    def topics(self, timeout: float) -> Mapping[str, str]:
-        return dict.fromkeys(self.receivers, "")
-
-    def open(self, timeout: float) -> bool:
-        return True
-
-    def close(self) -> None:
-        self.receivers.clear()
-
-    def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
-    ) -> None:
-        self.receivers[topic] = receive
-
-    def advertise(self, topic: str, kind: str) -> None:
-        assert topic
-        assert kind
+    published: list[tuple[str, Mapping[str, Any]]] = field(default_factory=list)
 
     def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
         self.published.append((topic, fields))

@@ -6,7 +6,6 @@ import asyncio
 import json
 import threading
 import time as clock
-from collections.abc import Callable
 from typing import Any
 
 from tornado.httpserver import HTTPServer
@@ -111,11 +110,3 @@ class _Client(WebSocketHandler):
 
     def data_received(self, chunk: bytes) -> None:
         raise NotImplementedError
-
-
-def wait_for(condition: Callable[[], Any], seconds: float = 60.0) -> None:
-    """Wait until a condition holds; fails if it does not in time."""
-    end = clock.monotonic() + seconds
-    while not condition():
-        assert clock.monotonic() < end, "the condition does not hold in time"
-        clock.sleep(0.01)

@@ -34,6 +34,7 @@ def row(
         "seconds": 0.02,
         "searched": False,
         "residual_px": 0.8 if there else None,
+        "tip_probability": 0.98 if there else None,
     }
 
 

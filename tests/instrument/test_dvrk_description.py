@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.instrument_files import loaded
+from helpers.waiting import within
 
 from dvrk_cmaes import estimate
 from dvrk_cmaes.config import EstimateConfig, SearchConfig
@@ -158,8 +159,6 @@ def test_unusable_description_is_refused(tmp_path: Path, old: str, new: str, exp
 def test_comments_are_removed_quickly(tmp_path: Path) -> None:
     path = written(tmp_path, '{"a": "http://x/*y*/ \\" // z", "b": 1 /* " */}')
     assert read_json_object(path, expected="x", comments=True) == {"a": 'http://x/*y*/ " // z', "b": 1}
-    started = time.process_time()
     for text in ("/*" * 200_000, '"\\"' * 100_000, "//" * 200_000):
-        with pytest.raises(InputError, match="got no valid JSON"):
+        with within(5, time.process_time), pytest.raises(InputError, match="got no valid JSON"):
             read_json_object(written(tmp_path, text), expected="x", comments=True)
-    assert time.process_time() - started < 5

@@ -17,7 +17,8 @@ import yaml
 from helpers.commands import run_command
 from helpers.fake_rclpy import Bus
 from helpers.made_recordings import BEGIN, SECOND
-from helpers.rosbridge_server import RosbridgeServer, wait_for
+from helpers.rosbridge_server import RosbridgeServer
+from helpers.waiting import wait_for
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes import prepare

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 import roslibpy
 from helpers.made_recordings import ARM, BEGIN, HEIGHT, SECOND, WIDTH, pixels, sweep
-from helpers.rosbridge_server import RosbridgeServer, wait_for
+from helpers.rosbridge_server import RosbridgeServer
+from helpers.waiting import wait_for
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.camera import Camera, Rig

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.live_wires import BEGIN, SECOND, Found, Wire, stamp
-from helpers.rosbridge_server import RosbridgeServer, wait_for
+from helpers.rosbridge_server import RosbridgeServer
+from helpers.waiting import wait_for
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.export.frames import FrameNames

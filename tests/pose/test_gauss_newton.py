@@ -131,7 +131,7 @@ def test_pose_is_drawn_once(bundled_body: Body) -> None:
 
 def test_oldest_drawings_are_forgotten(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
     at = terms(bundled_body).coverage
-    monkeypatch.setattr("dvrk_cmaes.pose.terms.sized_view._REMEMBERED", 2)
+    monkeypatch.setattr("dvrk_cmaes.pose.terms.sized_view.REMEMBERED", 2)
     for step in (0.0, 1e-4, 2e-4, 0.0):
         at.draw(Posed.stacked([TRUE.moved(np.full(9, step))]), derivatives=False)
     assert at.silhouettes == 4

@@ -29,7 +29,8 @@ def test_rows_are_read_as_they_were_written(tmp_path: Path) -> None:
 
 
 def test_rows_of_before_without_newer_fields_are_read(tmp_path: Path) -> None:
-    older = {name: value for name, value in whole().items() if name not in ("offsets", "searched", "residual_px")}
+    newer = "offsets", "searched", "residual_px", "tip_probability"
+    older = {name: value for name, value in whole().items() if name not in newer}
     assert read_tracks(written(tmp_path / "tracks.jsonl", older)) == [older]
 
 
@@ -37,6 +38,7 @@ def test_rows_of_before_without_newer_fields_are_read(tmp_path: Path) -> None:
     ("field", "value"),
     [
         ("residual_px", "wide"),
+        ("tip_probability", "likely"),
         ("offsets", {"roll": "far"}),
         ("searched", "yes"),
         ("status", "fine"),

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from helpers.batch_sessions import QUICK, make_session
+from helpers.waiting import wait_for
 
 COMMAND = [sys.executable, "-m", "dvrk_cmaes", "batch"]
 
@@ -31,12 +32,9 @@ def results(tmp_path: Path) -> list[Path]:
 
 def wait_for_results(batch: subprocess.Popen[str], count: int, tmp_path: Path) -> None:
     """Wait until a running batch has written ``count`` results."""
-    limit = time.monotonic() + 600
-    while len(results(tmp_path)) < count:
-        if batch.poll() is not None or time.monotonic() > limit:
-            batch.kill()
-            pytest.fail(f"{len(results(tmp_path))} results only; exit code {batch.wait()}: {batch.communicate()}")
-        time.sleep(0.02)
+    wait_for(lambda: len(results(tmp_path)) >= count or batch.poll() is not None, 600)
+    if len(results(tmp_path)) < count:
+        pytest.fail(f"{len(results(tmp_path))} results only; exit code {batch.wait()}: {batch.communicate()}")
 
 
 def test_interrupt_finishes_running_frames(command: list[str], tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,6 +15,7 @@ from pathlib import Path
 import pytest
 from helpers.batch_sessions import QUICK, QUICK_CONFIG, comparable, make_session
 from helpers.places import ROOT, TESTS
+from helpers.waiting import wait_for
 from helpers.worker_tasks import squared_unless_three
 
 from dvrk_cmaes.cli import main
@@ -45,10 +45,7 @@ class Cluster:
         self._folder = folder
         self._file = folder / "scheduler.json"
         self._processes = [self._start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", self._file)]
-        limit = time.monotonic() + 300
-        while not self._file.exists() or not self._file.read_text():
-            assert time.monotonic() < limit
-            time.sleep(0.05)
+        wait_for(lambda: self._file.exists() and self._file.read_text(), 300)
         self.address: str = json.loads(self._file.read_text())["address"]
         self.workers = [self.add_worker() for _ in range(2)]
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import cv2
 import pytest
+from helpers.waiting import wait_for, within
 from helpers.worker_tasks import (
     die,
     library_threads,
@@ -52,7 +53,7 @@ def test_dead_or_hanging_process_loses_its_task_only(tmp_path: Path) -> None:
     }
     tries = {task: len((tmp_path / str(task)).read_text().split()) for task in range(1, 13)}
     assert tries == dict.fromkeys(range(1, 13), 1) | {5: 2, 7: 2}
-    wait_until(lambda: not multiprocessing.active_children())
+    wait_for(lambda: not multiprocessing.active_children())
 
 
 @pytest.fixture
@@ -122,10 +123,9 @@ def test_closed_generator_ends_processes() -> None:
         stop=threading.Event(),
     )
     next(found)
-    began = time.monotonic()
-    found.close()  # type: ignore[attr-defined]
-    assert time.monotonic() - began < 20
-    wait_until(lambda: not multiprocessing.active_children())
+    with within(20):
+        found.close()  # type: ignore[attr-defined]
+    wait_for(lambda: not multiprocessing.active_children())
 
 
 def test_processes_stay_for_several_runs() -> None:
@@ -228,10 +228,10 @@ def test_processes_end_with_killed_parent(tmp_path: Path) -> None:
     script.write_text(ORPHANS)
     notes.mkdir()
     started = subprocess.Popen([sys.executable, script, notes], stderr=subprocess.DEVNULL)
-    wait_until(lambda: len(list(notes.iterdir())) == 2)
+    wait_for(lambda: len(list(notes.iterdir())) == 2)
     started.kill()
     started.wait()
-    wait_until(lambda: not any(is_running(int(path.name)) for path in notes.iterdir()))
+    wait_for(lambda: not any(is_running(int(path.name)) for path in notes.iterdir()))
 
 
 def is_running(pid: int) -> bool:
@@ -240,10 +240,3 @@ def is_running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    limit = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < limit
-        time.sleep(0.05)

@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import psutil
 import pytest
+from helpers.waiting import wait_for
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
@@ -28,10 +29,11 @@ def started_since(before: set[int]) -> list[psutil.Process]:
 def test_process_in_the_background_starts_before_the_first_problem(*, background: bool) -> None:
     before = {child.pid for child in psutil.Process().children(recursive=True)}
     with SolverProcess(prepare("lnd").instrument, background=background) as solver:
-        end = time.monotonic() + (60 if background else 1)
-        while not started_since(before) and time.monotonic() < end:
-            time.sleep(0.02)
-        assert bool(started_since(before)) is background
+        if background:
+            wait_for(lambda: started_since(before))
+        else:
+            time.sleep(1)
+            assert not started_since(before)
         assert not solver.ready
     assert not started_since(before)
 
@@ -75,6 +77,7 @@ def test_keyframes_are_estimated_ahead_of_their_problem_each_once() -> None:
         solver._process = cast(Any, process)
         for known in (1, 2, 2):
             solver.prepare(tasks[:known])
+        solver._driver.submit(int).result(30)
         for count in (3, 4):  # of which the last ones were not estimated ahead
             solver.begin(KeyframeProblem(keyframes[:count], no_readings, rig, "classic", config))
             solver.prepare(tasks[:count])
@@ -86,6 +89,22 @@ def test_keyframes_are_estimated_ahead_of_their_problem_each_once() -> None:
         {name: f"solved {name}" for name in names[:3]},
     ]
     assert (first.keyframes, second.keyframes) == (3, 4)
+
+
+def test_problem_does_not_wait_for_keyframes_that_are_estimated_ahead() -> None:
+    rig, config = Rig.of(Camera(160, 120, 200.0, 200.0, 80.0, 60.0)), EstimateConfig()
+    tasks = [KeyframeTask(keyframe(0.1 * k), rig, config) for k in range(4)]
+    process, begin = FakeProcess(), threading.Event()
+    with SolverProcess(prepare("lnd").instrument) as solver:
+        solver._process = cast(Any, process)
+        solver._driver.submit(begin.wait, 30)  # the process is at something else
+        solver.prepare(tasks)
+        solver.begin(KeyframeProblem((tasks[2].keyframe,), ReadingSeries("s", {}, {}, {}, 0.1), rig, "classic", config))
+        begin.set()
+        solver.solution()
+        solver._driver.submit(int).result(30)
+    assert process.problems == [{}]
+    assert process.estimated == [tasks[k].keyframe.name for k in (0, 1, 3)]  # the problem has estimated the other one
 
 
 def test_keyframes_that_others_replace_are_not_estimated_and_forgotten() -> None:

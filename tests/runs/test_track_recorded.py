@@ -175,7 +175,7 @@ def test_share_of_a_recording_is_chosen_for_calibration(made: tuple[Path, dict[s
 def test_keyframes_start_from_where_the_first_of_them_expect_them(
     made: tuple[Path, dict[str, Truth]], tracks: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recorded_keyframes, "_SEARCHED", 7)
+    monkeypatch.setattr(recorded_keyframes, "SEARCHED", 7)
     tried: list[AloneTask] = []
     alone = recorded_keyframes.alone_task
 

@@ -46,6 +46,25 @@ def test_recordings_are_pooled_by_frames() -> None:
     assert TipErrors.pooled([first, second]).figures()["tips, mm"] == pytest.approx(3.0)
 
 
+def test_recording_is_wrong_if_more_than_a_fifth_of_its_ok_frames_are_far_off() -> None:
+    from measure.accuracy.fleet import TipErrors
+
+    golden = {name: truth(1.0) for name in "abcdef"}
+    rows = [row(name, 1.0) for name in "abcd"] + [row("e", 4.0), row("f", 9.0, "doubtful")]
+    assert not TipErrors.of(rows, golden).wrong  # one of five
+    assert TipErrors.of([*rows[1:5], row("f", 4.0)], golden).wrong
+    assert not TipErrors.of([row("a", 9.0, "doubtful")], golden).wrong
+
+
+def test_stated_probabilities_are_compared_with_what_happened() -> None:
+    from measure.accuracy.fleet import TipErrors
+
+    golden = {name: truth(1.0) for name in "abc"}
+    rows = [row("a", 1.0) | {"tip_probability": 0.95}, row("b", 2.0) | {"tip_probability": 0.93}, row("c", None)]
+    (found,) = TipErrors.of(rows, golden).reliability(1.8)
+    assert (found["results"], found["near"]) == (2, 0.5)
+
+
 def test_folder_of_recordings_gives_those_with_a_truth(tmp_path: Path) -> None:
     from measure.accuracy.fleet import recordings_in
 

@@ -17,6 +17,7 @@ from helpers.commands import Ran
 from helpers.places import ROOT
 from scipy.stats import norm
 
+from dvrk_cmaes import Renderer, prepare, read_session
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.boxes import read_boxes
 from dvrk_cmaes.frames.images import read_mask
@@ -223,7 +224,7 @@ def test_submission_is_read_as_written(made: Callable[..., Given], tmp_path: Pat
 @pytest.mark.parametrize(
     ("column", "cell", "said"),
     [
-        ("task", "tips", "task: expected one of frame, session, base, masks, images, got 'tips'"),
+        ("task", "tips", "task: expected one of frame, session, eyes, base, masks, images, got 'tips'"),
         ("status", "good", "status: expected one of ok, doubtful, failed, got 'good'"),
         ("world", "-1", "world: expected a number of the table, got '-1'"),
         ("tx", "far", "tx: expected a finite number, got 'far'"),
@@ -303,6 +304,24 @@ def test_markers_are_where_the_instrument_is(tmp_path: Path) -> None:
         u, v = np.rint([*seen[name].values()]).astype(int).T
         assert 4 <= len(u) < 12  # those on the far side are hidden
         assert mask[v, u].mean() > 0.8
+
+
+def test_right_eye_sees_the_instrument_from_its_place(tmp_path: Path) -> None:
+    from benchmark.tasks import given_task, table
+
+    given = given_task(tmp_path, "eyes", table()[8], 5, {"session": 1, "recording": 1})
+    session = read_session(given.given.path)
+    assert [path.name for path in (tmp_path / "given").rglob("golden.json")] == []
+    truth = given.drawn.golden()["0000"]
+    body = prepare("lnd")
+    masks = []
+    for side, view in zip(("left", "right"), session.rig.views, strict=True):
+        pose = view.view_from_camera @ np.array(truth["T_camera_roll_link"])
+        seen = Renderer(body, view.camera).masks(pose, truth["joints"])
+        masks.append(read_mask(given.given.path / "masks" / side / "0000.png"))
+        assert (seen & masks[-1]).sum() > 0.85 * (seen | masks[-1]).sum()
+    left, right = (np.nonzero(mask)[1].mean() for mask in masks)
+    assert right < left - 1
 
 
 def test_run_scores_baselines_and_continues(tmp_path: Path, run_here: Callable[..., Ran]) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import inspect
+import json
 import re
 import runpy
 import shlex
@@ -58,6 +60,29 @@ def test_session_is_calibrated_and_used(
     assert out.startswith("ok: 5 frames agree\n")
     assert out.endswith("0000 with the calibration: ok, solved from the session\n")
     assert dvrk_cmaes.read_calibration(tmp_path / "session.json").frames == ("0000", "0001", "0002", "0003", "0004")
+
+
+def test_two_tools_are_estimated_and_read_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split("synth both --arms 2 --level easy --frames 1 --seed 2")) == 0
+    capsys.readouterr()
+    run("two_tools.py", monkeypatch, "both", "results")
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines if line.startswith("PSM")] == ["PSM1", "PSM2"]
+    assert sum(re.fullmatch(r"  depth of the wrist: \d+\.\d mm", line) is not None for line in lines) == 2
+
+
+def test_examples_and_notebook_call_every_public_function() -> None:
+    notebook = json.loads((SCRIPTS / "examples" / "folder_to_plots.ipynb").read_text(encoding="utf-8"))
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    trees = [ast.parse(text) for text in (*cells, *(path.read_text(encoding="utf-8") for path in EXAMPLES))]
+    calls = (node.func for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call))
+    called = {call.id for call in calls if isinstance(call, ast.Name)}
+    functions = {name for name in dvrk_cmaes.__all__ if inspect.isfunction(getattr(dvrk_cmaes, name))}
+    assert len(functions) > 8
+    assert functions <= called
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

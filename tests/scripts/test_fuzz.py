@@ -83,6 +83,26 @@ def test_material_is_restored_after_a_try(material: Path, tmp_path: Path) -> Non
     assert contents(place) == before
 
 
+def test_links_that_leave_a_session_are_not_followed(material: Path, tmp_path: Path) -> None:
+    from measure.fuzz.links import COMMANDS, KINDS, fuzz_links
+    from measure.fuzz.runs import in_this_process
+
+    quick = [command for command in COMMANDS if command[0] in ("inspect", "segment")]
+    report = fuzz_links(material, tmp_path / "try", in_this_process, ("masks", "images"), quick)
+    assert report.violations == []
+    assert (report.tries, report.refused) == (4 * len(KINDS), 3 * len(KINDS))  # segment does not read the masks
+
+
+def test_a_link_that_is_followed_is_a_violation(material: Path, tmp_path: Path) -> None:
+    from measure.fuzz.links import fuzz_links
+    from measure.fuzz.runs import in_this_process
+
+    command = ("inspect", "session", "--follow-links")
+    report = fuzz_links(material, tmp_path / "try", in_this_process, ("joints.csv",), [command])
+    assert len(report.violations) == 2
+    assert all("opened, changed or removed: ('beside/joints.csv'" in text for text in report.violations)
+
+
 def test_tracker_refuses_damaged_input_and_comes_back(material: Path) -> None:
     from measure.fuzz.tracker import fuzz_tracker
 

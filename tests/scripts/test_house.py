@@ -47,7 +47,15 @@ def test_lines_of_code_leave_out_imports_docstrings_and_comments() -> None:
 def test_source_of_a_constant_names_script_and_data() -> None:
     from house import Module
 
-    assert [*Module(Path("a.py"), SOURCE).constants(ROOT)] == [True, False, False, False, False]
+    assert [*Module(Path("a.py"), SOURCE).constants(ROOT, {})] == [True, False, False, False, False]
+
+
+def test_measured_change_of_a_constant_is_a_source_as_long_as_it_has_that_value() -> None:
+    from house import Module
+
+    module = Module(Path("a.py"), SOURCE)
+    assert [*module.constants(ROOT, {("a.py", "_TUNED"): {"(1, 2)"}})] == [True, True, True, False, False]
+    assert [*module.constants(ROOT, {("a.py", "_TUNED"): {"(1, 3)"}})] == [True, False, False, False, False]
 
 
 def test_attributes_are_fields_and_what_methods_assign() -> None:

@@ -89,6 +89,7 @@ def test_example_page_has_sentence_and_text_of_each_script() -> None:
         "Follow recording",
         "Live launch",
         "Sam2 mask node",
+        "Two tools",
     ]
     assert all(path.read_text(encoding="utf-8") in page for path in paths)
 

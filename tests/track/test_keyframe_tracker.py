@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.calibration_lag import lag_of
 from dvrk_cmaes.track.confirmed_image import confirmed_by
-from dvrk_cmaes.track.keyframe_problem import Solution
+from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES
 from dvrk_cmaes.track.known_base import KnownBase
@@ -285,9 +286,18 @@ def test_keyframes_are_solved_at_some_numbers_and_when_a_third_of_the_most_are_n
     assert solved_at == [*SOLVED_AT, MOST_KEYFRAMES + NEW_AT_MOST, MOST_KEYFRAMES + 2 * NEW_AT_MOST]
 
 
-def test_camera_file_is_tested_once_as_many_keyframes_as_are_kept_were_solved(world: MovingWorld) -> None:
-    known = KnownBase(Rig.of(world.camera), world.body, "classic", CONFIG, None)
+def test_solutions_have_at_most_twice_the_keyframes_of_those_before_and_the_last_ones_test_the_camera(
+    world: MovingWorld,
+) -> None:
+    """Images came faster than keyframes were solved; the first few are then those that are farthest apart."""
+    known, problems = KnownBase(Rig.of(world.camera), world.body, "classic", CONFIG, None), list[KeyframeProblem]()
     keep(known, MOST_KEYFRAMES)
-    first = known.problem()
-    known.use(failed(known))
-    assert (first.config.session.test_camera, known.problem().config.session.test_camera) == (False, True)
+    first = [task.keyframe.name for task in known.unsolved[:4]]
+    while known.due:
+        problems.append(known.problem())
+        known.use(Solution(None, "no calibration", len(problems[-1].keyframes), {}))
+    names = [[one.name for one in problem.keyframes] for problem in problems]
+    assert [len(each) for each in names] == [4, 8, 16, 32, MOST_KEYFRAMES]
+    assert all(set(few) < set(more) for few, more in itertools.pairwise(names))
+    assert set(first) == set(names[0]) >= {names[-1][0], names[-1][-1]}
+    assert [problem.config.session.test_camera for problem in [*problems, known.problem()]] == [False] * 5 + [True]

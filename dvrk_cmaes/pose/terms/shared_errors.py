@@ -92,7 +92,7 @@ def shared_errors(
 ) -> SharedErrors:
     """Return the shared errors of the outline of one pose ``seen`` in a camera, for a contour with some noise."""
     normals = outline.normals / np.linalg.norm(outline.normals, axis=1)[:, None]
-    axis = _image_axis(instrument, camera, seen)
+    axis = image_axis(instrument, camera, seen)
     ahead, aside = normals @ axis, normals @ np.array([-axis[1], axis[0]])
     side, link = side_deviation(noise), np.hypot(_LINK * noise.sigma, _LINK_OF_LONG * _long(noise))
     shaft = outline.link == 0 if instrument.shaft is not None else np.zeros(len(ahead), dtype=np.bool_)
@@ -114,6 +114,24 @@ def side_deviation(noise: OutlineNoise) -> float:
     return float(np.sqrt((_SIDE * noise.sigma) ** 2 + (_SIDE_OF_LONG * _long(noise)) ** 2 + _LEAST_SIDE**2))
 
 
+def image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
+    """Return the unit vector (2,) in the image along which the shaft points, at the root's origin.
+
+    Parameters
+    ----------
+    instrument, camera
+        The instrument; the camera that sees it.
+    seen
+        The pose in the camera's frame.
+    """
+    along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
+    ends = seen.pose[:3, 3] - np.array([[0.0], [_AHEAD]]) * (seen.pose[:3, :3] @ along)
+    ends[:, 2] = np.maximum(ends[:, 2], _NEAREST)
+    here, back = camera.project(ends)
+    length = float(np.linalg.norm(here - back))
+    return np.asarray((here - back) / length if length > 0 else np.array([1.0, 0.0]))
+
+
 def _long(noise: OutlineNoise) -> float:
     """Return the standard deviation, px, of the part of the noise that stays the same over more contour than usual."""
     return float(noise.sigma * np.sqrt(max(noise.length - _USUAL_LENGTH, 0.0) / _LENGTH_SCALE))
@@ -132,16 +150,6 @@ def without_last(terms: Quadratic, information: Float64) -> Quadratic:
     known = np.broadcast_to(information, (frames, count, count))
     left = eliminate(reordered, np.zeros((frames, count)), known, np.zeros(own)).left
     return Quadratic(left.information[:, count:, count:], left.slope[:, count:])
-
-
-def _image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
-    """Return the unit vector (2,) in the image along which the shaft points, at the root's origin."""
-    along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
-    ends = seen.pose[:3, 3] - np.array([[0.0], [_AHEAD]]) * (seen.pose[:3, :3] @ along)
-    ends[:, 2] = np.maximum(ends[:, 2], _NEAREST)
-    here, back = camera.project(ends)
-    length = float(np.linalg.norm(here - back))
-    return np.asarray((here - back) / length if length > 0 else np.array([1.0, 0.0]))
 
 
 def _between_nodes(outline: OutlinePoints, instrument: Instrument, of_side: Bool) -> Float64:

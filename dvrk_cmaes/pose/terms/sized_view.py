@@ -24,7 +24,7 @@ Float64 = NDArray[np.float64]
 REACH = 4
 """Distance, px, from the outline up to which differences are sampled."""
 
-_REMEMBERED = 64  # drawings that a view keeps
+REMEMBERED = 64  # drawings that a view keeps
 _FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
 
@@ -63,10 +63,12 @@ class SizedView:
         used = view.renderer if renderer is None else renderer
         self.camera = self._in_window(camera)
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
-        beside = 2 * int(np.ceil(_BLURRED_IN * blur)) + 1
+        beside = int(np.ceil(_BLURRED_IN * blur))
+        above, before = min(top, beside), min(left, beside)
+        weight = weight[top - above : top + height + beside, left - before : left + width + beside]
         if weight.min() < 1:
-            weight = np.asarray(cv2.erode(weight, np.ones((beside, beside))), dtype=np.float32)
-        self.weight = np.ascontiguousarray(weight[window])
+            weight = np.asarray(cv2.erode(weight, np.ones((2 * beside + 1, 2 * beside + 1))), dtype=np.float32)
+        self.weight = np.ascontiguousarray(weight[above : above + height, before : before + width])
         mask = np.ascontiguousarray(mask[window])
         self.mask = mask > 0.5
         self.target = _kernel.Target(mask, self.weight, blur_filter(blur), REACH)
@@ -120,7 +122,7 @@ class SizedView:
                 seen[missing], self.target, cauchy, lines_per_pixel=lines_per_pixel, outlines=outlines
             )
             known |= zip([keys[k] for k in missing], drawn, strict=True)
-            self._remembered = dict(list((self._remembered | known).items())[-_REMEMBERED:])
+            self._remembered = dict(list((self._remembered | known).items())[-REMEMBERED:])
         return [known[key] for key in keys]
 
     def silhouette(self, drawn: _kernel.Comparison) -> NDArray[np.bool_]:

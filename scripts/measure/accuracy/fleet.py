@@ -2,6 +2,7 @@
 
 Errors are those of the tips in frames in which at least half of the jaws can be seen (``visible`` in golden.json); a
 frame without a pose counts as a metre off. The share of ok frames is that of frames of which 0.8 of the jaws are seen.
+A recording is wrong if more than a fifth of its ok frames are more than 3 mm off.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
 from measure.accuracy.figures import base_errors
-from measure.accuracy.fleet_calibrations import calibrated, pooled
+from measure.accuracy.fleet_calibrations import MOST_STD, base_in_std, calibrated, pooled, wrong_focal_length
+from measure.accuracy.tip_probability import reliability_rows
 from measure.cases import Measurement
 
 Float64 = NDArray[np.float64]
@@ -31,20 +34,22 @@ Bool = NDArray[np.bool_]
 _VISIBLE, _IN_VIEW = 0.5, 0.8
 _WITHOUT_POSE_MM: Final = 1000.0
 _WRONG_MM: Final = (2.0, 3.0)
+_WRONG_SHARE: Final = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class TipErrors:
     """Frames of a recording in which the jaws are seen: errors of the tips, mm, and their stated standard deviations.
 
-    ``ok`` tells the status, ``in_view`` whether nearly all of the jaws is seen. All are (F,); ``std`` is NaN without a
-    pose.
+    ``ok`` tells the status, ``in_view`` whether nearly all of the jaws is seen. ``stated`` is the stated probability
+    that the tips are near. All are (F,); ``std`` and ``stated`` are NaN where nothing is stated.
     """
 
     errors: Float64
     std: Float64
     ok: Bool
     in_view: Bool
+    stated: Float64
 
     @classmethod
     def of(cls, rows: Sequence[Mapping[str, Any]], golden: Mapping[str, Any]) -> TipErrors:
@@ -55,19 +60,30 @@ class TipErrors:
             visible = truth.get("visible", 1.0)
             if visible < _VISIBLE:
                 continue
-            error, stated = _WITHOUT_POSE_MM, np.nan
+            error, stated, probability = _WITHOUT_POSE_MM, np.nan, row.get("tip_probability")
             if row["tips"] is not None:
                 off = np.array(row["tips"]) - np.array(truth["tips_camera_m"])
                 error, stated = 1e3 * float(np.linalg.norm(off, axis=1).mean()), float(row["std"]["tip_mm"])
-            table.append((error, stated, row["status"] == "ok", visible >= _IN_VIEW))
-        errors, std, ok, in_view = np.array(table, dtype=np.float64).reshape(-1, 4).T
-        return cls(errors, std, ok > 0, in_view > 0)
+            near = np.nan if probability is None else probability
+            table.append((error, stated, row["status"] == "ok", visible >= _IN_VIEW, near))
+        errors, std, ok, in_view, probabilities = np.array(table, dtype=np.float64).reshape(-1, 5).T
+        return cls(errors, std, ok > 0, in_view > 0, probabilities)
 
     @classmethod
     def pooled(cls, each: Sequence[TipErrors]) -> TipErrors:
         """Put the frames of several recordings together."""
-        names = ("errors", "std", "ok", "in_view")
+        names = ("errors", "std", "ok", "in_view", "stated")
         return cls(*(np.concatenate([getattr(one, name) for one in each]) for name in names))
+
+    def reliability(self, within_mm: float) -> list[dict[str, Any]]:
+        """Return by stated probability how many frames there are, and what share of them is within a distance."""
+        told = ~np.isnan(self.stated)
+        return reliability_rows(self.stated[told], self.errors[told] < within_mm)
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the recording is wrong: many of its ok frames are far off."""
+        return _share(self.errors[self.ok] > _WRONG_MM[-1]) > _WRONG_SHARE
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of a row."""
@@ -98,12 +114,19 @@ def _share(which: Bool) -> float:
 
 
 def fleet_report(
-    given: Measurement, *, causal: bool = False, keep: Path | None = None, every: int | None = None, first: int = 0
+    given: Measurement,
+    *,
+    causal: bool = False,
+    keep: Path | None = None,
+    every: int | None = None,
+    first: int = 0,
+    wrong_focal: int | None = None,
 ) -> dict[str, Any]:
     """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given.
 
     With ``every``, every N-th frame of each is calibrated as well, which makes two more tables. With ``first``,
-    figures are of the frames from that one on, and two more tables of those before it, and of their second half.
+    figures are of the frames from that one on, and two more tables of those before it, and of their second half. With
+    ``wrong_focal``, every N-th frame is calibrated with a focal length that is 10 % too long, or too short, too.
     """
     calibrations: dict[str, Any] = {}
     if every is not None:
@@ -113,10 +136,12 @@ def fleet_report(
             session = read_session(folder)
             each.append(calibrated(folder.name, session, golden, given.body, given.config, given.workers, every))
         calibrations = {"calibrated": [one.row for one in each], "all calibrated": [pooled(each)]}
-    return calibrations | _followed(given, causal=causal, keep=keep, first=first)
+    return calibrations | _followed(given, causal=causal, keep=keep, first=first, wrong_focal=wrong_focal)
 
 
-def _followed(given: Measurement, *, causal: bool, keep: Path | None, first: int) -> dict[str, Any]:
+def _followed(
+    given: Measurement, *, causal: bool, keep: Path | None, first: int, wrong_focal: int | None
+) -> dict[str, Any]:
     """Follow all recordings, and return a row of figures for each and one for all."""
     rows: list[dict[str, Any]] = []
     found: list[TipErrors] = []
@@ -134,20 +159,43 @@ def _followed(given: Measurement, *, causal: bool, keep: Path | None, first: int
             found.append(TipErrors.of(tracked[first:], golden["frames"]))
             early.append(TipErrors.of(tracked[:first], golden["frames"]))
             later.append(TipErrors.of(tracked[first // 2 : first], golden["frames"]))
-            row = {"recording": folder.name, **found[-1].figures(), "base, deg": None, "base, mm": None, "lag": None}
-            if done.calibration is not None and golden.get("camera_from_base") is not None:
-                true = np.array(golden["camera_from_base"])
-                row["base, deg"], row["base, mm"] = base_errors(done.calibration.camera_from_base, true)
-            if done.calibration is not None and done.calibration.lag is not None:
-                row["lag"] = done.calibration.lag.frames
+            row = {"recording": folder.name, **found[-1].figures(), "wrong": found[-1].wrong}
+            row |= _of_calibration(done.calibration, golden)
+            if wrong_focal is not None:
+                of_session = session, given.body, given.config, given.workers, wrong_focal
+                row["wrong focal length named"] = wrong_focal_length(*of_session, longer=len(rows) % 2 == 1)
             rows.append(row)
-    total = {"recordings": len(rows), **TipErrors.pooled(found).figures()}
-    total["worst median"] = max(row["tips, mm"] for row in rows)
+    of_all, right = TipErrors.pooled(found), [one for one in found if not one.wrong]
+    total = {"recordings": len(rows), **of_all.figures(), "worst median": max(row["tips, mm"] for row in rows)}
+    total["wrong"] = len(found) - len(right)
+    if right:
+        pooled_right = TipErrors.pooled(right)
+        total["ok in view, right ones"] = _share(pooled_right.ok[pooled_right.in_view])
+    total[f"base within {MOST_STD:g} std"] = sum((row["base / std"] or np.inf) <= MOST_STD for row in rows)
+    total["camera contradicted"] = sum(bool(row["camera contradicted"]) for row in rows)
+    if wrong_focal is not None:
+        total["wrong focal length named"] = sum(row["wrong focal length named"] is True for row in rows)
     report: dict[str, Any] = {"recordings": rows, "all": [total]}
+    report["stated probability and share near the truth"] = of_all.reliability(given.config.trust.tip_mm)
     if first:
         report[f"before frame {first}"] = [TipErrors.pooled(early).figures()]
         report[f"from frame {first // 2} to {first}"] = [TipErrors.pooled(later).figures()]
     return report
+
+
+def _of_calibration(found: SessionCalibration | None, golden: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of a recording's calibration; None where there is none, or no truth."""
+    row: dict[str, Any] = {"base, deg": None, "base, mm": None, "base / std": None, "camera contradicted": None}
+    row |= {"lag": None, "doubts": None}
+    if found is None:
+        return row
+    if golden.get("camera_from_base") is not None:
+        true = np.array(golden["camera_from_base"])
+        row["base, deg"], row["base, mm"] = base_errors(found.camera_from_base, true)
+        row["base / std"] = base_in_std(found, true)
+    row["camera contradicted"] = found.camera is not None and found.camera.contradicts
+    row["lag"] = None if found.lag is None else found.lag.frames
+    return row | {"doubts": len(found.doubts)}
 
 
 def recordings_in(folders: Sequence[str | Path]) -> Iterator[Path]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -33,7 +34,10 @@ Float64 = NDArray[np.float64]
 
 _VISIBLE: Final = 0.5
 _NEAR: Final = 0.3  # frames, between a lag and the true one
-_MOST_STD: Final = 3.0  # standard deviations of the base
+MOST_STD: Final = 3.0
+"""Standard deviations within which each of the six directions of a base is to be."""
+
+_FOCAL: Final = 1.1  # factor on a focal length that is wrong
 _INTERVAL: Final = 1.96  # standard deviations, of 95 %
 _WRONG_MM: Final = 1.2  # median of the tips, from which on a calibration is bad
 _LAGS: Final = np.arange(-5.0, 15.0, 0.02)  # frames
@@ -67,13 +71,32 @@ def calibrated(
     row["tips, mm"], row["95 %"], row["worst"] = np.percentile(errors, [50, 95, 100]).tolist()
     row["ok"], row["ok beyond 2 mm"] = float(ok.mean()), float((errors[ok] > 2.0).mean()) if ok.any() else None
     row["base, deg"], row["base, mm"] = base_errors(found.camera_from_base, true_base)
-    off = change_between(found.camera_from_base, true_base)
-    covariance = found.covariance[:6, :6]
-    row["base / std"] = float(np.abs(off / np.sqrt(np.diag(covariance))).max())
+    row["base / std"] = base_in_std(found, true_base)
     if found.lag is not None:
         row["lag"], row["std"] = found.lag.frames, found.lag.std_frames
     row["doubt"] = "yes" if found.doubts else "no"
     return CalibratedRecording(row, errors)
+
+
+def base_in_std(found: SessionCalibration, true: Float64) -> float:
+    """Return the error of a camera_from_base in the worst of its six directions, in stated standard deviations."""
+    off = change_between(found.camera_from_base, true)
+    return float(np.abs(off / np.sqrt(np.diag(found.covariance[:6, :6]))).max())
+
+
+def wrong_focal_length(
+    session: Session, body: Body, config: EstimateConfig, workers: int, every: int, *, longer: bool
+) -> bool | str:
+    """Return whether every N-th frame of a recording names a focal length that is 10 % off, or why it is refused."""
+    scale = _FOCAL if longer else 1 / _FOCAL
+    changed = {view.name: view.camera.changed(scale, (0.0, 0.0)) for view in session.rig.views}
+    wrong = replace(session, rig=session.rig.with_cameras(changed))
+    try:
+        solved = calibrate_share(wrong, body, config, workers, every)
+    except InputError as error:
+        return str(error)
+    camera = solved.calibration.camera
+    return camera is not None and camera.contradicts
 
 
 def calibrate_share(session: Session, body: Body, config: EstimateConfig, workers: int, every: int) -> SolvedSession:
@@ -132,7 +155,7 @@ def pooled(each: Sequence[CalibratedRecording]) -> dict[str, Any]:
         "recordings": len(rows),
         "tips, mm": float(np.median(np.concatenate([one.errors for one in each]))),
         "worst median": max((row["tips, mm"] for row in solved), default=None),
-        f"base within {_MOST_STD:g} std": sum(row["base / std"] <= _MOST_STD for row in solved),
+        f"base within {MOST_STD:g} std": sum(row["base / std"] <= MOST_STD for row in solved),
         "bad": len(bad),
         "bad that say so": sum(row["doubt"] != "no" for row in bad),
         "lag told": len(told),

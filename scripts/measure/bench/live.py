@@ -6,8 +6,9 @@ This needs the extra ros. Another process is the rosbridge server on 127.0.0.1. 
 recorded session, of all its arms and eyes, forwards and backwards, 30 a second unless --images says otherwise, and
 readings of each arm, 100 a second unless --readings does. It receives the poses. The age is from sending the last mask
 of a time to receiving the pose there; of a set, the poses of all arms, to the last of these. ``stated - true`` is the
-age in /diagnostics less that of its receipt. Memory is the resident set of the following process, in MB, after
-10 s, after a quarter of the time, at most two minutes, and at the end; its growth is that since the second.
+age in /diagnostics less that of its receipt. Memory is the resident set of the following process, with those of
+several arms, without those that solve keyframes, in MB, after 10 s, after a quarter of the time, at most two minutes,
+and at the end; its growth is that since the second.
 
 Of arms with a truth, ok poses are counted that are in the wrong mode or came before the base was known, and the share
 that is ok of the poses of images with at least half of the jaws in view, after it was.
@@ -32,6 +33,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any, Final
@@ -55,6 +57,7 @@ from dvrk_cmaes.live.inputs import EyeTopics, InputTopics
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 from dvrk_cmaes.runs.long_run import prepare_long_run
 from dvrk_cmaes.runs.solver_process import SolverProcess
+from dvrk_cmaes.runs.worker_process import WorkerProcess
 from measure.accuracy.figures import RIGHT_MODE_DEG
 from measure.places import ROOT, SHARED
 from measure.tables import Report
@@ -124,7 +127,6 @@ def live_report(options: argparse.Namespace) -> Report:
     connection = RosbridgeConnection("127.0.0.1", ours.recv(), say)
     connection.open(timeout=10.0)
     stop, memory = Event(), list[float]()
-    Thread(target=_watch, args=(stop, memory), daemon=True).start()
     Thread(target=_end, args=(ours, stop), daemon=True).start()
     started = time.process_time()
     with ExitStack() as stack:
@@ -132,16 +134,17 @@ def live_report(options: argparse.Namespace) -> Report:
             busy = context.Process(target=_compute, daemon=True)
             busy.start()
             stack.callback(busy.kill)
+        others = [child.pid for child in psutil.Process().children()] if len(recorded.arms) > 1 else None
+        Thread(target=_watch, args=(stop, memory, others), daemon=True).start()
         arms = []
         for arm, own in recorded.arms.items():
-            solver = SolverProcess(own.body.instrument, background=True) if options.solve else None
-            if solver is not None:
-                stack.enter_context(solver)
+            solver = partial(SolverProcess, own.body.instrument, background=True) if options.solve else None
             names = FrameNames(arm, "camera", f"{arm}_base")
             arms.append(ArmSetup(names, own.body, own.kinematics, calibration, solver))
         rig = next(iter(recorded.arms.values())).session.rig
         topics = compressed_topics(recorded)
-        setup = LiveSetup(topics, tuple(arms), EstimateConfig(), options.lag, rig, overlay=options.overlay)
+        apart = partial(WorkerProcess, for_long=True)
+        setup = LiveSetup(topics, tuple(arms), EstimateConfig(), options.lag, rig, overlay=options.overlay, apart=apart)
         counts = follow(setup, connection, say, stop, show=stack.enter_context(shown_state()))
         used = time.process_time() - started
         figures = ours.recv()
@@ -170,11 +173,16 @@ def _end(pipe: Any, stop: Event) -> None:
     stop.set()
 
 
-def _watch(stop: Event, memory: list[float]) -> None:
-    """Sample the memory of this process every second, the first time after 10 s."""
+def _watch(stop: Event, memory: list[float], others: Sequence[int] | None) -> None:
+    """Sample the memory of this process, and of those that it starts beside ``others``, every second from 10 s on.
+
+    Without ``others``, that of this process is all.
+    """
     stop.wait(_MEMORY_FROM)
     while True:
-        memory.append(psutil.Process().memory_info().rss / 1e6)
+        own = psutil.Process()
+        used = [own, *(child for child in own.children() if others is not None and child.pid not in others)]
+        memory.append(sum(one.memory_info().rss for one in used) / 1e6)
         if stop.wait(1):
             return
 

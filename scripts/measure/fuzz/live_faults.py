@@ -23,7 +23,7 @@ import psutil
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.live.arm import LiveArm
-from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Receive
+from dvrk_cmaes.live.connection import LocalConnection
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveLoop
 from dvrk_cmaes.live.outputs import Outputs, StepResult
@@ -95,34 +95,6 @@ def fuzz_live(faults: int, between: int, *, only: Sequence[str] = ()) -> LiveRep
     return report
 
 
-class _Wire:
-    """A connection within this process, which keeps the last status of a pose that was published."""
-
-    def __init__(self) -> None:
-        self.receivers: dict[str, Receive] = {}
-        self.name = "wire"
-
-    def topics(self, timeout: float) -> Mapping[str, str]:
-        return dict.fromkeys(self.receivers, "")
-
-    def open(self, timeout: float) -> bool:
-        return timeout >= 0
-
-    def close(self) -> None:
-        self.receivers.clear()
-
-    def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
-    ) -> None:
-        self.receivers[topic] = receive
-
-    def advertise(self, topic: str, kind: str) -> None:
-        """Nothing needs to be announced."""
-
-    def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
-        return True
-
-
 class _Lines:
     """Takes the lines for the user; each fault begins without those of earlier ones."""
 
@@ -162,7 +134,7 @@ class _Feed:
     def __init__(self, world: World, report: LiveReport) -> None:
         self.status, self.errors = "", list[Exception]()
         self._world, self._report = world, report
-        self._wire, self._lines, self._stop = _Wire(), _Lines(), threading.Event()
+        self._wire, self._lines, self._stop = LocalConnection("wire"), _Lines(), threading.Event()
         self._frame, self._ahead = 0, 0.0  # s, by which the clocks of the messages were set
         inputs = Inputs(TOPICS, self._lines, longest_silence=1e6, now=lambda: self._frame / FRAMES_A_SECOND)
         inputs.subscribe(self._wire)

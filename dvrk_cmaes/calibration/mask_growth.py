@@ -1,0 +1,179 @@
+"""Mean errors of a session's masks on some sides, such as the shadows of a lamp that is fixed beside the lens.
+
+The errors of single frames average out; what all masks share on one side does not. It has six unknowns: the mean error
+of each side of the shaft, and that of what faces right, left, down and up in the image. Shadows only add to a mask, so
+none of them is negative. Their usual size is that which makes the session's outlines most likely: masks without such
+errors hardly widen what is known of a session, and masks that do not fit its poses on one side do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, ViewAsSeen
+from dvrk_cmaes.calibration.solve import marginalise
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise
+from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.terms.shared_errors import LASTING, image_axis
+
+Float64 = NDArray[np.float64]
+
+GROWTH = "growth"
+"""Name of the constant."""
+
+_DIRECTIONS = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])  # in the image, (2, 4)
+_STD = 1.0  # px, with which the outlines are linearised
+_LEAST, _OF_SIDES, _OF_MARGIN = 0.1, 1.0, 0.5
+"""Size beforehand: px of any mask, and shares of the error of a side in one frame and of the margin."""
+_LOG_STD = 0.7  # of the logarithm of the size beforehand
+_SIZES = np.geomspace(0.03, 0.999 * _STD, 16)  # px
+_NONE = 1e-3  # px, of an error that is not there
+ANY_NOISE = OutlineNoise(1.0, 19.0)
+"""Noise with which the columns of shared errors are made; it does not change them."""
+
+
+class MaskGrowth(Constant):
+    """The errors (6,), px: of both sides of the shaft, and of what faces right, left, down and up in the image.
+
+    Parameters
+    ----------
+    side_px
+        Standard deviation of the error of a side of the shaft in one frame, px, as the session's fits tell it.
+    margin_px
+        The margin that was taken off the masks, px.
+    """
+
+    is_linear = True
+
+    def __init__(self, side_px: float = 0.0, margin_px: float = 0.0) -> None:
+        super().__init__(GROWTH, np.full(LASTING + _DIRECTIONS.shape[1], _STD))
+        size = np.linalg.norm([_LEAST, _OF_SIDES * side_px, _OF_MARGIN * margin_px])
+        self.usual_px = float(np.clip(size, _SIZES[0], _SIZES[-1]))
+
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return the view as it is: the outlines are linearised at the masks as they are."""
+        return by
+
+    def effect(self, outline: OutlineOfView) -> Float64:
+        """Return the displacements of an outline's points by the errors."""
+        length = np.linalg.norm(outline.points.normals, axis=1)[:, None]
+        sides = outline.view.shared_errors(outline.points, outline.at, ANY_NOISE).columns[:, :LASTING]
+        return np.column_stack([sides * length, np.maximum(outline.points.normals @ _DIRECTIONS, 0.0)])
+
+
+@dataclass(frozen=True, eq=False)
+class GrowthTold:
+    """What a session tells of the errors on some sides, and what they do to it.
+
+    ``px`` (6,) are their means, ``square`` (6, 6) their mean squares, px^2, ``std_px`` (6,) what is known of them
+    beforehand: their usual size, and next to nothing where they would be negative. ``values``
+    (K + E,) and ``covariance`` (K + E, K + E) are those of the calibration, as changes, and all constants with errors
+    of this size. ``of_calibration`` (K, K) and ``of_frames`` (N, D, D) are the mean squares of the errors of the
+    calibration and of the frames' poses that they cause.
+    """
+
+    px: Float64
+    square: Float64
+    std_px: Float64
+    values: Float64
+    covariance: Float64
+    of_calibration: Float64
+    of_frames: Float64
+
+
+def growth_told(there: Linearised, count: int, usual_px: float) -> GrowthTold:
+    """Tell the size of the errors on some sides, and what they do, from outlines that were linearised in them.
+
+    Parameters
+    ----------
+    there
+        The session with the constant among its constants.
+    count
+        Number of the calibration's own unknowns, K.
+    usual_px
+        Size of the errors beforehand, px.
+    """
+    calibration = there.solution.calibration
+    place = calibration.place(GROWTH)
+    of_outlines = np.linalg.inv(there.covariance[place, place])
+    seen = calibration.constants[GROWTH]
+    std = np.full(len(seen), _likely_size(of_outlines - np.eye(len(seen)) / _STD**2, of_outlines @ seen, usual_px))
+    for _ in range(len(seen)):
+        known, spread = there.with_std({GROWTH: std})
+        below = (known[place] < 0) & (std > _NONE)
+        if not below.any():
+            break
+        std[below] = _NONE
+    square = spread[place, place] + np.outer(known[place], known[place])
+    information = there.information
+    response = -np.linalg.solve(information[:count, :count], information[:count, place])
+    frames = marginalise(there.model, there.fits, calibration)
+    by_all = frames.gain @ there.model.jacobian(calibration)
+    by_errors = by_all[:, :, :count] @ response + by_all[:, :, place]
+    return GrowthTold(
+        np.maximum(known[place], 0.0),
+        square,
+        std,
+        known,
+        spread,
+        response @ square @ response.T,
+        by_errors @ square @ by_errors.swapaxes(1, 2),
+    )
+
+
+def _likely_size(information: Float64, slope: Float64, usual_px: float) -> float:
+    """Return the size, px, of errors of which the outlines tell this, as the mean of its logarithm."""
+    logs = []
+    for size in _SIZES:
+        whole = information + np.eye(len(slope)) / size**2
+        likely = slope @ np.linalg.solve(whole, slope) - np.linalg.slogdet(whole)[1] - 2 * len(slope) * np.log(size)
+        logs.append(0.5 * (likely - (np.log(size / usual_px) / _LOG_STD) ** 2))
+    probability = np.exp(np.array(logs) - max(logs))
+    return float(np.exp(probability @ np.log(_SIZES) / probability.sum()))
+
+
+def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float64:
+    """Return the change (D,) of a pose, per px, by which an outline seems wider on every side: the tool is nearer.
+
+    A shaft that looks wider by twice the margin is nearer in the same proportion.
+    """
+    along = np.zeros(6 + len(at.joints))
+    if instrument.shaft is not None:
+        tips = apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
+        width = camera.fx * 2 * instrument.shaft.radius / float(np.linalg.norm(tips))
+        along[:3] = at.pose[:3, :3].T @ tips * 2 / width
+    return along
+
+
+def covariance_of_growth(rms_px: Sequence[float], at: Posed, camera: Camera, instrument: Instrument) -> Float64:
+    """Return the covariance (D, D) of a pose by errors that all masks share on some sides.
+
+    Half of the error of a side of the shaft is a margin, which makes it seem nearer; half of it moves its axis aside.
+
+    Parameters
+    ----------
+    rms_px
+        The roots of the mean squares of the errors (6,), px; none where they are not known.
+    at
+        The pose.
+    camera, instrument
+        The camera that sees the instrument.
+    """
+    covariance = np.zeros((6 + len(at.joints),) * 2)
+    if len(rms_px) == 0 or instrument.shaft is None:
+        return covariance
+    along, aside = image_axis(instrument, camera, at)
+    squares, across = np.square(rms_px), np.array([-aside, along])
+    facing = np.maximum(np.array([across, -across]) @ _DIRECTIONS, 0.0) ** 2
+    mean = float((squares[:LASTING] + facing @ squares[LASTING:]).sum()) / LASTING**2
+    distance = float(np.linalg.norm(apply(at.pose, instrument.ends(at.joints)).mean(axis=0)))
+    moved = np.zeros(len(covariance))
+    moved[:3] = at.pose[:3, :3].T @ [*across, 0.0] * distance / camera.fx
+    nearer = change_by_margin(at, camera, instrument)
+    return np.asarray(mean * (np.outer(nearer, nearer) + np.outer(moved, moved)))

@@ -1,0 +1,160 @@
+"""An arm that is followed in a process of its own, so that several arms are followed at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+
+from numpy.typing import NDArray
+
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.live.connection import Report
+from dvrk_cmaes.results.tracked import TrackResult
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.live.follow import FollowedArm
+
+Arrays = Mapping[str, NDArray[Any]] | None
+R = TypeVar("R")
+
+_OWN: Final = list["FollowedArm"]()  # the arm that this process follows
+
+
+class Process(Protocol):
+    """A process that calls functions."""
+
+    def call(self, function: Callable[..., R], *arguments: Any) -> R:
+        """Return the value of a function that can be pickled, called in the process."""
+
+    def kill(self) -> None:
+        """Kill the process."""
+
+    def close(self) -> None:
+        """Wait until the process has ended."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """The result of a step, None after other calls; how far the arm's base is known, in words; lines for the user."""
+
+    result: TrackResult | None
+    state: str
+    lines: tuple[str, ...]
+
+
+class TrackerApart:
+    """Follows an arm in another process, as its tracker and what goes on beside it would in this one.
+
+    Parameters
+    ----------
+    start
+        Starts the process, at once and again if it has died.
+    make
+        Makes, in the process, the arm that is followed there; it can be pickled.
+    report
+        Takes lines for the user.
+    """
+
+    def __init__(self, start: Callable[[], Process], make: Callable[[Report], FollowedArm], report: Report) -> None:
+        self.state = ""
+        self._start, self._make, self._report = start, make, report
+        self._process: Process | None = start()
+        self._made = False
+        self._readings: list[tuple[float, Mapping[str, float]]] = []
+
+    def begin(self, rig: Rig) -> TrackerApart:
+        """Follow anew, by these cameras."""
+        if self._process is None:
+            self._process, self._made = self._start(), False
+        self._readings = []
+        self._ask(_begin, None if self._made else self._make, rig)
+        self._made = True
+        return self
+
+    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
+        """Keep the readings of one time, s, until the next step."""
+        self._readings.append((time, joints))
+
+    def step(self, time: float, mask: Arrays = None, image: Arrays = None, ignore: Arrays = None) -> TrackResult:
+        """Follow to the images of a later time, s, as `Tracker.step`."""
+        readings, self._readings = self._readings, []
+        result = self._ask(_step, readings, time, mask, image, ignore)
+        assert result is not None
+        return result
+
+    def before_step(self, time: float) -> None:
+        """Do nothing: the process does what is due before a step with it."""
+
+    def after_step(self, time: float) -> None:
+        """Begin what is due after the step to a time, s."""
+        self._ask(_after, time)
+
+    def close(self) -> None:
+        """End the process, whatever it is at."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.close()
+
+    def _ask(self, function: Callable[..., _Answer], *arguments: Any) -> TrackResult | None:
+        """Call a function in the process, and take what it says; one that has died is started again by `begin`."""
+        if self._process is None:
+            raise DvrkCmaesError("the process of this arm has ended")
+        try:
+            answer = self._process.call(function, *arguments)
+        except InputError:
+            raise
+        except Exception:
+            self.close()
+            self._process = None
+            raise
+        self.state = answer.state
+        for line in answer.lines:
+            self._report(line)
+        return answer.result
+
+
+# in the process
+
+
+class _Lines(list[str]):
+    """Lines for the user, until they are told."""
+
+    def told(self) -> tuple[str, ...]:
+        """Return the lines, and forget them."""
+        lines = tuple(self)
+        self.clear()
+        return lines
+
+
+_LINES: Final = _Lines()
+
+
+def _begin(make: Callable[[Report], FollowedArm] | None, rig: Rig) -> _Answer:
+    if make is not None:
+        _OWN[:] = [make(_LINES.append)]
+    _OWN[0].begin(rig)
+    return _answer()
+
+
+def _step(
+    readings: list[tuple[float, Mapping[str, float]]], time: float, mask: Arrays, image: Arrays, ignore: Arrays
+) -> _Answer:
+    (own,) = _OWN
+    for at, joints in readings:
+        try:
+            own.tracker.add_readings(at, joints)
+        except InputError as error:
+            _LINES.append(str(error))
+    own.before_step(time)
+    return _answer(own.tracker.step(time, mask, image, ignore))
+
+
+def _after(time: float) -> _Answer:
+    _OWN[0].after_step(time)
+    return _answer()
+
+
+def _answer(result: TrackResult | None = None) -> _Answer:
+    return _Answer(result, _OWN[0].state, _LINES.told())

@@ -1,0 +1,272 @@
+"""Measure what each tuned constant of the method does: answers on data with truth, with its value halved and doubled.
+
+    python scripts/sensitivity.py pose evidence --frames SESSION... --write
+    python scripts/sensitivity.py calibration track --recordings SESSION... --write
+    python scripts/sensitivity.py --show                     # constants that change nothing on any data
+
+Constants are the numbers that the modules of packages assign at their top level. The numbers of a tuple are changed
+together; whole numbers stay whole. Each change is tried in a process of its own, with one thread. Frames are solved one
+by one; recordings are followed with their own calibration by masks, and, with it, from image to image by masks and by
+images where there are any. A change that ends the run, or makes it take eight times as long, is named by its error.
+
+--write puts the rows into scripts/measure/sensitivity.csv, which has the value of each constant, the changed one, and
+figures with those of the unchanged run in brackets: of the images with a truth in view, those in the right place
+(tips within 5 mm), those that are ok, and those ok and more than 3 mm off; the median error of the tips; and seconds of
+processor time. A row counts as long as its constant has that value.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import json
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields, is_dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from measure.accuracy.errors import error_of
+from measure.accuracy.fleet import TipErrors
+from measure.cases import Case, Measurement
+from measure.constants import Row, constants_in, measured, read_table, write_table
+from measure.places import ROOT
+from measure.tables import commit
+
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.results.track_files import TRACKS, read_tracks
+from dvrk_cmaes.runs.track_folder import track_folder
+from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.sight import EvidenceKind
+
+RIGHT_MM: Final = 5.0
+WRONG_MM: Final = 3.0
+SLOWER: Final = 8
+
+
+class Figures(NamedTuple):
+    """Figures of a run: images in the right place, ok, ok and wrong; median of the tips, mm; processor seconds."""
+
+    right: int
+    ok: int
+    wrong: int
+    tips_mm: float
+    seconds: float
+
+
+class Changed(NamedTuple):
+    """A constant of a module and a changed value of it."""
+
+    module: str
+    name: str
+    value: str
+    changed: Any
+
+
+def changes(packages: Sequence[str], factors: Sequence[float]) -> Iterator[Changed]:
+    """Yield the changed values of all constants of packages whose numbers a factor changes."""
+    root = ROOT / "dvrk_cmaes"
+    for path in sorted(path for package in packages for path in (root / package).rglob("*.py")):
+        module = path.relative_to(root)
+        loaded = importlib.import_module(
+            ".".join(["dvrk_cmaes", *module.with_suffix("").parts]).removesuffix(".__init__")
+        )
+        for constant in constants_in(ast.parse(path.read_text(encoding="utf-8")).body):
+            for name in constant.name.strip("()").split(", "):
+                now = getattr(loaded, name)
+                for factor in factors:
+                    new = scaled(now, factor)
+                    if repr(new) != repr(now):
+                        yield Changed(module.as_posix(), constant.name, constant.value, (name, new))
+
+
+def module_name(path: Path) -> str:
+    """Return the name of the module at a path in dvrk_cmaes."""
+    return ".".join(["dvrk_cmaes", *path.with_suffix("").parts]).removesuffix(".__init__")
+
+
+def scaled(value: Any, factor: float) -> Any:
+    """Return a value with its numbers multiplied; whole ones are rounded, and at least 1 if they were."""
+    if isinstance(value, bool | str | bytes) or value is None:
+        return value
+    if isinstance(value, int):
+        return max(round(value * factor), 1) if value > 0 else round(value * factor)
+    if isinstance(value, float):
+        return value * factor
+    if isinstance(value, np.ndarray):
+        return (value * factor).astype(value.dtype)
+    if isinstance(value, dict):
+        return {key: scaled(one, factor) for key, one in value.items()}
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return type(value)(*(scaled(one, factor) for one in value))
+    if isinstance(value, list | tuple):
+        return type(value)(scaled(one, factor) for one in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(
+            value, **{one.name: scaled(getattr(value, one.name), factor) for one in fields(value) if one.init}
+        )
+    return value
+
+
+def put(change: Changed) -> None:
+    """Give a constant its changed value, in its module and in all that import it."""
+    name, new = change.changed
+    old = getattr(sys.modules[module_name(Path(change.module))], name)
+    for loaded in [module for key, module in sys.modules.items() if key.startswith("dvrk_cmaes")]:
+        if name in vars(loaded) and vars(loaded)[name] is old:
+            setattr(loaded, name, new)
+
+
+def solve_frames(cases: Sequence[Case], body: Body) -> Figures:
+    """Solve frames one by one."""
+    began, errors, ok = time.process_time(), [], []
+    for case in cases:
+        result = case.estimate(body, EstimateConfig(threads=1))
+        error = error_of(body.instrument, result, case.truth)
+        errors.append(1e3 if error is None or error.tip_mm is None else error.tip_mm)
+        ok.append(result.status == "ok")
+    return _figures(np.array(errors), np.array(ok), began)
+
+
+def follow(folders: Sequence[Path], body: Body) -> Figures:
+    """Follow recordings with their own calibration, and from image to image."""
+    began, found = time.process_time(), []
+    for folder in folders:
+        golden = json.loads((folder / "golden.json").read_text(encoding="utf-8"))["frames"]
+        session = read_session(folder)
+        has_images = any(frame.has_image for frame in session.frames)
+        kinds: list[tuple[EvidenceKind, bool]] = [("masks", False), ("masks", True)]
+        with tempfile.TemporaryDirectory() as out:
+            settings = TrackSettings(EstimateConfig(threads=1), workers=1)
+            for number, (kind, causal) in enumerate([*kinds, ("images", True)] if has_images else kinds):
+                chosen = replace(settings, causal=causal, evidence=kind)
+                done = track_folder(session, Path(out) / str(number), body, chosen, video=False, page=False)
+                settings = replace(settings, calibration=settings.calibration or done.calibration)
+                found.append(TipErrors.of(read_tracks(Path(out) / str(number) / TRACKS), golden))
+    each = TipErrors.pooled(found)
+    return _figures(each.errors, each.ok, began)
+
+
+def _figures(errors: Any, ok: Any, began: float) -> Figures:
+    """Return the figures of errors, mm, and statuses (F,)."""
+    counts = (int((errors < RIGHT_MM).sum()), int(ok.sum()), int((ok & (errors > WRONG_MM)).sum()))
+    return Figures(*counts, float(np.median(errors)), time.process_time() - began)
+
+
+class Data(NamedTuple):
+    """What is solved, read once: frames with their truth, recordings, and the instrument."""
+
+    cases: Sequence[Case]
+    recordings: Sequence[Path]
+    body: Body
+
+    def run(self) -> Figures:
+        """Solve all of it."""
+        return solve_frames(self.cases, self.body) if self.cases else follow(self.recordings, self.body)
+
+
+def _child(sent: Connection, data: Data, change: Changed | None) -> None:
+    """Run with a changed constant, and send the figures or the error as a line."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    try:
+        if change is not None:
+            put(change)
+        sent.send(data.run())
+    except BaseException as error:  # whatever a wrong constant brings about
+        sent.send(f"{type(error).__name__}: {error}".splitlines()[0][:80])
+
+
+def tried(data: Data, change: Changed | None, limit: float) -> Figures | str:
+    """Run with a changed constant in a process of its own; returns the error's line if it fails or takes too long."""
+    context = multiprocessing.get_context("fork")
+    receive, send = context.Pipe(duplex=False)
+    process = context.Process(target=_child, args=(send, data, change))
+    process.start()
+    send.close()
+    try:
+        return receive.recv() if receive.poll(limit) else f"took more than {SLOWER} times as long"
+    except EOFError:
+        return "the process died"
+    finally:
+        process.kill()
+        process.join()
+
+
+def main() -> int:
+    """Try all changes, print a line for each that changes answers, and return the exit code."""
+    options = _parser().parse_args()
+    if options.show:
+        return _show()
+    measurement = Measurement(options.frames or options.recordings, options.instrument, frames=options.most)
+    data = Data(measurement.cases() if options.frames else (), [Path(p) for p in options.recordings], measurement.body)
+    names = ", ".join(f"{Path(p).name}" for p in measurement.folders)
+    before = tried(data, None, 3600)
+    if isinstance(before, str):
+        print(f"sensitivity.py: {before}", file=sys.stderr)
+        return 1
+    print(f"unchanged: {before}", flush=True)
+    limit = max(60.0, 3 * SLOWER * before.seconds)
+    each = [*changes(options.packages, options.factors)][options.part - 1 :: options.parts]
+    rows: list[Row] = []
+    with ThreadPoolExecutor(options.workers) as pool:
+        for change, found in zip(each, pool.map(lambda one: tried(data, one, limit), each), strict=True):
+            rows.append(row_of(change, found, before, names))
+            if isinstance(found, str) or found[:4] != before[:4]:
+                print(f"{change.module} {change.name} {change.value} -> {change.changed[1]}: {found}", flush=True)
+    if options.write:
+        write_table(rows)
+    return 0
+
+
+def row_of(change: Changed, found: Figures | str, before: Figures, data: str) -> Row:
+    """Return the table's row of a changed constant."""
+    figures = None if isinstance(found, str) else [*map(_both, found, before)]
+    texts = ["", "", "", "", "", str(found)] if figures is None else [*figures, ""]
+    changed = " = ".join([change.changed[0], str(change.changed[1]).replace("\n", " ")])
+    return Row._make([change.module, change.name, change.value, changed, *texts, data, commit()])
+
+
+def _both(new: float, old: float) -> str:
+    """Return a figure and, in brackets, what it was."""
+    return f"{round(new, 3):g} ({round(old, 3):g})"
+
+
+def _show() -> int:
+    """Print the constants whose changes change no answer in any row of the table."""
+    rows = read_table()
+    for (module, name), values in measured(rows).items():
+        figures = [cell.strip(")").split(" (") for row in rows if row[:2] == (module, name) for cell in row[4:8]]
+        if all(len(pair) == 2 and pair[0] == pair[1] for pair in figures):
+            print(f"{module} {name} {' '.join(values)}")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("packages", nargs="*", metavar="PACKAGE", help="packages of dvrk_cmaes, such as pose")
+    parser.add_argument("--frames", nargs="+", default=[], metavar="SESSION", help="sessions whose frames are solved")
+    parser.add_argument("--recordings", nargs="+", default=[], metavar="SESSION", help="recordings that are followed")
+    parser.add_argument("--instrument", default="lnd", help="the instrument of these (default: %(default)s)")
+    parser.add_argument("--most", type=int, metavar="N", help="solve at most N frames of each session")
+    parser.add_argument("--factors", nargs="+", type=float, default=[0.5, 2.0], metavar="X", help="default: 0.5 2")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes (default: %(default)s)")
+    parser.add_argument("--parts", type=int, default=1, metavar="N", help="try every N-th change only")
+    parser.add_argument("--part", type=int, default=1, metavar="K", help="which of these parts, from 1")
+    parser.add_argument("--write", action="store_true", help="put the rows into the table")
+    parser.add_argument("--show", action="store_true", help="print the constants of the table that change nothing")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

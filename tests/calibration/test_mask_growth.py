@@ -1,0 +1,90 @@
+"""Errors that all masks of a session share on some sides: their effect, what is found of them, and what they widen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from helpers.session_worlds import SMALL, make_frames_in_memory
+
+from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes.calibration.constants import OutlineOfView
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.mask_growth import MaskGrowth, covariance_of_growth
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.silhouette import Body
+
+RIGHT = 2
+"""Index of what faces right in the image."""
+
+
+def shadowed(frame: SessionFrame, pixels: int) -> SessionFrame:
+    """Give a frame whose mask has a shadow on its right side, some pixels wide."""
+    assert isinstance(frame.data, FrameData)
+    mask = frame.data.mask.astype(np.uint8)
+    moved = cv2.warpAffine(mask, np.array([[1.0, 0.0, pixels], [0.0, 1.0, 0.0]]), mask.shape[::-1])
+    return replace(frame, data=FrameData.of((mask | moved) > 0, frame.data.camera))
+
+
+def test_effect_is_the_area_that_shadows_add(bundled_body: Body) -> None:
+    _, truths, frames = make_frames_in_memory(bundled_body, 3, level="clean", seed=11)
+    at = Posed(truths[0].camera_from_root, truths[0].values)
+    added = []
+    for frame in (frames[0], shadowed(frames[0], 1)):
+        assert isinstance(frame.data, FrameData)
+        stored = StoredFrame.of(frame.data, at, bundled_body, EstimateConfig())
+        view = SizedView(stored.views[0].restored(bundled_body), blur=1.2)
+        added.append(float(view.target.image.sum()))
+    (points,) = view.outlines(Posed.stacked([at]))
+    outline = OutlineOfView("", view, points, np.zeros((len(points.link), 9)), at, 1.0)
+    effect = MaskGrowth().effect(outline)
+    assert effect[:, RIGHT].sum() == pytest.approx(added[1] - added[0], rel=0.1)
+    assert (effect >= 0).all()
+    assert (effect[:, :2].sum(axis=1) <= np.linalg.norm(points.normals, axis=1) + 1e-9).all()
+
+
+@pytest.fixture(scope="module")
+def calibrations(bundled_body: Body) -> dict[int, tuple[SessionCalibration, float]]:
+    """Calibrations by the width of shadows, px, with the error of the base's origin in standard deviations."""
+    base, _, frames = make_frames_in_memory(bundled_body, 10, level="clean")
+    solved = {}
+    for pixels in (0, 3):
+        own = calibrate_session([shadowed(frame, pixels) for frame in frames], bundled_body).calibration
+        off = base[:3, :3].T @ (own.camera_from_base[:3, 3] - base[:3, 3])
+        solved[pixels] = own, float(np.abs(off / np.sqrt(np.diag(own.covariance)[:3])).max())
+    return solved
+
+
+def test_shadows_are_stated_in_the_masks(calibrations: dict[int, tuple[SessionCalibration, float]]) -> None:
+    masks = calibrations[3][0].masks
+    assert masks is not None
+    assert masks.rms_growth_px[RIGHT] > 0.3
+    assert min(masks.growth_px) >= 0
+
+
+def test_shadows_widen_what_is_known_and_exact_masks_do_not(
+    calibrations: dict[int, tuple[SessionCalibration, float]],
+) -> None:
+    exact, dark = calibrations[0][0], calibrations[3][0]
+    assert exact.masks is not None
+    assert dark.masks is not None
+    assert max(exact.masks.rms_growth_px) < 0.25
+    assert max(dark.masks.rms_growth_px) > 2 * max(exact.masks.rms_growth_px)
+    assert np.trace(dark.covariance_given_camera[:3, :3]) > 2 * np.trace(exact.covariance_given_camera[:3, :3])
+    assert calibrations[3][1] < 3
+
+
+def test_pose_is_less_known_with_more_shadow(bundled_body: Body) -> None:
+    _, truths, _ = make_frames_in_memory(bundled_body, 3, level="clean", seed=11)
+    at, instrument = Posed(truths[0].camera_from_root, truths[0].values), bundled_body.instrument
+    none, some, twice = (covariance_of_growth(px, at, SMALL, instrument) for px in ((), [0.5] * 6, [1.0] * 6))
+    assert not none.any()
+    np.testing.assert_allclose(twice, 4 * some)
+    assert np.linalg.matrix_rank(some) == 2  # nearer or farther, and aside

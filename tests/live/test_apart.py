@@ -1,0 +1,87 @@
+"""Arms that are followed in processes of their own: the same poses as in this one; what a process that dies costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
+
+import numpy as np
+import psutil
+from helpers.moving_worlds import SMALL, moving_world
+
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.cli.rehearsal import Stage
+from dvrk_cmaes.export.frames import FrameNames
+from dvrk_cmaes.export.ros_messages import header
+from dvrk_cmaes.live.apart import Process
+from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
+from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
+from dvrk_cmaes.runs.solver_process import SolverProcess
+from dvrk_cmaes.runs.worker_process import WorkerProcess
+
+ARMS = {"PSM1": moving_world(seed=3), "PSM2": moving_world(seed=4)}
+MASKS = {arm: f"/left/{arm}/mask" for arm in ARMS}
+TOPICS = InputTopics(
+    {"left": EyeTopics("", "/left/camera_info", MASKS)}, {arm: (f"/{arm}/measured_js",) for arm in ARMS}
+)
+BEGIN = 10**9  # ns
+
+
+def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None = None) -> tuple[Stage, list[str]]:
+    """Play images of two arms through the loop, before one of which all processes are killed; also returns lines."""
+    stage, lines = Stage(BEGIN), list[str]()
+    setup = LiveSetup(
+        TOPICS,
+        tuple(
+            ArmSetup(
+                FrameNames(arm, "camera", f"{arm}_base"),
+                world.body,
+                solver=partial(SolverProcess, world.body.instrument),
+            )
+            for arm, world in ARMS.items()
+        ),
+        rig=Rig.of(SMALL),
+        waits=True,
+        origin=BEGIN,
+        apart=apart,
+    )
+    with ExitStack() as stack:
+        inputs = Inputs(TOPICS, lines.append, now=lambda: stage.now)
+        loop = setup.loop(inputs, stage, lines.append, stack)
+        for k in range(images):
+            if k == dies_at:
+                for child in psutil.Process().children():
+                    if "resource_tracker" not in " ".join(child.cmdline()):
+                        child.kill()
+            stamp = BEGIN + round(1e9 * k / 30)
+            for arm, world in ARMS.items():
+                readings = {"name": list(world.readings[k]), "position": list(world.readings[k].values())}
+                stage.send(stamp, {f"/{arm}/measured_js": {"header": header(stamp), **readings}})
+            size = {"width": SMALL.width, "height": SMALL.height, "step": SMALL.width, "encoding": "mono8"}
+            data = {arm: np.asarray(255 * world.masks[k], np.uint8).tobytes() for arm, world in ARMS.items()}
+            stage.send(stamp, {MASKS[arm]: {"header": header(stamp), **size, "data": data[arm]} for arm in ARMS})
+            loop.turn()
+    return stage, lines
+
+
+def test_arms_in_processes_of_their_own_have_the_same_poses() -> None:
+    before = set(psutil.Process().children(recursive=True))
+    (here, lines), (apart, same_lines) = (played(start, 26) for start in (None, partial(WorkerProcess, for_long=True)))
+    assert lines == same_lines
+    assert here.statuses == apart.statuses
+    assert {arm: len(poses) for arm, poses in here.poses.items()} == {arm: len(apart.poses[arm]) for arm in ARMS}
+    for arm, poses in here.poses.items():
+        assert len(poses) >= 3
+        assert all(np.array_equal(pose, apart.poses[arm][stamp]) for stamp, pose in poses.items())
+    left = set(psutil.Process().children(recursive=True)) - before
+    assert all("resource_tracker" in " ".join(child.cmdline()) for child in left)
+
+
+def test_process_that_dies_costs_three_images_and_its_arm_begins_anew() -> None:
+    stage, lines = played(partial(WorkerProcess, for_long=True), 40, dies_at=18)
+    assert sum("ProcessDiedError" in line for line in lines) == len(ARMS)
+    assert sum("the process of this arm has ended" in line for line in lines) == 2 * len(ARMS)
+    for arm, poses in stage.poses.items():
+        assert min(poses) < BEGIN + 18e9 / 30, arm
+        assert max(poses) == stage.stamp, arm
