@@ -32,7 +32,7 @@ Float32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 
 _SIZE: Final = 480  # px, longer side at which masks are cut
-_FREE: Final = 0.1, 0.6  # widths of the shaft from the shaft, and from wrist and jaws, beyond which there is a prior
+_FREE: Final = 0.1, 0.7  # widths of the shaft from the shaft, and from wrist and jaws, beyond which there is a prior
 _FREE_INSIDE: Final = 0.15  # widths from the outline of wrist and jaws, within it, likewise
 _STEEPNESS: Final = 6.0  # log-odds for each width beyond
 _REACH: Final = 0.15, 1.5  # widths beyond, from which on nothing is instrument
