@@ -7,7 +7,7 @@
     python scripts/segmentation.py pictures FRAMES [--groups jhu,endovis17,...] [--predicted DIR]
         masks of pictures of several laboratories in ../shared/frames, found by the instrument's model: how right they
         are, how sure, and CPU seconds; with the half by which settings were tuned and the other half apart
-    python scripts/segmentation.py fit 60 [--seed 1]
+    python scripts/segmentation.py fit 20 [--seed 1000]
         the weights of ``segment/by_model.py`` by which a candidate's confidence follows, fitted to drawn pictures, and
         how sure and how right candidates of as many other drawn pictures are
 
@@ -53,7 +53,7 @@ OVERLAP: Final = 0.85
 RIGHT: Final = 0.8
 SURE: Final = 0.8
 RIGHT_POSE: Final = 0.5
-_RIDGE: Final = 1.0
+_RIDGE: Final = 0.5
 
 
 def main() -> int:
@@ -84,7 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="for poses: instrument (default: lnd)")
     parser.add_argument("--groups", default=",".join(GROUPS), help="for pictures: groups of them, and bench")
     parser.add_argument("--predicted", type=Path, help="for pictures of the bench: folder of silhouettes by eye")
-    parser.add_argument("--seed", type=int, default=1, help="for fit: seed of the drawn pictures (default: 1)")
+    parser.add_argument("--seed", type=int, default=1000, help="for fit: first seed (default: 1000)")
     add_output_options(parser)
     return parser
 
@@ -172,9 +172,9 @@ def pictures_report(frames: Path, groups: Sequence[str], predicted: Path | None)
 
 
 def fit_report(count: int, seed: int) -> dict[str, Rows]:
-    """Report weights of a candidate's measures fitted to drawn pictures of a seed, and confidences of the next seed."""
+    """Report weights of a candidate's measures fitted to drawn pictures from a seed on, and those of as many others."""
     measures, right = _candidates(count, seed)
-    known, truth = _candidates(count, seed + 1)
+    known, truth = _candidates(count, seed + count)
     inputs = np.c_[measures, np.ones(len(measures))]
     weights = np.zeros(inputs.shape[1])
     ridge = _RIDGE * np.diag([1.0] * (inputs.shape[1] - 1) + [0.0])
@@ -195,13 +195,14 @@ def fit_report(count: int, seed: int) -> dict[str, Rows]:
 
 
 def _candidates(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the measures (N, 9) of the candidates in drawn pictures, and whether each is an instrument's, (N,)."""
-    from measure.drawn_pictures import drawn_pictures
+    """Return the measures (N, 5) of the candidates in drawn pictures, and whether each is an instrument's, (N,)."""
+    from measure.drawn_pictures import drawn_picture
 
     from dvrk_cmaes.segment.by_model import find_instruments
 
     measures, right = [], []
-    for picture in drawn_pictures(count, seed):
+    drawn = (drawn_picture(own) for own in range(seed, seed + count))
+    for picture in (each for each in drawn if each is not None):
         outside = np.zeros(picture.image.shape[:2], np.bool_)
         body = prepare(picture.instrument)
         for found in find_instruments(picture.image, outside, body, picture.camera, picture.joints):

@@ -35,6 +35,7 @@ _THIN: Final = 0.0004  # m, to either side of the outline, where edges are
 _USUAL: Final = 0.05  # of the image's longer side, width of a shaft, below which an instrument is less likely
 _WEIGHTS: Final = 2.5, 0.25, 0.25, 0.3, 0.4, 0.6, 1.5
 """Of separation, edges of all and of wrist and jaws, rarity, ending, unlikeness, and of a width that is not usual."""
+_CLEAR: Final = 2.0  # mean edge, from which on a sharper one is no surer: blur differs between cameras
 _UNLIKE: Final = 0.3  # separation of wrist and jaws from the shaft, from which on more says nothing
 _BEYOND: Final = 0.008  # m along the shaft, by which the instrument is moved to see what is beyond its tip
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
@@ -74,9 +75,8 @@ class Scores:
 
     @property
     def measures(self) -> Float64:
-        """Return all measures, (C, 8)."""
-        each = (self.shaft, self.distal, self.edges, self.distal_edges, self.rarity, self.ending, self.unlike)
-        return np.stack([*each, self.narrow], axis=1)
+        """Return those measures by which a candidate is believed, (C, 4): both separations, edges, and the ending."""
+        return np.stack([self.shaft, self.distal, np.minimum(self.edges, _CLEAR), self.ending], axis=1)
 
 
 class Appearance:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -51,11 +51,10 @@ _LATER: Final = 0.5  # of these, as the finalists are optimised
 _SEED: Final = 1
 _STRAIN: Final = 0.01  # of the score, for each squared unit of change
 _USUAL: Final = 95  # percentile of the scores along all axes, over which a candidate's margin is measured
-_EVEN: Final = -5.8
-_LOG_ODDS: Final = np.array([3.0, 1.0, 0.8, 0.4, 0.5, 0.5, 1.0, -1.5, 0.5])
-"""Log-odds that a candidate is an instrument: its measures and its margin, each times this, and ``_EVEN``.
+_LOG_ODDS: Final = np.array([1.60, 1.73, 1.48, 0.74, 1.83, -6.75])
+"""Of a candidate that is an instrument, for each of its measures and its margin, and in all.
 
-Fitted by ``scripts/segmentation.py fit`` to drawn pictures.
+Fitted by ``scripts/segmentation.py fit 20 --seed 1000`` to drawn pictures.
 """
 _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of different instruments may share
 
@@ -64,8 +63,8 @@ _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of diffe
 class Candidate:
     """An instrument found in a picture: where it is, and its silhouette (h, w).
 
-    score : what the search makes large. measures : those of `appearance.Scores`, (8,), and the margin of the score over
-    the best of most other places, by which its confidence follows.
+    score : what the search makes large. measures : those of `appearance.Scores.measures`, (4,), and the margin of the
+    score over that of most places, from which its confidence follows.
     """
 
     at: Posed
@@ -76,7 +75,12 @@ class Candidate:
     @property
     def confidence(self) -> float:
         """Probability that it is an instrument."""
-        return float(1 / (1 + np.exp(-(self.measures @ _LOG_ODDS + _EVEN))))
+        return float(1 / (1 + np.exp(-_log_odds(self.measures))))
+
+
+def _log_odds(measures: Float64) -> NDArray[Any]:
+    """Return the log-odds (...,) that candidates with some measures (..., 5) are instruments."""
+    return np.asarray(measures @ _LOG_ODDS[:-1] + _LOG_ODDS[-1])
 
 
 def assumed_camera(width: int, height: int) -> Camera:
@@ -135,7 +139,7 @@ def find_instruments(
         scores, masks = by.scores(at), renderer.masks(at.pose, at.joints)
         measures = np.c_[scores.measures, scores.total - usual]
         kept: list[Candidate] = []
-        for k in np.argsort(-(measures @ _LOG_ODDS), kind="stable").tolist():
+        for k in np.argsort(-_log_odds(measures), kind="stable").tolist():
             if len(kept) == most:
                 break
             if masks[k].any() and not any(_share(masks[k], each.silhouette) for each in kept):

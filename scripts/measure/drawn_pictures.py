@@ -6,8 +6,8 @@ them are plates, strips and boxes of all colours, whose straight edges are no sh
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -27,30 +27,33 @@ _THINGS: Final = 3, 9  # in a laboratory
 _READ_DEG: Final = 3.0  # standard deviation of the readings
 
 
-def drawn_pictures(count: int, seed: int) -> Iterator[Picture]:
-    """Yield pictures of worlds of a seed; half of them before tissue, and half with readings."""
+def drawn_picture(seed: int) -> Picture | None:
+    """Draw a picture of a seed, half of them before tissue, and half with readings; None where no motion is in view."""
     rng = np.random.default_rng(seed)
-    table = [world for world in worlds() if world.size[0] <= _LARGEST and world.border == "none"]
-    for number in rng.permutation(len(table))[:count].tolist():
-        world: World = replace(table[number], colour="colour")
-        try:
-            moving = [draw_motion(world, seed, place) for place in range(world.tools)]
-        except DvrkCmaesError:  # no motion stays in view
-            continue
-        times = frame_times(world, "session", 4)
-        placed = [own.placed(times)[int(rng.integers(4))] for own in moving]
-        seen = draw_tools(world.camera, placed)
-        image = draw_image(world, seed, number, seen)
-        covered = np.asarray(seen.coverage.sum(axis=0).clip(0, 1), np.float32)[..., None]
-        hue = rng.uniform(0.6, 1.4, 3)
-        tinted = image * np.where(covered > 0, hue, 1.0)
-        if number % 2:
-            tinted = covered * tinted + (1 - covered) * _laboratory(image.shape[:2], rng)
-        readings = placed[0].joints + np.deg2rad(_READ_DEG) * rng.standard_normal(len(placed[0].joints))
-        joints = dict(zip(moving[0].instrument.joint_names, readings.tolist(), strict=True)) if number % 4 < 2 else {}
-        tools = tuple(np.asarray(share > 0.5) for share in seen.coverage if (share > 0.5).any())
-        drawn = np.clip(tinted, 0, 255).astype(np.uint8)
-        yield Picture("drawn", str(number), drawn, world.camera, world.instrument, False, joints, tools)
+    table = _table()
+    number = int(rng.permutation(len(table))[0])
+    world = replace(table[number], colour="colour")
+    try:
+        moving = [draw_motion(world, seed, place) for place in range(world.tools)]
+    except DvrkCmaesError:
+        return None
+    times = frame_times(world, "session", 4)
+    placed = [own.placed(times)[int(rng.integers(4))] for own in moving]
+    seen = draw_tools(world.camera, placed)
+    covered = np.asarray(seen.coverage.sum(axis=0).clip(0, 1), np.float32)[..., None]
+    image = draw_image(world, seed, number, seen) * np.where(covered > 0, rng.uniform(0.6, 1.4, 3), 1.0)
+    if number % 2:
+        image = covered * image + (1 - covered) * _laboratory(image.shape[:2], rng)
+    readings = placed[0].joints + np.deg2rad(_READ_DEG) * rng.standard_normal(len(placed[0].joints))
+    joints = dict(zip(moving[0].instrument.joint_names, readings.tolist(), strict=True)) if number % 4 < 2 else {}
+    tools = tuple(np.asarray(share > 0.5) for share in seen.coverage if (share > 0.5).any())
+    drawn = np.clip(image, 0, 255).astype(np.uint8)
+    return Picture("drawn", str(seed), drawn, world.camera, world.instrument, False, joints, tools)
+
+
+@lru_cache(maxsize=1)
+def _table() -> list[World]:
+    return [world for world in worlds() if world.size[0] <= _LARGEST and world.border == "none"]
 
 
 def _laboratory(size: tuple[int, int], rng: np.random.Generator) -> Float32:
