@@ -141,6 +141,8 @@ def mask_around(
     whole = np.zeros_like(silhouette)
     whole[window] = _within(mask, distance < band + _BLURRED)
     whole = fill_holes(whole)
+    if fixed.background is not None:
+        whole[window] &= ~fixed.background
     return Around(whole, window, odds, by_colour, expected & (distance < -band) & ~never) if whole.any() else None
 
 
