@@ -156,9 +156,11 @@ def calibrate_with_evidence(
     if settings.session.masks_again:
         state = with_masks_again(state)
     solved, (state, check) = state, checked_camera(state)
-    if check.camera is not None and check.camera.contradicts and not check.camera.applied:
+    if check.may_be_freed:
         freed = with_freed_camera(solved, SessionState.of(problem, usable, rotations))
-        state, check = (state, check) if freed is None else checked_camera(freed)
+        again = None if freed is None else checked_camera(freed)
+        if again is not None and check.agrees_with(again[1]):
+            state, check = again
     lag, applied = state.lag, state.lag.applied
     if applied is not None:
         option = f"taken out; other commands take it out with {applied.option}"

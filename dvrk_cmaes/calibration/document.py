@@ -101,7 +101,8 @@ class SessionCalibration:
     offsets : by joint, rad or m: true = reading + offset.
     covariance : (K, K) in the order of ``axes``: small changes of camera_from_base along and about the base's axes,
     then the offsets. It includes the effect of errors of the camera file.
-    covariance_given_camera : (K, K) without that effect, for predictions in images of the same camera.
+    covariance_given_camera : (K, K) without that effect and that of errors that all masks share, for predictions in
+    images of the same camera, to which the latter are added.
     spreads : standard deviations from frame to frame, by joint and of the pose's ``slack``, rad and m.
     frames : names of the frames used. left_out : reasons for leaving out the others, by frame.
     leave_one_out : by frame, IoU and median contour distance, px, between its mask and the silhouette at the pose that
@@ -356,8 +357,9 @@ def describe_solution(
     ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera file cause.
     """
     names = (*OUTER_OFFSETS, *model.names)
-    deviations, given_camera = model.deviations, solution.covariance
-    covariance = given_camera + of_camera
+    # those who expect images of the session add what errors of all masks do to what is seen there
+    deviations, given_camera = model.deviations, replace(solution, of_growth=None).covariance
+    covariance = solution.covariance + of_camera
     std = np.sqrt(np.diag(covariance))
     # from frame to frame, for those who correct by the offsets only
     corrected = np.concatenate([deviations.outer[3:], deviations.joints])

@@ -42,6 +42,8 @@ class FrameFit:
     mask; ``own_iou`` is that of the frame's own estimate, 0 if not given. ``lasting`` are the same terms of the outline
     as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to frame, in their
     usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated from the others.
+    ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
+    where that is not measured.
     """
 
     at: Posed
@@ -53,6 +55,7 @@ class FrameFit:
     own_iou: float = 0.0
     lasting: Quadratic | None = None
     side_px: float = 0.0
+    side_offsets: Float64 | None = None
 
     @property
     def whole_outline(self) -> Quadratic:
@@ -229,6 +232,7 @@ def _without_shared(
         slope=slope,
         lasting=_after(lasting, at.minus(start)),
         side_px=side_deviation(own.noises[0]),
+        side_offsets=coverage.views[0].side_offsets(at) if preset is IN_SESSION else None,
         score=fit.score,
         evaluations=evaluations,
         iou=iou,

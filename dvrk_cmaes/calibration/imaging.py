@@ -94,7 +94,9 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     of_all = state.model, state.solution.calibration, problem.prior, config, at
     outlines = _outlines(state)
     shaft, masks = problem.instrument.shaft, state.imaging.masks
-    growth = MaskGrowth() if masks is None else MaskGrowth(masks.side_px or 0.0, masks.taken_off)
+    offsets = [fit.side_offsets for fit in state.fits if fit.explains_mask and fit.side_offsets is not None]
+    outwards = max(0.0, *np.mean(offsets, axis=0).tolist()) if offsets else 0.0
+    growth = MaskGrowth(outwards, 0.0 if masks is None else masks.taken_off)
     further = [growth, *([] if shaft is None else [ShaftRadius(shaft.radius)])]
     outlines = replace(outlines, constants=(*outlines.constants, *further))
     check = check_camera(*of_all, outlines, applied=change)

@@ -77,7 +77,9 @@ class CandidateFit(Document):
 
 
 def better_instrument(candidates: Sequence[CandidateFit], own_iou: float) -> str:
-    """Say which other instrument the frames fit better; empty if none.
+    """Say which other instruments the frames fit better; empty if none.
+
+    Those that are not clearly worse than the best of them are named, too.
 
     Parameters
     ----------
@@ -86,11 +88,29 @@ def better_instrument(candidates: Sequence[CandidateFit], own_iou: float) -> str
     own_iou
         Mean overlap of predictions that are left out, with the session's own instrument.
     """
-    better = [one for one in candidates if one.is_better]
-    if not better:
+    best = max((one.iou for one in candidates if one.is_better), default=None)
+    if best is None:
         return ""
-    best = max(better, key=lambda one: one.iou)
-    return f"these frames fit {best.instrument} better (leave-one-out {best.iou:.2f} against {own_iou:.2f})"
+    alike = [one for one in candidates if not one.refused and one.iou > best - _LEAST]
+    alike.sort(key=lambda one: -one.iou)
+    overlaps = ", ".join(f"{one.iou:.2f}" for one in alike)
+    names = " or ".join(one.instrument for one in alike)
+    return f"these frames fit {names} better (leave-one-out {overlaps} against {own_iou:.2f})"
+
+
+def fitting_instruments(predicted: Mapping[str, Mapping[str, tuple[float, float]] | str]) -> str:
+    """Say with which other instruments a session that is refused can be solved; empty if with none.
+
+    Parameters
+    ----------
+    predicted
+        The predictions of `CandidateFit.of` by name of the instrument, or why it was refused.
+    """
+    fits = [CandidateFit.of(name, own, {}) for name, own in predicted.items() if not isinstance(own, str)]
+    if not fits:
+        return ""
+    fits.sort(key=lambda one: -one.iou)
+    return f"these frames fit {', '.join(f'{one.instrument} (leave-one-out {one.iou:.2f})' for one in fits)}"
 
 
 def undetermined_instrument(candidates: Sequence[CandidateFit], own: str) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, ViewAsSeen
+from dvrk_cmaes.calibration.session_masks import MARGIN
 from dvrk_cmaes.calibration.solve import marginalise
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
@@ -28,9 +29,9 @@ GROWTH = "growth"
 """Name of the constant."""
 
 _DIRECTIONS = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])  # in the image, (2, 4)
-_STD = 1.0  # px, with which the outlines are linearised
-_LEAST, _OF_SIDES, _OF_MARGIN = 0.1, 1.0, 0.5
-"""Size beforehand: px of any mask, and shares of the error of a side in one frame and of the margin."""
+_STD = 2.0  # px, with which the outlines are linearised
+_LEAST, _OF_MARGIN = 0.1, 0.5
+"""Size beforehand, beside what the fits show: px of any mask, and share of the margin that is taken off."""
 _LOG_STD = 0.7  # of the logarithm of the size beforehand
 _SIZES = np.geomspace(0.03, 0.999 * _STD, 16)  # px
 _NONE = 1e-3  # px, of an error that is not there
@@ -44,7 +45,7 @@ class MaskGrowth(Constant):
     Parameters
     ----------
     side_px
-        Standard deviation of the error of a side of the shaft in one frame, px, as the session's fits tell it.
+        By how much the masks lie outwards of a side of the shaft in the mean over the session's fits, px.
     margin_px
         The margin that was taken off the masks, px.
     """
@@ -53,7 +54,8 @@ class MaskGrowth(Constant):
 
     def __init__(self, side_px: float = 0.0, margin_px: float = 0.0) -> None:
         super().__init__(GROWTH, np.full(LASTING + _DIRECTIONS.shape[1], _STD))
-        size = np.linalg.norm([_LEAST, _OF_SIDES * side_px, _OF_MARGIN * margin_px])
+        size = np.linalg.norm([_LEAST, side_px, _OF_MARGIN * margin_px])
+        self.margin_px = margin_px
         self.usual_px = float(np.clip(size, _SIZES[0], _SIZES[-1]))
 
     def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
@@ -75,7 +77,7 @@ class GrowthTold:
     beforehand: their usual size, and next to nothing where they would be negative. ``values``
     (K + E,) and ``covariance`` (K + E, K + E) are those of the calibration, as changes, and all constants with errors
     of this size. ``of_calibration`` (K, K) and ``of_frames`` (N, D, D) are the mean squares of the errors of the
-    calibration and of the frames' poses that they cause.
+    calibration and of the frames' poses that they cause together with the margin that is left on the masks.
     """
 
     px: Float64
@@ -87,7 +89,7 @@ class GrowthTold:
     of_frames: Float64
 
 
-def growth_told(there: Linearised, count: int, usual_px: float) -> GrowthTold:
+def growth_told(there: Linearised, count: int, growth: MaskGrowth) -> GrowthTold:
     """Tell the size of the errors on some sides, and what they do, from outlines that were linearised in them.
 
     Parameters
@@ -96,14 +98,16 @@ def growth_told(there: Linearised, count: int, usual_px: float) -> GrowthTold:
         The session with the constant among its constants.
     count
         Number of the calibration's own unknowns, K.
-    usual_px
-        Size of the errors beforehand, px.
+    growth
+        The constant.
     """
     calibration = there.solution.calibration
     place = calibration.place(GROWTH)
     of_outlines = np.linalg.inv(there.covariance[place, place])
     seen = calibration.constants[GROWTH]
-    std = np.full(len(seen), _likely_size(of_outlines - np.eye(len(seen)) / _STD**2, of_outlines @ seen, usual_px))
+    std = np.full(
+        len(seen), _likely_size(of_outlines - np.eye(len(seen)) / _STD**2, of_outlines @ seen, growth.usual_px)
+    )
     for _ in range(len(seen)):
         known, spread = there.with_std({GROWTH: std})
         below = (known[place] < 0) & (std > _NONE)
@@ -111,19 +115,23 @@ def growth_told(there: Linearised, count: int, usual_px: float) -> GrowthTold:
             break
         std[below] = _NONE
     square = spread[place, place] + np.outer(known[place], known[place])
+    margin = calibration.place(MARGIN)
+    both, left = np.r_[margin, place], known.copy()
+    left[margin] -= growth.margin_px
+    of_both = spread[np.ix_(both, both)] + np.outer(left[both], left[both])
     information = there.information
-    response = -np.linalg.solve(information[:count, :count], information[:count, place])
+    response = -np.linalg.solve(information[:count, :count], information[:count, both])
     frames = marginalise(there.model, there.fits, calibration)
     by_all = frames.gain @ there.model.jacobian(calibration)
-    by_errors = by_all[:, :, :count] @ response + by_all[:, :, place]
+    by_errors = by_all[:, :, :count] @ response + by_all[:, :, both]
     return GrowthTold(
         np.maximum(known[place], 0.0),
         square,
         std,
         known,
         spread,
-        response @ square @ response.T,
-        by_errors @ square @ by_errors.swapaxes(1, 2),
+        response @ of_both @ response.T,
+        by_errors @ of_both @ by_errors.swapaxes(1, 2),
     )
 
 
@@ -151,23 +159,29 @@ def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float
     return along
 
 
-def covariance_of_growth(rms_px: Sequence[float], at: Posed, camera: Camera, instrument: Instrument) -> Float64:
-    """Return the covariance (D, D) of a pose by errors that all masks share on some sides.
+def covariance_of_growth(
+    rms_px: Sequence[float], at: Posed, camera: Camera, instrument: Instrument, *, margin_square: float = 0.0
+) -> Float64:
+    """Return the covariance (D, D) of a pose by errors that all masks share, all round and on some sides.
 
     Half of the error of a side of the shaft is a margin, which makes it seem nearer; half of it moves its axis aside.
+    What is not known of a margin is mostly the same as what is not known of the sides: the larger one counts.
 
     Parameters
     ----------
     rms_px
-        The roots of the mean squares of the errors (6,), px; none where they are not known.
+        The roots of the mean squares of the errors (6,) on some sides, px; none where they are not known.
     at
         The pose.
     camera, instrument
         The camera that sees the instrument.
+    margin_square
+        Mean square of the margin, px^2.
     """
-    covariance = np.zeros((6 + len(at.joints),) * 2)
+    nearer = change_by_margin(at, camera, instrument)
+    covariance = margin_square * np.outer(nearer, nearer)
     if len(rms_px) == 0 or instrument.shaft is None:
-        return covariance
+        return np.asarray(covariance)
     along, aside = image_axis(instrument, camera, at)
     squares, across = np.square(rms_px), np.array([-aside, along])
     facing = np.maximum(np.array([across, -across]) @ _DIRECTIONS, 0.0) ** 2
@@ -175,5 +189,5 @@ def covariance_of_growth(rms_px: Sequence[float], at: Posed, camera: Camera, ins
     distance = float(np.linalg.norm(apply(at.pose, instrument.ends(at.joints)).mean(axis=0)))
     moved = np.zeros(len(covariance))
     moved[:3] = at.pose[:3, :3].T @ [*across, 0.0] * distance / camera.fx
-    nearer = change_by_margin(at, camera, instrument)
-    return np.asarray(mean * (np.outer(nearer, nearer) + np.outer(moved, moved)))
+    more = max(mean - margin_square, 0.0)
+    return np.asarray(covariance + more * np.outer(nearer, nearer) + mean * np.outer(moved, moved))

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
-from dvrk_cmaes.calibration.mask_growth import GrowthTold
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.pose.terms.coverage import of_margin
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.mask_growth import GrowthTold
 
 Float64 = NDArray[np.float64]
 
@@ -149,6 +152,8 @@ class SessionMasks(Document):
         if self.side_px is not None:
             last = "" if self.lasting_seconds is None else f" and last {self.lasting_seconds:.1f} s"
             parts.append(f"errors of a side of the shaft are {self.side_px:.1f} px (std {self.std_side_px:.1f}){last}")
+        if self.rms_growth_px:
+            parts.append(f"those that all masks share on one side are up to {max(self.rms_growth_px):.1f} px")
         return "; ".join(parts)
 
 

@@ -134,6 +134,7 @@ def calibrate(
         check_range("--keyframes", keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
         if every > 1:
             raise InputError("--keyframes: expected either this or --every, got both")
+    from dvrk_cmaes.calibration.instrument_test import fitting_instruments
     from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, session_tools
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import check_output_folder, output
@@ -173,15 +174,20 @@ def calibrate(
                     if found is None:
                         return _INTERRUPTED
                     others[other.body.instrument.name] = found
-            solution = _calibrate_arm(
-                arm,
-                target / name,
-                None if results is None else results / name,
-                refine_camera=refine_camera,
-                workers=workers,
-                settings=settings,
-                others=others,
-            )
+            try:
+                solution = _calibrate_arm(
+                    arm,
+                    target / name,
+                    None if results is None else results / name,
+                    refine_camera=refine_camera,
+                    workers=workers,
+                    settings=settings,
+                    others=others,
+                )
+            except InputError as error:
+                if text := fitting_instruments(others):
+                    raise InputError(f"{error}; {text}") from None
+                raise
             if solution is None:
                 return _INTERRUPTED
             solved[name] = solution

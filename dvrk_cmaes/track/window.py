@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.mask_growth import change_by_margin, covariance_of_growth
+from dvrk_cmaes.calibration.mask_growth import covariance_of_growth
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
 from dvrk_cmaes.calibration.session_masks import SessionMasks
@@ -124,9 +124,8 @@ def covariance_of_masks(at: Posed, masks: SessionMasks | None, camera: Camera, i
     if masks is not None:  # what was found but is not clear counts as one more standard deviation, at most
         left = min(abs(masks.margin_px - masks.taken_off), masks.std_margin_px)
         margin += masks.std_margin_px**2 + left**2
-    along = change_by_margin(at, camera, instrument)
-    of_growth = covariance_of_growth(() if masks is None else masks.rms_growth_px, at, camera, instrument)
-    return np.asarray(margin * np.outer(along, along) + of_growth)
+    rms_px = () if masks is None else masks.rms_growth_px
+    return covariance_of_growth(rms_px, at, camera, instrument, margin_square=margin)
 
 
 def mean_of_tips_mm(instrument: Instrument, error: ExpectedError) -> float | None:

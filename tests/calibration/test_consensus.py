@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, OFFSETS, SEEN, make_world
 
-from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus
+from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus, find_consensus_at_any_roll
 from dvrk_cmaes.geometry import Posed, exp_rotation, moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.search.modes import twin_of
@@ -88,3 +88,22 @@ def test_numbers_of_modes_may_differ(bundled_body: Body) -> None:
     modes = [with_twin(bundled_body.instrument, one[0]) if i % 2 else one for i, one in enumerate(own)]
     found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
     assert found.chosen.tolist() == [0] * 5
+
+
+@pytest.mark.parametrize("off_deg", [-75.0, 60.0])
+def test_frames_agree_at_any_offset_of_roll_and_with_rolls_that_scatter(off_deg: float) -> None:
+    """As of a tool that was not homed, whose masks hardly tell the rotation about the shaft."""
+    world, rng = (
+        make_world(9, 3, offsets=OFFSETS + np.array([0, np.deg2rad(off_deg), 0, 0, 0])),
+        np.random.default_rng(2),
+    )
+    modes = [
+        [Mode(Posed(moved(own.at.pose, np.array([0, 0, 0, 0, 0, turn])), own.at.joints), own.covariance)]
+        for (own,), turn in zip(world.modes(rng), rng.normal(scale=np.deg2rad(12), size=9), strict=True)
+    ]
+    assert find_consensus(world.model, modes, EXPECTED_OFFSETS).agree.mean() < 0.5
+    found = find_consensus_at_any_roll(world.model, modes, EXPECTED_OFFSETS)
+    assert found.agree.all()
+    assert np.degrees(found.calibration.offsets[1]) == pytest.approx(off_deg + 6, abs=15)
+    base, true = found.calibration.camera_from_base, world.truth.camera_from_base
+    assert np.linalg.norm(base[:3, 3] - true[:3, 3]) < 0.01

@@ -8,7 +8,12 @@ import pytest
 from helpers.page_calibrations import calibration, solved
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.instrument_test import CandidateFit, better_instrument, undetermined_instrument
+from dvrk_cmaes.calibration.instrument_test import (
+    CandidateFit,
+    better_instrument,
+    fitting_instruments,
+    undetermined_instrument,
+)
 from dvrk_cmaes.calibration.session_doubts import doubts_of
 
 NAMES = ("0000", "0001", "0002", "0003")
@@ -27,6 +32,20 @@ def test_instrument_that_predicts_left_out_frames_better_is_a_doubt() -> None:
     (text,) = doubts_of(one)
     assert text == "these frames fit 400093 better (leave-one-out 0.93 against 0.78)"
     assert undetermined_instrument([fit], "lnd") == ""
+
+
+def test_instruments_that_are_not_told_from_the_better_one_are_named_with_it() -> None:
+    """As of a ProGrasp that was solved as a needle driver: a dissector with the same shaft predicts it as well."""
+    best, nearly = CandidateFit.of("400172", by_other(0.036), OWN), CandidateFit.of("400093", by_other(0.025), OWN)
+    assert not nearly.is_better
+    text = better_instrument([nearly, best, CandidateFit.of("400194", "refused", OWN)], 0.775)
+    assert text == "these frames fit 400172 or 400093 better (leave-one-out 0.81, 0.80 against 0.78)"
+
+
+def test_refused_session_names_the_instruments_that_it_fits() -> None:
+    assert fitting_instruments({"400172": "expected at least 3 frames that agree"}) == ""
+    text = fitting_instruments({"400172": OWN, "400183": "refused", "400093": by_other(0.02)})
+    assert text == "these frames fit 400093 (leave-one-out 0.79), 400172 (leave-one-out 0.78)"
 
 
 def test_worse_or_refused_instrument_is_told() -> None:

@@ -65,7 +65,8 @@ def calibrations(bundled_body: Body) -> dict[int, tuple[SessionCalibration, floa
 def test_shadows_are_stated_in_the_masks(calibrations: dict[int, tuple[SessionCalibration, float]]) -> None:
     masks = calibrations[3][0].masks
     assert masks is not None
-    assert masks.rms_growth_px[RIGHT] > 0.3
+    assert masks.rms_growth_px[RIGHT] == pytest.approx(max(masks.rms_growth_px), abs=0.01)
+    assert masks.rms_growth_px[RIGHT] > 0.2
     assert min(masks.growth_px) >= 0
 
 
@@ -75,9 +76,9 @@ def test_shadows_widen_what_is_known_and_exact_masks_do_not(
     exact, dark = calibrations[0][0], calibrations[3][0]
     assert exact.masks is not None
     assert dark.masks is not None
-    assert max(exact.masks.rms_growth_px) < 0.25
+    assert max(exact.masks.rms_growth_px) < 0.15
     assert max(dark.masks.rms_growth_px) > 2 * max(exact.masks.rms_growth_px)
-    assert np.trace(dark.covariance_given_camera[:3, :3]) > 2 * np.trace(exact.covariance_given_camera[:3, :3])
+    assert np.trace(dark.covariance[:3, :3]) > 1.2 * np.trace(exact.covariance[:3, :3])
     assert calibrations[3][1] < 3
 
 
@@ -88,3 +89,6 @@ def test_pose_is_less_known_with_more_shadow(bundled_body: Body) -> None:
     assert not none.any()
     np.testing.assert_allclose(twice, 4 * some)
     assert np.linalg.matrix_rank(some) == 2  # nearer or farther, and aside
+    margin = covariance_of_growth((), at, SMALL, instrument, margin_square=100.0)
+    both = covariance_of_growth([0.5] * 6, at, SMALL, instrument, margin_square=100.0)
+    assert np.trace(margin) < np.trace(both) < np.trace(margin) + np.trace(some)

@@ -89,6 +89,13 @@ def test_few_frames_must_contradict_a_usual_file_clearly(frames: int, unusual: b
     assert found.contradicts == contradicts
 
 
+def test_camera_that_explains_frames_hardly_better_does_not_contradict_a_usual_file() -> None:
+    off = replace(estimate((0.1, 60.0, 0.0), (0.01, 5.0, 5.0)), gain=5.0)
+    assert not SessionCamera.of(off, CONFIG, 640, applied=False, frames=20).contradicts
+    assert SessionCamera.of(off, CONFIG, 640, applied=False, frames=20, unusual=True).contradicts
+    assert SessionCamera.of(replace(off, gain=20.0), CONFIG, 640, applied=False, frames=20).contradicts
+
+
 def test_change_that_only_far_linearisations_tell_does_not_contradict_the_file() -> None:
     """As of a short recording, of which each linearisation is farther away than the one before."""
     far = estimate((0.1, 155.0, 112.0), (0.021, 41.0, 44.0))

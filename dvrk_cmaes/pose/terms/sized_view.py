@@ -13,7 +13,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, less_margin, sampled
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.terms.shared_errors import SharedErrors, shared_errors
+from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
@@ -25,6 +25,8 @@ REACH = 4
 """Distance, px, from the outline up to which differences are sampled."""
 
 REMEMBERED = 64  # drawings that a view keeps
+_ANY_NOISE = OutlineNoise(1.0, 19.0)  # of the columns of shared errors, which no noise changes
+_FARTHEST_SIDE = 8.0  # px, of the mask from a side of the shaft
 _FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
 
@@ -151,6 +153,13 @@ class SizedView:
             )
             self._distance = np.where(self.mask, inside - 0.5, 0.5 - outside).astype(np.float32)
         return sampled(self._distance, np.asarray(outline.pixels, dtype=np.float64))
+
+    def side_offsets(self, at: Posed) -> Float64:
+        """Return by how much the mask lies outwards of both sides of the shaft of a pose, (2,), px; 0 where unseen."""
+        (outline,) = self.outlines(Posed.stacked([at]))
+        sides = self.shared_errors(outline, at, _ANY_NOISE).columns[:, :LASTING]
+        offsets = np.clip(self.offsets(outline), -_FARTHEST_SIDE, _FARTHEST_SIDE)
+        return np.asarray(sides.T @ offsets / np.maximum(sides.sum(axis=0), 1.0))
 
     def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
