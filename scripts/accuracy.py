@@ -165,6 +165,7 @@ def _parser() -> argparse.ArgumentParser:
         help="for fleet: calibrate every N-th frame with a focal length that is 10 % too short, or too long, too",
     )
     parser.add_argument("--causal", action="store_true", help="for fleet: use nothing later than each image")
+    parser.add_argument("--no-ecm", action="store_true", help="for fleet: without readings of the endoscope's arm")
     parser.add_argument("--first", type=int, default=0, help="for fleet: figures of the frames from this number on")
     parser.add_argument("--quick", action="store_true", help="only two frames of one session, to test the script")
     return parser
@@ -272,6 +273,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
         keep=options.keep,
         every=options.calibrate_every,
         first=options.first,
+        ecm=not options.no_ecm,
         wrong_focal=options.wrong_focal,
     ),
     "perturbed": lambda given, _: perturbed_report(given),

@@ -14,9 +14,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus, find_consensus_at_any_roll
+from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus_at_any_roll
 from dvrk_cmaes.calibration.constants import few_of
-from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
+from dvrk_cmaes.calibration.endoscope_search import with_pieces
+from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_reports import (
     check_agreement,
@@ -88,18 +89,14 @@ def _less_lag(state: SessionState) -> SessionState:
 
 
 def _on_one_base(state: SessionState) -> tuple[SessionState, Consensus]:
-    """Return the consensus of the frames, of which those before or after a move of the base are left out."""
+    """Return the consensus of the frames, in pieces if the base moved between them."""
     offset_std = state.problem.offset_std
     consensus = find_consensus_at_any_roll(state.model, state.modes, offset_std)
     check_arm(state.model, state.modes, offset_std, consensus)
-    move = find_move(state.model, state.modes, offset_std, consensus)
-    if move is None:
+    if state.model.endoscope is not None:
         return state, consensus
-    before, after = (state.frames[i].name for i in move.between)
-    text = f"the arm's base or the camera moved between frames {before} and {after}"
-    state = state.noted(remarks=[f"{text}: calibrated for the {move.side} of them"])
-    state = state.without_others([i for i in range(len(state.frames)) if i not in move.others], text)
-    return state, find_consensus(state.model, state.modes, offset_std)
+    cut = with_pieces(state, consensus)
+    return (state, consensus) if cut is None else (cut, find_consensus_at_any_roll(cut.model, cut.modes, offset_std))
 
 
 def solved(state: SessionState) -> SessionState:

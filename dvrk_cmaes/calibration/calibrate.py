@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.alternation import reported, with_lag_of_modes
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
+from dvrk_cmaes.calibration.endoscope_search import with_readings
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
 from dvrk_cmaes.calibration.imaging import checked_camera
 from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
@@ -23,9 +24,15 @@ from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
+from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
-from dvrk_cmaes.calibration.solution_trials import solve_session, with_freed_camera, with_masks_again
+from dvrk_cmaes.calibration.solution_trials import (
+    solve_session,
+    with_freed_camera,
+    with_masks_again,
+    with_pieces_if_lost,
+)
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -158,9 +165,9 @@ def calibrate_with_evidence(
     solved, (state, check) = state, checked_camera(state)
     if check.may_be_freed:
         freed = with_freed_camera(solved, SessionState.of(problem, usable, rotations))
-        again = None if freed is None else checked_camera(freed)
-        if again is not None and check.agrees_with(again[1]):
-            state, check = again
+        checked = None if freed is None else checked_camera(freed)
+        if checked is not None and check.agrees_with(checked[1]):
+            state, check = checked
     lag, applied = state.lag, state.lag.applied
     if applied is not None:
         option = f"taken out; other commands take it out with {applied.option}"
@@ -175,6 +182,14 @@ def calibrate_with_evidence(
     qualities = [quality for quality in used if quality is not None]
     described = describe_solution(state.model, state.solution, check.covariance, settings)
     described["untold"] += state.notes.undetermined
+    endoscope = SessionEndoscope.of(
+        state.model,
+        state.solution.calibration,
+        replace(state.solution, of_growth=None).covariance,
+        [frame.name for frame in state.frames],
+        [frame.time for frame in state.frames],
+    )
+    described["untold"] += () if endoscope is None else tuple(endoscope.untold)
     if lag.lag is None:
         described["untold"] += (f"lag between images and readings: {lag.undetermined}",)
     if commanded:
@@ -199,6 +214,7 @@ def calibrate_with_evidence(
         lag_curve=lag.curve,
         cables=SessionCables.of(state.cables, tuple(frame.name for frame in state.frames), lag.seconds()),
         camera=check.camera,
+        endoscope=endoscope,
         shaft=check.shaft,
         masks=state.imaging.masks,
         masks_again=again.compared,
@@ -253,7 +269,7 @@ def find_lag(
         series = _series_of(usable)
     run = partial(_in_threads, body, settings)
     state = SessionState.of(SessionProblem(series, body.instrument, arm, settings, run), usable)
-    lag = with_lag_of_modes(state).lag
+    lag = with_pieces_if_lost(with_lag_of_modes(with_readings(state))).lag
     return lag.lag, lag.undetermined
 
 

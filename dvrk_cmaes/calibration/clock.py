@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.play import Play, play_between
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -110,7 +112,10 @@ class Clock:
         read, spline = self.read_times(delay), smoothed and self.interpolable
         outer = self.series.at(OUTER_JOINTS, read, smoothed=spline)
         joints = self.series.at(model.names, read - delay.joints, smoothed=spline)
-        return replace(model, outer=outer, joints=joints, deviations=deviations)
+        endoscope = model.endoscope
+        if isinstance(endoscope, Steered):
+            endoscope = endoscope.at(self.series.at(ECM_JOINTS, read))
+        return replace(model, outer=outer, joints=joints, deviations=deviations, endoscope=endoscope)
 
     def seconds(self, delay: Delay) -> Float64:
         """Return the times (N,), s, at which the arm was read; images that are only counted are 1 / 30 s apart."""

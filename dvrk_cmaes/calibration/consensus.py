@@ -8,7 +8,7 @@ prediction are outliers. The hypothesis with the best score is chosen. Up to a t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +115,14 @@ def find_consensus(
     return hypotheses.tested(best, np.arange(len(modes)))
 
 
+def agreement(
+    model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, calibration: Calibration
+) -> Consensus:
+    """Return what N frames say of a calibration, whose errors are not counted; arguments as in `find_consensus`."""
+    known = _Hypotheses(model, modes, offset_std, float(calibration.offsets[1]))
+    return known.against(calibration, np.arange(len(modes)))
+
+
 def find_consensus_at_any_roll(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> Consensus:
     """Find the calibration on which most frames agree, at the usual offset of roll or at any.
 
@@ -194,6 +202,7 @@ class _Hypotheses:
         self._offsets[1] = roll
         same = Calibration(np.eye(4), self._offsets)
         self._read = model.predict(same)  # as seen from the base
+        self._relative = model.camera_from_base(replace(same, endoscope=model.start))
         self._root_from_base = inverse(self._read.pose)
         self._of_readings = model.covariance(same)
         self._of_readings[:, 5, 5] += offset_std[1] ** 2
@@ -206,21 +215,44 @@ class _Hypotheses:
         at = self._modes[frame][k].at
         offsets = self._offsets.copy()
         offsets[2:] = np.nan_to_num(at.joints - self._model.joints[frame])
-        return Calibration(at.pose @ self._root_from_base[frame], offsets)
+        base = inverse(self._relative[frame]) @ at.pose @ self._root_from_base[frame]
+        return Calibration(base, offsets, endoscope=self._model.start)
 
     def tested(self, source: tuple[int, int], test_frames: NDArray[np.intp]) -> Consensus:
         """Test the calibration that is made from a frame and one of its modes, ``source``, on test frames (V,)."""
         frame, k = source
         hypothesis = self._calibration(frame, k)
-        read = self._read[test_frames].seen_from(hypothesis.camera_from_base)
-        expected = Posed(read.pose, read.joints + hypothesis.offsets[2:])
+        read = self._read[test_frames]
+        pose = self._relative[test_frames] @ hypothesis.camera_from_base @ read.pose
+        expected = Posed(pose, read.joints + hypothesis.offsets[2:])
         dimension = 6 + expected.joints.shape[1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
         own = self._covariance[frame, k] + self._of_readings[frame]
         transport = np.tile(np.eye(dimension), (len(test_frames), 1, 1))
         transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame])
         predicted = transport @ own @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
+        if (endoscope := self._model.endoscope) is not None:
+            of_both = endoscope.subset(np.append(test_frames, frame))
+            moves = of_both.jacobian(endoscope.start, hypothesis.camera_from_base) * endoscope.loose
+            loads = of_both.loadings(endoscope.start, hypothesis.camera_from_base)
+            own_load = np.broadcast_to(loads[-1:], loads[:-1].shape)
+            moves = np.concatenate([moves[:-1] - moves[-1], loads[:-1], own_load], axis=2)
+            moves = adjoint(self._root_from_base[test_frames]) @ moves
+            predicted[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
         changes = self._at[test_frames].minus(_for_each_mode(expected))
+        return self._judged(hypothesis, predicted, changes, test_frames)
+
+    def against(self, calibration: Calibration, test_frames: NDArray[np.intp]) -> Consensus:
+        """Test a calibration that is known on test frames (V,)."""
+        expected = self._model.predict(replace(calibration, endoscope=self._model.start))
+        changes = self._at[test_frames].minus(_for_each_mode(expected)[test_frames])
+        return self._judged(calibration, self._of_readings[test_frames], changes, test_frames)
+
+    def _judged(
+        self, hypothesis: Calibration, predicted: Float64, changes: Float64, test_frames: NDArray[np.intp]
+    ) -> Consensus:
+        """Judge a calibration by the changes (V, M, D) of modes from what it predicts, with covariance (V, D, D)."""
+        dimension = changes.shape[-1]
         total = predicted[:, None] + self._covariance[test_frames]
         misfit, log_determinant = (one / dimension for one in _distances(changes, total))
         outlier_std = np.concatenate([_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)])

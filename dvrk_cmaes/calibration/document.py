@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.instrument_test import CandidateFit
 from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
 from dvrk_cmaes.calibration.masks_again import MasksAgain
@@ -26,6 +27,7 @@ from dvrk_cmaes.calibration.model import (
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_doubts import doubts_of
+from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.session_shaft import SessionShaft
@@ -36,6 +38,7 @@ from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix
@@ -118,6 +121,8 @@ class SessionCalibration:
     masks_again : what changed as masks were found again around the expected silhouettes; None where they were not.
     rig : what the further views differ in from the rig's file, of those that were tested.
     views : the cameras and their places with which the session was solved; empty of frames in memory.
+    endoscope : where an endoscope that moved stood, and the camera in its tip; None if it stood still. The base is then
+    that at the reference place.
     instruments : how other instruments fit the frames; empty if none were tried.
     commanded : the only reading, rad, of each joint whose readings never move while the arm does; offsets hold there.
     untold : descriptions of what the session does not determine.
@@ -147,6 +152,7 @@ class SessionCalibration:
     masks_again: MasksAgain | None = None
     rig: tuple[ViewRotation, ...] = ()
     views: tuple[ViewDocument, ...] = ()
+    endoscope: SessionEndoscope | None = None
     instruments: tuple[CandidateFit, ...] = ()
     commanded: dict[str, Number] = field(default_factory=dict)
     untold: Texts = ()
@@ -232,7 +238,9 @@ class SessionCalibration:
             "lag": None if self.lag is None else self.lag.to_dict(),
             "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
             "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "shaft", "masks", "masks_again", "rig", "views", "instruments"),
+            **encoded_fields(self, "camera", "shaft", "masks", "masks_again", "rig", "views"),
+            "endoscope": None if self.endoscope is None else self.endoscope.to_dict(),
+            **encoded_fields(self, "instruments"),
             **encoded_fields(self, "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
@@ -276,6 +284,7 @@ class SessionCalibration:
         cables = SessionCables.from_document(where, fields.pop("cables", None))
         if cables is not None and tuple(cables.joints) != tuple(parts.offsets)[1:]:
             raise refused(where, "cables.joints", ", ".join(tuple(parts.offsets)[1:]), list(cables.joints))
+        endoscope = SessionEndoscope.from_document(where, fields.pop("endoscope", None), len(axes))
         older = "doubts" not in fields  # all that was said was in ``warnings``
         fields["remarks"] = fields.pop("warnings", ()) if older else fields.get("remarks", ())
         fields = {name: value for name, value in fields.items() if name not in ("lag", "lag_curve", "warnings")}
@@ -283,15 +292,65 @@ class SessionCalibration:
             convert_document(where, fields, cls),
             lag=Lag.from_document(parts.lag),
             cables=cables,
+            endoscope=endoscope,
             lag_curve=LagCurve.from_document(parts.lag_curve),
         )
         return replace(found, doubts=doubts_of(found)) if older else found
 
-    def model(self, outer: Float64, joints: Float64, joint_names: tuple[str, ...]) -> tuple[SessionModel, Calibration]:
+    def at(
+        self, readings: Mapping[str, float], *, frame: str = "", time: float | None = None
+    ) -> SessionCalibration | str:
+        """Return the calibration of a camera that stands still where the endoscope is in a frame.
+
+        That is the calibration itself, unless the endoscope moved. Returns a text that says why the place is not known.
+
+        Parameters
+        ----------
+        readings
+            All readings of the frame by joint name, rad and m; those of the endoscope's arm tell the place.
+        frame
+            Name of the frame, which tells the place of an endoscope that is not read where no times are known.
+        time
+            Time of the frame's image, s, which tells that place.
+        """
+        if self.endoscope is None:
+            return self
+        found = self.endoscope.in_frames(self.camera_from_base, ecm_readings([readings]), [time], [frame])
+        if isinstance(found, str):
+            return found
+        endoscope, values = found
+        count, covariance = len(self.axes), self.endoscope.covariance
+        move = np.zeros((count, len(covariance)))
+        move[:, :count] = np.eye(count)
+        move[:6, count:] = endoscope.jacobian(values, self.camera_from_base)[0]
+        given_camera = move @ covariance @ move.T
+        own = endoscope.loadings(values, self.camera_from_base)[0]
+        given_camera[:6, :6] += own @ own.T
+        return replace(
+            self,
+            camera_from_base=np.asarray(endoscope.relative(values)[0] @ self.camera_from_base),
+            covariance=given_camera + self.covariance - self.covariance_given_camera,
+            covariance_given_camera=given_camera,
+            endoscope=None,
+        )
+
+    @property
+    def whole_covariance(self) -> Float64:
+        """Covariance (K + M, K + M) for predictions in images of the same camera, with M unknowns of the endoscope."""
+        return self.covariance_given_camera if self.endoscope is None else self.endoscope.covariance
+
+    def model(
+        self,
+        outer: Float64,
+        joints: Float64,
+        joint_names: tuple[str, ...],
+        endoscope: InFrames | None = None,
+    ) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
 
         Of the cables, it has what the reading of a frame alone tells. The standard deviations of commanded joints are
-        wider in frames with other readings than those of the session.
+        wider in frames with other readings than those of the session. ``endoscope`` is where it is in the frames, as of
+        `SessionEndoscope.in_frames`; without it, the base is that at the reference place.
 
         Raises
         ------
@@ -324,8 +383,9 @@ class SessionCalibration:
             roll_offset=self.roll_offset,
             inflation=self._elsewhere(joints, joint_names, np.array(values[4:-2])),
             correction=correction,
+            endoscope=None if endoscope is None else endoscope[0],
         )
-        return model, Calibration(self.camera_from_base, offsets)
+        return model, Calibration(self.camera_from_base, offsets, endoscope=None if endoscope is None else endoscope[1])
 
     def _elsewhere(self, joints: Float64, joint_names: Sequence[str], std: Float64) -> Float64:
         """Return the factors (N, 1 + J) on the standard deviations ``std`` (J,), rad, of roll and joints (N, J).
@@ -357,9 +417,10 @@ def describe_solution(
     ``of_camera`` (K, K) is the mean square of the solution's errors that errors of the camera file cause.
     """
     names = (*OUTER_OFFSETS, *model.names)
+    deviations, own = model.deviations, slice(len(BASE_AXES) + len(names))
     # those who expect images of the session add what errors of all masks do to what is seen there
-    deviations, given_camera = model.deviations, replace(solution, of_growth=None).covariance
-    covariance = solution.covariance + of_camera
+    given_camera = replace(solution, of_growth=None).covariance[own, own]
+    covariance = (solution.covariance + of_camera)[own, own]
     std = np.sqrt(np.diag(covariance))
     # from frame to frame, for those who correct by the offsets only
     corrected = np.concatenate([deviations.outer[3:], deviations.joints])

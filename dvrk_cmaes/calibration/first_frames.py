@@ -12,6 +12,8 @@ import numpy as np
 
 from dvrk_cmaes.calibration.alternation import initialised, with_lag_of_modes
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
+from dvrk_cmaes.calibration.endoscope import Pieces, Steered
+from dvrk_cmaes.calibration.endoscope_search import with_readings
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_state import SessionProblem, SessionState
@@ -20,6 +22,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.joints.series import ReadingSeries
 
 _LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from them
@@ -58,7 +61,7 @@ def predict_from_first(
     ]
     try:
         problem = SessionProblem(series, instrument, arm, config, _no_tasks)
-        state = initialised(with_lag_of_modes(SessionState.of(problem, usable)))
+        state = initialised(with_lag_of_modes(with_readings(SessionState.of(problem, usable))))
     except InputError:  # too few frames, or they contradict each other: then they tell nothing about the others
         return {}
     misfit = state.solution.misfit / (6 + len(instrument.joint_names))
@@ -72,6 +75,11 @@ def predict_from_first(
     names = [name for name, own in readings.items() if not np.isnan(outer_readings([own])).any()]
     if not names:
         return {}
+    endoscope = state.model.endoscope
+    if isinstance(endoscope, Pieces):
+        return {}  # in which piece the others are is not known yet
+    if isinstance(endoscope, Steered):
+        endoscope = endoscope.at(ecm_readings([readings[name] for name in names]))
     joints = np.array([[readings[name].get(joint, np.nan) for joint in instrument.joint_names] for name in names])
     model = SessionModel(
         outer_readings([readings[name] for name in names]),
@@ -80,6 +88,7 @@ def predict_from_first(
         Deviations.of(config.session, instrument.joint_names),
         arm=arm,
         roll_offset=instrument.roll_offset,
+        endoscope=endoscope,
     )
     predicted = model.predict(state.solution.calibration)
     return {name: predicted[i] for i, name in enumerate(names)}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import ReportTask, SessionFrame
 from dvrk_cmaes.calibration.model import SessionModel
@@ -19,6 +20,7 @@ from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 
 Float64 = NDArray[np.float64]
 
@@ -124,9 +126,15 @@ def with_readings(frames: Sequence[SessionFrame], model: SessionModel) -> list[S
     """Return the N frames of a model with the readings of the model."""
     names = (*OUTER_JOINTS, *model.names)
     rows = np.concatenate([model.outer, model.joints], axis=1)
+    ecm: list[dict[str, float]] = [
+        {name: own.result.readings[name] for name in ECM_JOINTS if name in own.result.readings} for own in frames
+    ]
+    if isinstance(model.endoscope, Steered):
+        ecm = [{name: row[k] for k, name in enumerate(ECM_JOINTS)} for row in model.endoscope.read.tolist()]
     readings = [{n: float(v) for n, v in zip(names, row, strict=True) if not np.isnan(v)} for row in rows]
     return [
-        replace(frame, result=replace(frame.result, readings=own)) for frame, own in zip(frames, readings, strict=True)
+        replace(frame, result=replace(frame.result, readings={**own, **of_ecm}))
+        for frame, own, of_ecm in zip(frames, readings, ecm, strict=True)
     ]
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.endoscope import Endoscope, EndoscopeValues
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Posed, adjoint, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
@@ -63,12 +64,25 @@ class Calibration:
     """Constants of a session: ``camera_from_base`` (4, 4), m, ``offsets`` (2 + J,), m and rad, and E further ones.
 
     The offsets are those of insertion, roll and the instrument's joints. The further ``constants``, as those of the
-    camera, change the outlines and not what is predicted; most often there are none.
+    camera, change the outlines and not what is predicted; most often there are none. ``endoscope`` are the values of M
+    unknowns of an endoscope that moves; the base is then that in the reference camera. None of one that stands still.
     """
 
     camera_from_base: Float64
     offsets: Float64
     constants: Constants = field(default_factory=dict)
+    endoscope: EndoscopeValues | None = None
+
+    @property
+    def values(self) -> Float64:
+        """Differences (8 + J + M + E,) from what is expected beforehand, in the order of a step; zero of the base."""
+        moves = np.zeros(0) if self.endoscope is None else self.endoscope.deviation
+        return np.concatenate([np.zeros(6), self.offsets, moves, self.further])
+
+    @property
+    def own(self) -> int:
+        """Number 8 + J + M of unknowns that change what is predicted."""
+        return len(self.values) - len(self.further)
 
     @property
     def further(self) -> Float64:
@@ -78,14 +92,15 @@ class Calibration:
     def place(self, name: str) -> slice:
         """Return where a block of the further constants is among the components of a step."""
         before = list(self.constants).index(name)
-        start = 6 + len(self.offsets) + sum(len(block) for block in list(self.constants.values())[:before])
+        start = self.own + sum(len(block) for block in list(self.constants.values())[:before])
         return slice(start, start + len(self.constants[name]))
 
     def changed(self, step: Float64) -> Calibration:
-        """Return the calibration after a step (8 + J + E,), in the order of `SessionModel.axes`, the further last."""
+        """Return the calibration after a step (8 + J + M + E,) in the order of `SessionModel.axes`, then the others."""
         count = 6 + len(self.offsets)
         constants = {name: block + step[self.place(name)] for name, block in self.constants.items()}
-        return Calibration(moved(self.camera_from_base, step[:6]), self.offsets + step[6:count], constants)
+        moves = None if self.endoscope is None else self.endoscope.changed(step[count : self.own])
+        return Calibration(moved(self.camera_from_base, step[:6]), self.offsets + step[6:count], constants, moves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +143,8 @@ class SessionModel:
         Factors on the standard deviations of roll and of the instrument's joints in each frame; 1 by default.
     correction
         What the cables are known to add to the readings of roll and of the instrument's joints; by default nothing.
+    endoscope
+        Where an endoscope that moves is in each frame; None for one that stands still.
     """
 
     outer: Float64
@@ -138,6 +155,7 @@ class SessionModel:
     roll_offset: float = ROLL_OFFSET
     inflation: Float64 = field(default_factory=lambda: np.ones((0, 0)))
     correction: Correction = field(default_factory=lambda: Correction.none(0, 0))
+    endoscope: Endoscope | None = None
     _last: dict[bytes, tuple[Float64, Float64]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
@@ -148,8 +166,19 @@ class SessionModel:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of the 8 + J components of a step of the calibration."""
-        return (*BASE_AXES, *OUTER_OFFSETS, *self.names)
+        """Names of the 8 + J + M components of a step of the calibration."""
+        return (*BASE_AXES, *OUTER_OFFSETS, *self.names, *(self.endoscope.axes if self.endoscope else ()))
+
+    @property
+    def start(self) -> EndoscopeValues | None:
+        """The values from which an estimation of the endoscope starts; None for one that stands still."""
+        return None if self.endoscope is None else self.endoscope.start
+
+    def camera_from_base(self, calibration: Calibration) -> Float64:
+        """Compute the base (N, 4, 4) in each frame's camera."""
+        if self.endoscope is None or calibration.endoscope is None:
+            return np.broadcast_to(calibration.camera_from_base, (len(self.outer), 4, 4))
+        return self.endoscope.relative(calibration.endoscope) @ calibration.camera_from_base
 
     @property
     def _has_reading(self) -> NDArray[np.bool_]:
@@ -179,20 +208,24 @@ class SessionModel:
         A joint without a reading is predicted at its offset.
         """
         read = np.where(self._has_reading, self.joints, 0.0)
-        poses = calibration.camera_from_base @ self.base_from_root(calibration.offsets)
+        poses = self.camera_from_base(calibration) @ self.base_from_root(calibration.offsets)
         return Posed(np.asarray(poses), read + calibration.offsets[2:] + self.correction.values[:, 1:])
 
     def jacobian(self, calibration: Calibration) -> Float64:
-        """Compute the Jacobian (N, 6 + J + E, 8 + J + E) of the predictions by a step of the calibration.
+        """Compute the Jacobian (N, 6 + J + E, 8 + J + M + E) of the predictions by a step of the calibration.
 
         Changes of the predictions are in each root's axes, m and rad, followed by those of the further constants.
         """
-        count, further = len(self.names), len(calibration.further)
-        out = np.zeros((len(self.outer), 6 + count + further, 8 + count + further))
-        out[:, :6, :6] = adjoint(inverse(self.base_from_root(calibration.offsets)))
+        count, further, own = len(self.names), len(calibration.further), calibration.own
+        out = np.zeros((len(self.outer), 6 + count + further, own + further))
+        out[:, :6, :6] = to_root = adjoint(inverse(self.base_from_root(calibration.offsets)))
         out[:, 2, 6] = 1.0  # insertion translates the root along its z axis, roll rotates it about this axis
         out[:, 5, 7] = 1.0
-        out[:, 6:, 8:] = np.eye(count + further)
+        out[:, 6 : 6 + count, 8 : 8 + count] = np.eye(count)
+        if self.endoscope is not None and calibration.endoscope is not None:
+            moves = self.endoscope.jacobian(calibration.endoscope, calibration.camera_from_base)
+            out[:, :6, 8 + count : own] = to_root @ moves
+        out[:, 6 + count :, own:] = np.eye(further)
         return out
 
     def outer_loadings(self, calibration: Calibration) -> Float64:
@@ -217,6 +250,10 @@ class SessionModel:
         loadings[3] *= np.sqrt(1 + self.correction.variances[:, :1] / roll[:, None])
         out = np.moveaxis(loadings, 0, 2) @ np.moveaxis(loadings, 0, 1)
         out[:, :6, :6] += np.diag(self.deviations.slack**2)
+        if self.endoscope is not None and calibration.endoscope is not None:
+            moves = self.endoscope.loadings(calibration.endoscope, calibration.camera_from_base)
+            moves = adjoint(inverse(self.base_from_root(calibration.offsets))) @ moves
+            out[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
         read = (self.deviations.joints * self.inflation[:, 1:]) ** 2 + self.correction.variances[:, 1:]
         joint = np.where(self._has_reading, read, _UNREAD_STD**2)
         out[:, 6:, 6:] += joint[:, :, None] * np.eye(count)
@@ -236,6 +273,7 @@ class SessionModel:
             joints=self.joints[index],
             inflation=self.inflation[index],
             correction=self.correction.subset(index),
+            endoscope=None if self.endoscope is None else self.endoscope.subset(index),
         )
 
 

@@ -37,6 +37,9 @@ def fit_session_pose(
     readings: Readings,
     given: Mapping[str, float],
     config: EstimateConfig,
+    *,
+    frame: str = "",
+    time: float | None = None,
 ) -> FoundPose | str:
     """Refine the pose that a session's calibration predicts for a frame to fit the frame's mask, or those of its views.
 
@@ -52,6 +55,8 @@ def fit_session_pose(
         All readings of the frame by joint name, rad and m.
     config
         All settings.
+    frame, time
+        Name of the frame and time of its image, s, by which the place of an endoscope that moves is found.
 
     Returns
     -------
@@ -64,7 +69,10 @@ def fit_session_pose(
     InputError
         The session is of an instrument with other joints.
     """
-    instrument = views[0].renderer.body.instrument
+    placed = session.at(given, frame=frame, time=time)
+    if isinstance(placed, str):
+        return f"session: {placed}: searched without it"
+    session, instrument = placed, views[0].renderer.body.instrument
     outer = outer_readings([given])
     model, calibration = session.model(outer, readings.values[None], instrument.joint_names)
     missing = [name for name, value in zip(OUTER_JOINTS, outer[0], strict=True) if np.isnan(value)]

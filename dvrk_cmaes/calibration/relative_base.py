@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.geometry import adjoint, inverse, log_rotation
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
 
 Float64 = NDArray[np.float64]
@@ -54,6 +55,17 @@ class RelativeBase:
 
 
 def relative_bases(calibrations: Mapping[str, SessionCalibration]) -> dict[str, RelativeBase]:
-    """Return the bases of all arms but the first, by name, in the base of the first."""
+    """Return the bases of all arms but the first, by name, in the base of the first.
+
+    Where the endoscope moved, they are compared at one of its places; an arm whose base is not known there is left out.
+    """
     reference, *others = calibrations
-    return {arm: RelativeBase.between(calibrations[reference], calibrations[arm]) for arm in others}
+    moves = calibrations[reference].endoscope
+    where: dict[str, Any] = {}
+    if moves is not None and moves.bases:
+        stand = next((one for one in moves.bases if one.place == 0), moves.bases[0])
+        where = {"frame": stand.first, "time": stand.start}
+    readings = {} if moves is None or not moves.places else dict(zip(ECM_JOINTS, moves.places[0].readings, strict=True))
+    placed = {arm: own.at(readings, **where) for arm, own in calibrations.items()}
+    still = {arm: own for arm, own in placed.items() if isinstance(own, SessionCalibration)}
+    return {arm: RelativeBase.between(still[reference], still[arm]) for arm in others if {reference, arm} <= set(still)}

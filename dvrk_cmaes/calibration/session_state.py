@@ -44,7 +44,8 @@ class SessionProblem:
     ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
-    frames' camera is a guess, of which there is no file. ``gathered`` keeps the frames'
+    frames' camera is a guess, of which there is no file. ``endoscope_std`` (M,) are the standard deviations beforehand
+    of the unknowns of an endoscope that moves. ``gathered`` keeps the frames'
     evidence by name, for all solutions.
     """
 
@@ -56,6 +57,7 @@ class SessionProblem:
     progress: Callable[[str, int], None] = lambda stage, count: None
     refine_camera: bool = False
     guessed_camera: bool = False
+    endoscope_std: Float64 = field(default_factory=lambda: np.zeros(0))
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
     @property
@@ -65,8 +67,8 @@ class SessionProblem:
 
     @property
     def prior(self) -> Float64:
-        """Information matrix (8 + J, 8 + J) of the calibration's prior."""
-        return np.diag([*np.zeros(6), *(1 / self.offset_std**2)])
+        """Information matrix (8 + J + M, 8 + J + M) of the calibration's prior; M are the unknowns of the endoscope."""
+        return np.diag([*np.zeros(6), *(1 / self.offset_std**2), *(1 / self.endoscope_std**2)])
 
 
 @dataclass(frozen=True, eq=False)

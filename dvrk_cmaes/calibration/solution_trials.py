@@ -21,6 +21,7 @@ from dvrk_cmaes.calibration.alternation import (
     with_lag_of_modes,
     with_other_masks,
 )
+from dvrk_cmaes.calibration.endoscope_search import with_pieces, with_readings
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.masks_again import (
     AgainTask,
@@ -63,7 +64,7 @@ def solve_session(start: SessionState) -> SessionState:
     InputError
         As `initialised`.
     """
-    start = with_lag_of_modes(start)
+    start = with_pieces_if_lost(with_lag_of_modes(with_readings(start)))
     lags = lags_to_try(start.lag.curve) if start.lag.can_be_tried else []
     try:
         session = solved(initialised(start))
@@ -85,6 +86,23 @@ def solve_session(start: SessionState) -> SessionState:
     if best is None or (session.lag.nowhere and not _predicts_well(trials[best], overlaps[best])):
         return session
     return trials[best]
+
+
+def with_pieces_if_lost(start: SessionState) -> SessionState:
+    """Return a session whose frames agree at no lag in pieces, if they agree at a lag so: its base may have moved.
+
+    Parameters
+    ----------
+    start
+        The session, whose lag was searched.
+    """
+    if not start.lag.nowhere or start.model.endoscope is not None:
+        return start
+    cut = with_pieces(start)
+    if cut is None:
+        return start
+    again = with_lag_of_modes(cut)
+    return start if again.lag.nowhere else again
 
 
 def lags_to_try(curve: LagCurve | None) -> list[float]:

@@ -196,8 +196,7 @@ def solve(
     """
     solution = solution_at(model, fits, start, prior)
     for _ in range(steps):
-        at = np.concatenate([np.zeros(6), solution.calibration.offsets, solution.calibration.further])
-        information = solution.information
+        information, at = solution.information, solution.calibration.values
         step = -np.linalg.solve(information, prior @ at + solution.frame_slopes.sum(axis=0))
         solution = solution_at(model, fits, solution.calibration.changed(step), prior)
         if step @ information @ step < 1e-6 * len(step):
@@ -218,7 +217,7 @@ def cost_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prio
     squares = (predicted * times(known, predicted)).sum(axis=1)
     squares += (constants * (outlines.information[:, own:, own:] @ constants + 2 * outlines.slope[:, own:])).sum(axis=1)
     squares -= (pulled * np.linalg.solve(of_own, pulled[:, :, None])[:, :, 0]).sum(axis=1)
-    at = np.concatenate([np.zeros(6), calibration.offsets, calibration.further])
+    at = calibration.values
     return float((np.broadcast_to(fits.shares, len(weights)) * weights) @ squares + at @ prior @ at)
 
 

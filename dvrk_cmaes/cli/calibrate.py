@@ -350,12 +350,15 @@ def _is_doubtful(solved: SolvedSession) -> bool:
 
 def _write_bases(calibrations: Mapping[str, SessionCalibration], out: Path, *, quiet: bool) -> None:
     """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``."""
+    from dvrk_cmaes.calibration.arms_together import ArmsTogether
     from dvrk_cmaes.calibration.relative_base import relative_bases
     from dvrk_cmaes.io.atomic import write_json
     from dvrk_cmaes.results.folder import ARMS
 
-    reference, bases = next(iter(calibrations)), relative_bases(calibrations)
-    write_json(out / ARMS, {"reference": reference, "arms": {arm: base.to_dict() for arm, base in bases.items()}})
+    reference, together = next(iter(calibrations)), ArmsTogether.of(calibrations)
+    bases = relative_bases(calibrations) if together is None else together.relative()
+    document = {"reference": reference, "arms": {arm: base.to_dict() for arm, base in bases.items()}}
+    write_json(out / ARMS, {**document, "endoscope": None if together is None else together.to_dict()})
     if not quiet:
         show(Line(f"base of {arm} from that of {reference}: {base.describe()}") for arm, base in bases.items())
 
@@ -388,6 +391,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
         yield Line("cables: what they add to the offsets", "bold")
         for text in calibration.cables.in_words():
             yield Line(f"  {text}")
+    if calibration.endoscope is not None:
+        yield from (Line(text) for text in calibration.endoscope.in_words())
     if calibration.camera is not None:
         yield Line(f"camera, against its file: {calibration.camera.describe()}")
     for view in calibration.rig:

@@ -74,8 +74,8 @@ class LiveTopics:
     jaw_topic
         Topic of the jaw (sensor_msgs/JointState), one for each arm; ARM/jaw/measured_js by default.
     ecm_topic
-        Topic of the joints of the arm that holds the endoscope (sensor_msgs/JointState). They are received and kept; no
-        pose depends on them yet.
+        Topic of the joints of the arm that holds the endoscope (sensor_msgs/JointState). Where
+        it moves, they tell the arm's base in each image.
     """
 
     image_topic: str | None = None

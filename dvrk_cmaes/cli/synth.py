@@ -39,6 +39,7 @@ def synth(
     seed: int = 0,
     images: bool = True,
     mp4: Flag = False,
+    ecm: Flag = False,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
@@ -116,6 +117,11 @@ def synth(
         Write images as well.
     mp4
         Write the images of --motion video, of one eye, as video.mp4, not as files in images/.
+    ecm
+        The endoscope of --motion video is steered three times, by 5 to 30 mm and 5 to 25 deg. joints.csv has the
+        readings of its arm (ecm_yaw, ecm_pitch, ecm_insertion, ecm_roll), whose errors are offsets of 2 deg and 2 mm,
+        and 0.3 deg and 0.5 mm that differ from place to place; golden.json has the camera in the endoscope's tip, the
+        arm's base in that of the endoscope's arm, the offsets, and camera_from_base of each frame.
     overwrite
         Replace a synthetic session, unless a file in it was added or changed since.
     camera
@@ -132,6 +138,8 @@ def synth(
         raise InputError(f"--cables: expected it with --motion video only, got --motion {motion}")
     if mp4 and (motion != "video" or not images or stereo):
         raise InputError("--mp4: expected it with --motion video, --images and one eye only")
+    if ecm and motion != "video":
+        raise InputError(f"--ecm: expected it with --motion video only, got --motion {motion}")
     if not _BASELINES[0] <= baseline <= _BASELINES[1]:
         raise InputError(f"--baseline: expected {_BASELINES[0]} to {_BASELINES[1]} m, got {baseline:g}")
     if arms > 1 and (motion == "free" or (stereo and motion == "rcm")):
@@ -163,6 +171,7 @@ def synth(
         cables=cables or ("measured" if motion == "video" and level in ("medium", "hard") else "independent"),
         baseline=baseline if stereo else None,
         tool=(tool := instrument.as_tool("PSM1")),
+        steered=ecm,
     )
     pictures: Pictures = "none" if not images else "video" if mp4 else "files"
     if arms > 1 and motion == "video":

@@ -12,6 +12,7 @@ from cyclopts import Group, Parameter
 
 from dvrk_cmaes.cli.options import LATEST, LayoutOption, check_range
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.cli.options import CameraOptions, ReadingOptions
@@ -87,7 +88,7 @@ class Source:
             OwnFiles.check_folder(path, follow_links)
             return Source(_imported(path, out / _IMPORTED, camera, joints))
         if not path.is_dir():
-            raise InputError(f"{path}: expected a session folder, a video or a ROS recording, got neither")
+            raise InputError(f"{path}: {no_folder(path)}; expected a session folder, a video or a ROS recording")
         needed = evidence == "images" or not (path / "masks").is_dir()
         video = own_video(path) if needed else None
         OwnFiles(path, follow_links).check_all([video])

@@ -32,9 +32,15 @@ _ITERATIONS = 200  # more than are needed for convergence
 _NEAR = 1e-9  # m and rad; least distance in a weight, so that weights are finite
 
 
+class _Endoscope(Struct):
+    tip_from_camera: Transform | None = None
+    ecm_from_base: Transform | None = None
+
+
 class _SessionBase(Struct):
     camera_from_base: Transform
     frames: Texts | None = None
+    endoscope: _Endoscope | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +60,8 @@ class ChosenBase:
         rotation, degrees; None unless it is a median.
     warnings
         Warnings about its reliability.
+    tip_from_camera, ecm_from_base : (4, 4)
+        The camera in the endoscope's tip, and the arm's base in that of the endoscope's arm; None where not known.
     """
 
     camera_from_base: Float64
@@ -62,6 +70,8 @@ class ChosenBase:
     spread_mm: float | None = None
     spread_deg: float | None = None
     warnings: tuple[str, ...] = ()
+    tip_from_camera: Float64 | None = None
+    ecm_from_base: Float64 | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the choice as plain values for JSON."""
@@ -79,7 +89,18 @@ def base_of_session(where: str, document: Mapping[str, Any]) -> ChosenBase:
     """Take the ``camera_from_base`` of a session calibration; InputError, which begins with ``where``, without one."""
     session = convert_document(where, document, _SessionBase)
     frames = session.frames or ()
-    return ChosenBase(session.camera_from_base, f"the session calibration {where} of {len(frames)} frames", frames)
+    origin, moves = f"the session calibration {where} of {len(frames)} frames", session.endoscope or _Endoscope()
+    warnings: tuple[str, ...] = ()
+    if session.endoscope is not None and moves.ecm_from_base is None:
+        warnings = ("the base moved during the session: this one is that of a part of it (endoscope.bases)",)
+    return ChosenBase(
+        session.camera_from_base,
+        origin,
+        frames,
+        warnings=warnings,
+        tip_from_camera=moves.tip_from_camera,
+        ecm_from_base=moves.ecm_from_base,
+    )
 
 
 def base_of_frame(where: str, result: Result) -> ChosenBase:

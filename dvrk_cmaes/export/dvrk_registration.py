@@ -42,6 +42,7 @@ def registration_files(
     *,
     version: DvrkVersion = "2.4",
     ecm_pose: NDArray[np.float64] | None = None,
+    ecm_from_base: NDArray[np.float64] | None = None,
 ) -> dict[str, str]:
     """Return the texts of both files by file name.
 
@@ -55,15 +56,19 @@ def registration_files(
         Version of the dVRK that reads the entry; suj-fixed.json is the same in both.
     ecm_pose : (4, 4)
         ``local/measured_cp`` of the ECM that holds the camera, while the frames were recorded; None without an ECM.
+    ecm_from_base : (4, 4)
+        The arm's base in that of the ECM, if a session with an endoscope that moved tells it.
     """
     stated = "OpenCV: camera_from_base, m; camera x right, y down, z forward"
     open_cv = {**_entry(camera_from_base, names.camera, _OPEN_CV_KEYS), "convention": stated}
     files = {f"{names.arm}-registration-open-cv.json": json_text(open_cv)}
     in_dvrk_axes = DVRK_FROM_OPEN_CV @ camera_from_base
-    if ecm_pose is None:
+    if ecm_pose is not None:
+        ecm_from_base = ecm_pose @ in_dvrk_axes
+    if ecm_from_base is None:
         files[f"{names.arm}-registration-dVRK.json"] = json_text(_entry(in_dvrk_axes, names.camera, _KEYS[version]))
     else:
-        poses = {"ECM": np.eye(4), names.arm: ecm_pose @ in_dvrk_axes}
+        poses = {"ECM": np.eye(4), names.arm: ecm_from_base}
         arms = [{"name": name, "measured_cp": _rows(pose)} for name, pose in poses.items()]
         files[SUJ_FIXED] = json_text({"arms": arms})
     return files
@@ -85,6 +90,10 @@ def exported(request: ExportRequest) -> Exported:
     """Export ``camera_from_base``; InputError if the source has none."""
     base, options = request.source.base(), request.options
     texts = registration_files(
-        base.camera_from_base, request.names, version=options.dvrk_version, ecm_pose=options.ecm_pose
+        base.camera_from_base,
+        request.names,
+        version=options.dvrk_version,
+        ecm_pose=options.ecm_pose,
+        ecm_from_base=base.ecm_from_base,
     )
     return Exported.of_texts(texts, base=base)

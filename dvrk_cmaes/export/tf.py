@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,23 @@ def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) 
     )
 
 
-def publisher_file(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
-    """Return the text of a shell script with the command, by file name."""
-    return {f"{names.arm}-static-transform.sh": publisher_command(camera_from_base, names) + "\n"}
+def publisher_file(camera_from_base: NDArray[np.float64], names: FrameNames, of: str = "") -> dict[str, str]:
+    """Return the text of a shell script with the command, by file name, which begins with ``of`` or the arm's."""
+    return {f"{of or names.arm}-static-transform.sh": publisher_command(camera_from_base, names) + "\n"}
 
 
 def exported(request: ExportRequest) -> Exported:
-    """Export ``camera_from_base``; InputError if the source has none."""
+    """Export ``camera_from_base``; InputError if the source has none.
+
+    Of an endoscope that moved and whose arm is read, the transforms that stay are exported in its place: the camera in
+    the endoscope's tip, and the arm's base in that of the endoscope's arm.
+    """
     base = request.source.base()
-    return Exported.of_texts(publisher_file(base.camera_from_base, request.names), base=base)
+    if base.tip_from_camera is None or base.ecm_from_base is None:
+        return Exported.of_texts(publisher_file(base.camera_from_base, request.names), base=base)
+    names = request.names
+    texts = {
+        **publisher_file(base.tip_from_camera, replace(names, camera="ECM_tip", base=names.camera), "ECM-tip"),
+        **publisher_file(base.ecm_from_base, replace(names, camera="ECM_base")),
+    }
+    return Exported.of_texts(texts, base=base)

@@ -38,7 +38,7 @@ from dvrk_cmaes.frames.session_video import SessionVideo
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.natural_order import natural
-from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.short_text import listed, no_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.reading import (
@@ -246,7 +246,7 @@ def read_session_as(
     check_type("folder", folder, PATH, "the path of a session folder")
     root = Path(folder)
     if not root.is_dir():
-        raise InputError(f"{folder}: no such folder; expected a session with camera.yaml, joints.csv and masks")
+        raise InputError(f"{folder}: {no_folder(folder)}; expected a session with camera.yaml, joints.csv and masks")
     mask_folder, own = root / "masks" if masks is None else masks, OwnFiles(root, follow_links)
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
         frames, readings, times, notes = _session_frames(
@@ -517,7 +517,7 @@ def find_images(folder: str | Path, *, follow_links: bool = False) -> dict[str, 
     """
     root = Path(folder)
     if not root.is_dir():
-        raise InputError(f"{folder}: no such folder; expected images, or a session with images")
+        raise InputError(f"{folder}: {no_folder(folder)}; expected images, or a session with images")
     own = OwnFiles(root, follow_links)
     if not is_session_layout(root) and is_published_layout(root):
         found = {frame.name: frame.image for frame in find_published_frames(root, own) if frame.image is not None}

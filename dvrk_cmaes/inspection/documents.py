@@ -146,7 +146,7 @@ def _session(path: Path, document: Mapping[str, Any]) -> Finding:
     lines = [f"base in the camera: {'not known' if base is None else _pose_text(base)}"]
     lines += [
         f"offset of {name}: {1e3 * value:.2f} mm"
-        if name == "insertion"
+        if name.endswith("insertion")
         else f"offset of {name}: {np.degrees(value):.2f} deg"
         for name, value in offsets.items()
     ]

@@ -109,7 +109,7 @@ def _range(values: Sequence[float]) -> tuple[float, float] | None:
 
 def _range_text(name: str, low: float, high: float) -> str:
     """Format the range of a joint, in mm or degrees."""
-    scale, unit = (1e3, "mm") if name == "insertion" else (180 / math.pi, "deg")
+    scale, unit = (1e3, "mm") if name.endswith("insertion") else (180 / math.pi, "deg")
     low, high = scale * low, scale * high
     return f"{name} {low:.2f} {unit}" if low == high else f"{name} from {low:.2f} to {high:.2f} {unit}"
 

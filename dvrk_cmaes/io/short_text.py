@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 _LONGEST = 60
@@ -24,3 +25,8 @@ def listed(names: Iterable[str], most: int = 5) -> str:
     names = list(names)
     first = [shown(name)[1:-1] for name in names[:most]]
     return ", ".join(first) + (", ..." if len(names) > most else "")
+
+
+def no_folder(path: str | Path) -> str:
+    """Say what is at a path where a folder was expected: nothing, or a file."""
+    return "a file" if Path(path).exists() else "no such folder"

@@ -20,6 +20,9 @@ OUTER_JOINTS = ("yaw", "pitch", "insertion", "roll")
 WRIST_JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
 """Joints of the instrument's wrist and jaws, which the camera sees."""
 
+ECM_JOINTS = ("ecm_yaw", "ecm_pitch", "ecm_insertion", "ecm_roll")
+"""Joints of the arm that holds the endoscope, beside those of the instrument's arm."""
+
 ARM_ORDER = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
 """Order of the six values that the dVRK publishes as ``measured_js``; the jaw has a separate topic."""
 
@@ -35,13 +38,17 @@ def without_positions(count: int) -> str:
 
 def accepted_names(known: Iterable[str] = ()) -> tuple[str, ...]:
     """Return all accepted joint names, each once: those of the dVRK and ``known`` ones of an instrument."""
-    return tuple(dict.fromkeys((*WRIST_JOINTS, *OUTER_JOINTS, *known)))
+    return tuple(dict.fromkeys((*WRIST_JOINTS, *OUTER_JOINTS, *known, *ECM_JOINTS)))
 
 
 def check_joint(where: str, name: str, names: Sequence[str]) -> None:
-    """Raise InputError for an unknown joint; the message lists the known ones, most similar first."""
+    """Raise InputError for an unknown joint; the message lists the known ones, most similar first.
+
+    Those of the endoscope's arm are listed for a name that begins like them.
+    """
     if name not in names:
-        near = ", ".join(nearest_first(name[:60], names))
+        like = [one for one in names if one not in ECM_JOINTS or name.lower().startswith("ecm")]
+        near = ", ".join(nearest_first(name[:60], like))
         raise InputError(f"{where}: unknown joint {shown(name)}; expected one of {near}")
 
 
@@ -125,7 +132,7 @@ def check_readings(where: str, joints: object, known: Sequence[str]) -> None:
 
 def unit_of(name: str) -> str:
     """Return the unit of a joint's readings."""
-    return "m" if name == "insertion" else "rad"
+    return "m" if name in ("insertion", "ecm_insertion") else "rad"
 
 
 def joint_reading(where: str, name: str, cell: object) -> float:

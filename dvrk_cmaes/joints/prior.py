@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.joints.names import OUTER_JOINTS, check_readings
+from dvrk_cmaes.joints.names import ECM_JOINTS, OUTER_JOINTS, check_readings
 
 Float64 = NDArray[np.float64]
 
@@ -78,7 +78,7 @@ def split_readings(
     Returns the readings, descriptions of those that are missing, and warnings about values outside the joint limits.
     Raises `InputError` for an unknown joint name, or a value that is not finite or in another unit.
     """
-    known = (*instrument.joint_names, *OUTER_JOINTS)
+    known = (*instrument.joint_names, *OUTER_JOINTS, *ECM_JOINTS)
     check_readings("joints", joints, known)
     values = np.array([joints.get(name, np.nan) for name in instrument.joint_names], dtype=np.float64)
     sigma = np.deg2rad([config.readings.of(name) for name in instrument.joint_names])

@@ -103,16 +103,22 @@ class TrackerApart:
             raise DvrkCmaesError("the process of this arm has ended")
         try:
             answer = self._process.call(function, *arguments)
-        except InputError:
-            raise
         except Exception:
-            self.close()
-            self._process = None
+            if not self._lives():
+                self.close()
+                self._process = None
             raise
         self.state = answer.state
         for line in answer.lines:
             self._report(line)
         return answer.result
+
+    def _lives(self) -> bool:
+        """Return whether the process answers: what it was asked for may have failed there."""
+        try:
+            return self._process is not None and self._process.call(bool) is False
+        except Exception:
+            return False
 
 
 # in the process

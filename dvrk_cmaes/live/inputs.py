@@ -16,6 +16,7 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.frames.frame import with_tool
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Report
 from dvrk_cmaes.live.mailbox import Mailbox
 from dvrk_cmaes.live.messages import JointMessage, read_joint_message, read_pixels, read_rig, read_stamp
@@ -78,7 +79,7 @@ class EyeTopics:
 class InputTopics:
     """Names of the topics by eye, the first of which is the reference, and those of readings by arm.
 
-    ``endoscope`` is the topic of the readings of the arm that holds the endoscope, which are kept.
+    ``endoscope`` is the topic of the readings of the arm that holds the endoscope.
     """
 
     eyes: Mapping[str, EyeTopics]
@@ -234,7 +235,7 @@ class Inputs:
                 take = partial(self._on_joints, topic, self.readings[arm])
                 self._subscribe(connection, topic, _JOINT_STATE, take, newest=False)
         if self.topics.endoscope is not None:
-            take = partial(self._on_joints, self.topics.endoscope, self.endoscope)
+            take = partial(self._on_endoscope, self.topics.endoscope)
             self._subscribe(connection, self.topics.endoscope, _JOINT_STATE, take, newest=False)
 
     def _subscribe(
@@ -345,6 +346,15 @@ class Inputs:
         self._heard[topic] = self.now()
         if readings.joints:  # there are none before an arm is up
             mailbox.put(readings)
+
+    def _on_endoscope(self, topic: str, fields: Fields) -> None:
+        """Keep the readings of the endoscope's arm, and give them to all arms beside their own."""
+        self._on_joints(topic, self.endoscope, fields)
+        readings = read_joint_message(topic, fields)
+        joints = {f"ecm_{name}": value for name, value in readings.joints.items() if f"ecm_{name}" in ECM_JOINTS}
+        if len(joints) == len(ECM_JOINTS):
+            for mailbox in self.readings.values():
+                mailbox.put(replace(readings, joints=joints))
 
     def _on_camera(self, eye: str, fields: Fields) -> None:
         """Keep the cameras of all eyes where one is another than before."""

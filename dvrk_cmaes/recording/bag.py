@@ -20,14 +20,14 @@ from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.yaml_file import check_yaml
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
-from dvrk_cmaes.joints.names import IN_ORDER, without_positions
+from dvrk_cmaes.joints.names import ECM_JOINTS, IN_ORDER, without_positions
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
-from dvrk_cmaes.recording.messages import image_file, joint_places, joint_values, stamp
+from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
-from dvrk_cmaes.recording.topics import IMAGES, NONE, TopicRequest, Topics, choose_topics
+from dvrk_cmaes.recording.topics import IMAGES, NONE, TopicRequest, Topics, choose_topics, ecm_topic
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -123,6 +123,9 @@ def _recording(
         arm: [_Readings.of(reader, path, name, arm or None) for name in (own.joints, own.jaw) if name is not None]
         for arm, own in chosen.items()
     }
+    if (ecm := ecm_topic(types, topics.joints)) is not None:
+        of_ecm = _Readings.of_ecm(reader, path, ecm)
+        read = {arm: [*own, of_ecm] for arm, own in read.items()}
     stamps = {own.topic: own.stamps for of_arm in read.values() for own in of_arm}
     notes: list[str] = []
     lens = b""
@@ -332,6 +335,19 @@ class _Readings:
         if skipped:
             notes.append(without_positions(skipped))
         return _Readings(topic, tuple(places), values, stamps, recorded, tuple(notes))
+
+    @staticmethod
+    def of_ecm(reader: AnyReader, path: Path, topic: str) -> _Readings:
+        """Read the joints of the endoscope's arm, or of its tip's poses; messages without any are skipped."""
+        where, values, stamps, recorded = f"{path}: {topic}", [], [], []
+        for time, message in _messages(reader, path, topic):
+            if (row := ecm_values(message, where)) is not None:
+                values.append(row)
+                stamps.append(stamp(message))
+                recorded.append(time)
+        if not values:
+            raise InputError(f"{where}: expected messages with positions, got none")
+        return _Readings(topic, ECM_JOINTS, values, stamps, recorded, ())
 
     def series(self, *, recorded_times: bool) -> TimedReadings:
         """Return the time series."""

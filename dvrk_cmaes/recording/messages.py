@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import exp_rotation, transform
+from dvrk_cmaes.instrument.endoscope import joints_of_ecm_tip
 from dvrk_cmaes.io.image_header import MOST_PIXELS, read_header
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.names import accepted_names, joints_by_count, joints_of_arm
+from dvrk_cmaes.joints.names import OUTER_JOINTS, accepted_names, joints_by_count, joints_of_arm
 from dvrk_cmaes.recording.recording import ImageFile
 
 # bytes per pixel, and OpenCV's conversion to BGR or grey; ROS names Bayer patterns by the top-left 2 x 2 pixels
@@ -127,6 +129,28 @@ def joint_places(message: Any, where: str, arm: str | None = None) -> dict[str, 
             f"{where}: position: expected {len(message.name)} numbers, one for each name, got {len(message.position)}"
         )
     return places
+
+
+def ecm_values(message: Any, where: str) -> list[float] | None:
+    """Return the ECM's joints, rad and m, of a JointState or of its tip's PoseStamped; None without positions."""
+    if hasattr(message, "pose"):
+        place, turn = message.pose.position, message.pose.orientation
+        axis = np.array([turn.x, turn.y, turn.z], dtype=np.float64)
+        length = float(np.linalg.norm(axis))
+        rotation = exp_rotation(2 * np.arctan2(length, turn.w) / max(length, 1e-12) * axis)
+        found: list[float] = joints_of_ecm_tip(transform(rotation, [place.x, place.y, place.z])).tolist()
+        return found
+    position = [float(value) for value in message.position]
+    if not position:
+        return None
+    names = [str(name).lower() for name in message.name] or list(OUTER_JOINTS)
+    places = [
+        next((k for k, own in enumerate(names) if own.removesuffix("_joint").endswith(name)), -1)
+        for name in OUTER_JOINTS
+    ]
+    if len(names) != len(position) or min(places) < 0:
+        raise InputError(f"{where}: expected positions of {', '.join(OUTER_JOINTS)}, got {listed(names, 8)}")
+    return [position[place] for place in places]
 
 
 def joint_values(message: Any, joints: Mapping[str, int], where: str, arm: str | None = None) -> list[float] | None:

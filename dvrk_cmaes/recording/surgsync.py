@@ -28,13 +28,17 @@ from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
-from dvrk_cmaes.recording.surgsync_frame import FrameTimes, read_positions, read_times
+from dvrk_cmaes.recording.surgsync_frame import FrameTimes, read_ecm, read_positions, read_times
+
+ECM: Final = "ECM"
+"""Name of the arm that holds the endoscope."""
 
 _CAMERAS: Final = "camera_calibration"
 _STEREO: Final = "stereo_calib_params.json"
@@ -94,6 +98,12 @@ def open_surgsync(
     else:
         readings = _readings(path / "kinematic" / chosen, times)
         notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
+        if (folder := path / "kinematic" / ECM).is_dir() and chosen != ECM:
+            try:
+                readings = (*readings, _ecm_readings(folder, path / "time_syn", side, times))
+                notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
+            except InputError as error:
+                notes.append(f"the endoscope's arm is not read: {error}")
     kept = {
         f"{REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=LARGEST_REGISTRATION)
         for file in sorted((path / REGISTRATIONS).glob("*.json"))
@@ -162,6 +172,16 @@ def _readings(folder: Path, times: Mapping[int, FrameTimes]) -> tuple[TimedReadi
         for part, joints in enumerate((arm, jaw))
         if joints
     )
+
+
+def _ecm_readings(folder: Path, syn: Path, side: Side, times: Mapping[int, FrameTimes]) -> TimedReadings:
+    """Read the readings of the endoscope's arm of all frames, at the times of the images."""
+    rows = {number: read_ecm(file) for number in times if (file := folder / f"{number}.json").is_file()}
+    if not rows:
+        raise InputError(f"{folder}: expected readings N.json of the images' numbers, got none")
+    images = {number: frame.image for number, frame in times.items()}
+    taken = {number: read_times(syn / f"{number}.json", side, ECM).arm or images[number] for number in rows}
+    return at_images(str(folder), ECM_JOINTS, rows, images, taken)
 
 
 def at_images(

@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.json_file import read_json
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.names import joint_reading, joints_by_count
+from dvrk_cmaes.joints.names import ECM_JOINTS, joint_reading, joints_by_count
 from dvrk_cmaes.joints.times import parse_time
 
 _TIMES = "the times of a frame (time_syn, JSON)"
@@ -75,6 +75,17 @@ def read_positions(path: Path) -> dict[str, float]:
     if opening:
         cells["jaw"] = opening[0]
     return {name: joint_reading(where, name, cell) for name, cell in cells.items()}
+
+
+def read_ecm(path: Path) -> dict[str, float]:
+    """Read ``kinematic/ECM/N.json``: the joints of the endoscope's arm, rad or m; errors as `read_positions`."""
+    document = read_json(path, expected=_KINEMATICS)
+    measured = _field(document, "measured_data") or document
+    values = _position(_field(measured, "measured_js") or _field(measured, "js"))
+    if values is None or len(values) != len(ECM_JOINTS):
+        got = "none" if values is None else f"{len(values)} of them"
+        raise InputError(f"{path}: measured_js: expected the positions of {', '.join(ECM_JOINTS)}, got {got}")
+    return {name: joint_reading(str(path), name, cell) for name, cell in zip(ECM_JOINTS, values, strict=True)}
 
 
 def _field(document: Any, name: str) -> Any:

@@ -20,6 +20,8 @@ IMAGES = (IMAGE, COMPRESSED_IMAGE)
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
+POSE = "geometry_msgs/msg/PoseStamped"
+
 #: Given in place of a topic's name to use no topic.
 NONE = "none"
 
@@ -112,6 +114,8 @@ def _joint_topics(
     arms = [name for name in states if _ends(name, "measured_js", "state_joint_current") and not _is_jaw(name)]
     if arm is not None and len(arms) > 1:
         arms = [name for name in arms if arm.lower() in name.lower().split("/")]
+    if len(arms) > 1:
+        arms = [name for name in arms if not _is_ecm(name)]
     together = [name for name in states if _ends(name, "joint_states")]
     what = f"the arm's joints (--arm, or {NONE})"
     found = _one(path, types, requested.joints, "--joints-topic", (JOINT_STATE,), what, arms or together)
@@ -119,6 +123,20 @@ def _joint_topics(
     if requested.jaw == NONE or (requested.jaw is None and not jaws):
         return found, None
     return found, _one(path, types, requested.jaw, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws)
+
+
+def ecm_topic(types: Mapping[str, str], chosen: str | None) -> str | None:
+    """Return the topic of the endoscope's arm beside the ``chosen`` one of an arm: its joints, or its tip's pose."""
+    for kind, words in ((JOINT_STATE, ("measured_js", "state_joint_current")), (POSE, ("local/measured_cp",))):
+        found = sorted(name for name, own in types.items() if own == kind and _is_ecm(name) and name.endswith(words))
+        if found and chosen not in found and chosen is not None:
+            return found[0]
+    return None
+
+
+def _is_ecm(name: str) -> bool:
+    """Whether a topic is of the arm that holds the endoscope."""
+    return "ecm" in name.lower().split("/")
 
 
 def _one(

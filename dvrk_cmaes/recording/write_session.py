@@ -30,6 +30,7 @@ from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.recording.both_eyes import Pairing
 from dvrk_cmaes.recording.recording import RecordedImage, Recording, frame_name
 
@@ -333,8 +334,11 @@ def _interpolate(
                 f"{path}: {source.source}: {', '.join(repeated)}: expected joints that were not read before "
                 "(leave a topic out by --jaw-topic none)"
             )
-        columns += source.joints
         cells, summary = _interpolate_source(source, times, tolerance)
+        if summary.frames == 0 and source.joints == ECM_JOINTS:  # the endoscope's arm may have stopped publishing
+            summaries.append(summary)
+            continue
+        columns += source.joints
         if summary.frames == 0:
             away = math.nan if summary.nearest_s is None else summary.nearest_s
             raise InputError(

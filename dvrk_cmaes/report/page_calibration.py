@@ -305,6 +305,23 @@ def _base(calibration: SessionCalibration) -> Iterator[TableRow]:
     yield TableRow("standard deviation along its own axes, mm", cells(1e3 * std[:3]), minor=True)
     yield TableRow("axis-angle, deg", cells(axis_angle(calibration.camera_from_base)))
     yield TableRow("standard deviation about its own axes, deg", cells(np.degrees(std[3:6])), minor=True)
+    if (moves := calibration.endoscope) is None:
+        return
+    for stand in moves.bases:
+        yield TableRow(
+            f"frames {stand.first} to {stand.last}: position, mm", cells(1e3 * stand.camera_from_base[:3, 3])
+        )
+        yield TableRow("axis-angle, deg", cells(axis_angle(stand.camera_from_base)))
+    if moves.tip_from_camera is not None and moves.ecm_from_base is not None:
+        for name, pose, deviations in (
+            ("camera in the endoscope's tip", moves.tip_from_camera, moves.std_tip_from_camera),
+            ("arm's base in that of the endoscope's arm", moves.ecm_from_base, moves.std_ecm_from_base),
+        ):
+            own = np.array(deviations)
+            yield TableRow(f"{name}: position, mm", cells(1e3 * pose[:3, 3]))
+            yield TableRow("standard deviation, mm", cells(1e3 * own[:3]), minor=True)
+            yield TableRow("axis-angle, deg", cells(axis_angle(pose)))
+            yield TableRow("standard deviation, deg", cells(np.degrees(own[3:])), minor=True)
 
 
 def _offsets(calibration: SessionCalibration) -> Iterator[TableRow]:
@@ -334,7 +351,10 @@ def _corrections(
         outer = outer_readings([result.readings])
         if result.camera_from_root is None or np.isnan(outer).any():
             continue
-        model, constants = calibration.model(outer, np.full((1, len(joints)), np.nan), joints)
+        placed = calibration.at(result.readings, frame=result.frame, time=result.time)
+        if isinstance(placed, str):
+            continue
+        model, constants = placed.model(outer, np.full((1, len(joints)), np.nan), joints)
         change_of_root = change_between(model.predict(constants).pose[0], result.camera_from_root)
         expected = constants.offsets[1] + model.correction.values[0, 0]
         found["insertion"][place] = float(constants.offsets[0] + change_of_root[2])

@@ -220,7 +220,7 @@ def _joints(result: Result) -> Iterable[TableRow]:
         yield TableRow(f"{name}, deg", cells)
     for name, read in result.readings.items():
         if name not in result.joints:
-            unit, shown = ("mm", 1e3 * read) if name == "insertion" else ("deg", math.degrees(read))
+            unit, shown = ("mm", 1e3 * read) if name.endswith("insertion") else ("deg", math.degrees(read))
             yield TableRow(f"{name}, {unit}", ("", "", fixed(shown, 2), ""), minor=True)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.natural_order import in_order
-from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.short_text import no_folder, shown
 from dvrk_cmaes.results.data_frame import data_frame
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.followed import read_followed
@@ -77,7 +77,7 @@ def read_results(folder: str | Path, *, summary: bool = True) -> ResultsFolder:
     """
     root = Path(folder)
     if not root.is_dir():
-        raise InputError(f"{folder}: no such folder; expected results, with frames/FRAME.json")
+        raise InputError(f"{folder}: {no_folder(folder)}; expected results, with frames/FRAME.json")
     if is_followed(root):
         session = _document(root / SESSION, "a session calibration (session.json)")
         return ResultsFolder(root, in_order(read_followed(root)), None, session)

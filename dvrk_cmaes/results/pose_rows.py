@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.geometry import quaternion_xyzw
 from dvrk_cmaes.results.result import POSE_AXES, Result
 
-_PRISMATIC = ("insertion",)
+_PRISMATIC = ("insertion", "ecm_insertion")
 _DIGITS = 6  # decimals; of mm, a nanometre
 
 

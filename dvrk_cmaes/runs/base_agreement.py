@@ -13,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
+from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.results.paths import result_path
@@ -52,7 +54,8 @@ def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, st
     """Return the reason, in words, of each frame whose base is far from the others', by name.
 
     Compared are the frames that were solved by themselves and have a base. Far is a rotation from the most central base
-    by more than ``limit_deg`` and by more than three times the median of all frames.
+    by more than ``limit_deg`` and by more than three times the median of all frames. Where the endoscope's arm is read
+    and moves, frames at one place are compared with each other.
     """
     bases = {
         name: result.camera_from_base
@@ -61,10 +64,19 @@ def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, st
     }
     if len(bases) < FEWEST:
         return {}
-    angles = spread_of_bases(np.stack(list(bases.values()))).angles_deg
-    limit = max(limit_deg, _SPREADS * float(np.median(angles)))
-    return {
-        name: f"{PREFIX}: rotated by {angle:.0f} deg, expected at most {limit:.0f} deg; another mode, or wrong readings"
-        for name, angle in zip(bases, angles, strict=True)
-        if angle > limit
-    }
+    steered = Steered.of(ecm_readings([results[name].readings for name in bases]))
+    places = np.zeros(len(bases), np.intp) if steered is None else steered.place
+    doubts: dict[str, str] = {}
+    for place in sorted(set(places[places >= 0].tolist())):
+        there = [name for name, own in zip(bases, places, strict=True) if own == place]
+        if len(there) < FEWEST:
+            continue
+        angles = spread_of_bases(np.stack([bases[name] for name in there])).angles_deg
+        limit = max(limit_deg, _SPREADS * float(np.median(angles)))
+        doubts |= {
+            name: f"{PREFIX}: rotated by {angle:.0f} deg, expected at most {limit:.0f} deg; another mode, or wrong "
+            "readings"
+            for name, angle in zip(there, angles, strict=True)
+            if angle > limit
+        }
+    return {name: doubts[name] for name in bases if name in doubts}

@@ -11,6 +11,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.handles import not_written
 from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.output import Output, output
+from dvrk_cmaes.io.short_text import no_folder
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import MANIFEST, read_results
 from dvrk_cmaes.results.paths import found_masks, layers_path, overlay_path
@@ -35,7 +36,7 @@ def merge_shards(out: str | Path) -> dict[str, Any]:
     """
     out = Path(out)
     if not out.is_dir():
-        raise InputError(f"{out}: no such folder; expected results of dvrk-cmaes batch --shard")
+        raise InputError(f"{out}: {no_folder(out)}; expected results of dvrk-cmaes batch --shard")
     folders = sorted(path for path in shards_folder(out).glob("*") if shard_of(path) and (path / MANIFEST).exists())
     if not folders and not (out / MANIFEST).exists():
         raise InputError(f"{out}: expected results of dvrk-cmaes batch --shard, got none")

@@ -14,8 +14,10 @@ from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.sparse import Sparseness
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -55,13 +57,23 @@ def predict(
     outer = outer_readings(readings)
     joints = np.array([[own.get(name, np.nan) for name in joint_names] for own in readings])
     told = np.asarray(~np.isnan(outer).any(axis=1))
+    endoscope = None
+    if session.endoscope is not None:
+        read, times = ecm_readings(readings), [own.time for own in recorded.files]
+        found = session.endoscope.in_frames(session.camera_from_base, read, times, [own.name for own in recorded.files])
+        if isinstance(found, str):
+            raise InputError(f"recording: {found}: expected those by which the calibration tells the endoscope's place")
+        endoscope = found
     known = np.flatnonzero(told)
     nearest = known[np.abs(np.arange(len(told))[:, None] - known).argmin(axis=1)]
     outer, joints = (_continued(values, recorded.times, told, nearest) for values in (outer, joints))
     sparse = _sparseness(recorded, session)
     errors = np.array([one.error for one in sparse])
     moving = ~recorded.frozen
-    return Prediction.of(session, outer, joints, joint_names, told=told, moving=moving, errors=errors), sparse
+    predicted = Prediction.of(
+        session, outer, joints, joint_names, told=told, moving=moving, errors=errors, endoscope=endoscope
+    )
+    return predicted, sparse
 
 
 def _continued(values: Float64, times: Float64, told: NDArray[np.bool_], nearest: NDArray[np.intp]) -> Float64:

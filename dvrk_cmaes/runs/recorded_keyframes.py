@@ -262,8 +262,7 @@ def _estimated(
     """Estimate keyframes alone: some by a search, the others from where these expect them."""
 
     def in_session(one: Keyframe, result: Result) -> SessionFrame:
-        time = None if recorded.series is None else recorded.series.frames.get(one.files.name)
-        return SessionFrame(one.files.name, one.read, result, one.files.keypoints, time)
+        return SessionFrame(one.files.name, one.read, result, one.files.keypoints, one.files.time)
 
     searched = set(recorded.keyframes(SEARCHED))
     some, rest = ([one for one in keyframes if (one.number in searched) == kind] for kind in (True, False))

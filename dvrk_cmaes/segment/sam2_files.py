@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
 from dvrk_cmaes.io.files import check_file
-from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.short_text import listed, no_folder
 from dvrk_cmaes.segment.sam2_exports import FAMILIES, Family, Tensors
 from dvrk_cmaes.segment.sam2_images import SIDE
 
@@ -101,7 +101,7 @@ def open_export(folder: Path, threads: int) -> Export:
     if importlib.util.find_spec("onnxruntime") is None:
         raise InputError("model sam2: needs the library onnxruntime, which is not installed; run: " + _INSTALL)
     if not folder.is_dir():
-        raise InputError(f"{folder}: expected the folder of an exported checkpoint, got {_describe_path(folder)}")
+        raise InputError(f"{folder}: expected the folder of an exported checkpoint, got {no_folder(folder)}")
     files = _models_in(folder) or _models_in(folder / "onnx")
     if not files:
         raise InputError(f"{folder}: expected an exported checkpoint, got no .onnx file; {INSTEAD}")
@@ -139,10 +139,6 @@ def open_export(folder: Path, threads: int) -> Export:
     encoder, decoder = usable_encoders[0], usable_decoders[0]
     _check_inputs(encoder, decoder, pairs[0])
     return Export(pairs[0], encoder, decoder, notes)
-
-
-def _describe_path(folder: Path) -> str:
-    return "a file" if folder.exists() else "no such folder"
 
 
 def _models_in(folder: Path) -> list[Path]:

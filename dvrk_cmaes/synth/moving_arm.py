@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm, base_from_root
+from dvrk_cmaes.geometry import apply, inverse
+from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, Arm, base_from_root
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.cable_motion import pulled
@@ -97,10 +98,13 @@ def arm_with_cables(
     cables: CableModel | None,
     *,
     arm: Arm = "classic",
+    steered: Float64 | None = None,
 ) -> tuple[Float64, list[Truth], dict[str, Float64]]:
     """Draw the smooth motion of an arm whose readings move smoothly, and whose joints follow by its cables.
 
-    Without ``cables`` the joints are where their readings are. Errors are those of `moving_arm`.
+    Without ``cables`` the joints are where their readings are. ``steered`` (frames, 4, 4) are the poses of the first
+    frame's camera in those of all frames, m: the arm then follows the camera, so that the instrument's root is where it
+    would be in the images of a camera that stands still. Errors are those of `moving_arm`.
 
     Returns
     -------
@@ -126,6 +130,14 @@ def arm_with_cables(
                 paths[name] = np.clip(path, *limits[name]) if name in limits else path
         outer = np.stack([paths[name] for name in OUTER_JOINTS], axis=1)
         poses = base @ base_from_root(outer, arm, roll_offset=body.instrument.roll_offset)
+        if steered is not None:
+            bases = steered @ base
+            followed = outer_joints_at(apply(inverse(bases), poses[:, :3, 3][:, None])[:, 0], body, arm)
+            for k, name in enumerate(OUTER_JOINTS[:3]):
+                readings[name] = readings[name] + followed[:, k] - paths[name]
+                paths[name] = followed[:, k]
+            outer = np.stack([paths[name] for name in OUTER_JOINTS], axis=1)
+            poses = bases @ base_from_root(outer, arm, roll_offset=body.instrument.roll_offset)
         truths = [
             Truth(
                 body.instrument,
@@ -139,6 +151,14 @@ def arm_with_cables(
         if seen == 1.0 or (level.leaves and _LEAST_IN_VIEW < seen < 1.0):
             return base, truths, readings
     raise DvrkCmaesError(f"no motion was found that keeps {body.instrument.name} in view")
+
+
+def outer_joints_at(places: Float64, body: Body, arm: Arm) -> Float64:
+    """Return yaw, pitch and insertion (N, 3), rad and m, at which the root's origin is at places (N, 3) in the base."""
+    depth = np.linalg.norm(places, axis=1)
+    x, y, z = (places / depth[:, None]).T
+    insertion = depth - INSERTION_OFFSET[arm] - body.instrument.roll_offset
+    return np.stack([np.arctan2(x, -z), np.arctan2(-y, np.hypot(x, z)), insertion], axis=1)
 
 
 def cable_joints(body: Body) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.output import whole_folder
@@ -33,6 +34,7 @@ from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, RecordingIma
 from dvrk_cmaes.synth.passing import Occluder
 from dvrk_cmaes.synth.recorded_frames import RecordedFrame, recorded_frames
 from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, check_shaft, frame_name, write_cameras
+from dvrk_cmaes.synth.steering import Steering
 from dvrk_cmaes.synth.truth import Truth
 
 Float64 = NDArray[np.float64]
@@ -43,11 +45,15 @@ VIDEO: Final = "video.mp4"
 
 @dataclass(frozen=True, eq=False)
 class RecordedArm:
-    """An arm of a recording: ``camera_from_base`` (4, 4), each frame's truth, and the readings (frames,) by joint."""
+    """An arm of a recording: ``camera_from_base`` (4, 4), each frame's truth, and the readings (frames,) by joint.
+
+    With ``steering``, of the endoscope, the base is that of the first frame.
+    """
 
     base: Float64
     truths: list[Truth]
     readings: Mapping[str, Float64]
+    steering: Steering | None = None
 
 
 def level_index(plan: SessionPlan) -> int:
@@ -66,8 +72,21 @@ def record_arm(plan: SessionPlan, level: MotionLevel, rng: np.random.Generator) 
     check_shaft(plan)
     names = cable_joints(plan.body)
     cables = draw_cables(names, level_offsets(names, level), rng) if plan.cables == "measured" else None
-    base, truths, paths = arm_with_cables(plan.body, plan.camera, rng, plan.frames, level, cables, arm=plan.arm)
-    return RecordedArm(base, truths, read_moving(truths, rng, level, cables, None if cables is None else paths))
+    steering = Steering.draw(plan.seed, plan.frames) if plan.steered else None
+    base, truths, paths = arm_with_cables(
+        plan.body,
+        plan.camera,
+        rng,
+        plan.frames,
+        level,
+        cables,
+        arm=plan.arm,
+        steered=None if steering is None else steering.camera_from_first,
+    )
+    readings = read_moving(truths, rng, level, cables, None if cables is None else paths)
+    if steering is not None:
+        readings |= steering.late(level.lag)
+    return RecordedArm(base, truths, readings, steering)
 
 
 def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none", overwrite: bool = False) -> None:
@@ -104,7 +123,7 @@ def write_recorded_arm(
 
     ``suffix`` is added to the names of the files.
     """
-    columns = (*OUTER_JOINTS, *plan.body.instrument.joint_names)
+    columns = (*OUTER_JOINTS, *plan.body.instrument.joint_names, *(ECM_JOINTS if arm.steering else ()))
     rows, golden = [], {}
     for k, (truth, share) in enumerate(zip(arm.truths, visible, strict=True)):
         name = frame_name(plan, k)
@@ -112,7 +131,12 @@ def write_recorded_arm(
         rows.append([name, f"{k / FRAMES_A_SECOND:.6f}", *cells])
         golden[name] = rounded_truth(truth, "T_camera_roll_link", "tips_camera_m") | {"visible": round(share, 3)}
     write_text(folder / f"joints{suffix}.csv", csv_text(("frame", "time", *columns), rows))
-    write_json(folder / f"golden{suffix}.json", {"camera_from_base": rounded(arm.base), "frames": golden})
+    document: dict[str, Any] = {"camera_from_base": rounded(arm.base), "frames": golden}
+    if arm.steering is not None:
+        for own, base in zip(golden.values(), arm.steering.camera_from_first @ arm.base, strict=True):
+            own["camera_from_base"] = rounded(base)
+        document["endoscope"] = arm.steering.describe(arm.base)
+    write_json(folder / f"golden{suffix}.json", document)
 
 
 def describe_recording(plan: SessionPlan, level: MotionLevel, pictures: Pictures) -> dict[str, Any]:

@@ -89,6 +89,7 @@ class SessionPlan:
         joint by itself.
     baseline : distance of the right eye from the left, m; None for one view. Both eyes have the same camera.
     tool : what session.toml says of the instrument; without it, none is written.
+    steered : whether the endoscope of a video is steered to other places, and the readings of its arm are written.
     """
 
     body: Body
@@ -103,6 +104,7 @@ class SessionPlan:
     cables: Cables = "independent"
     baseline: float | None = None
     tool: ToolEntry | None = None
+    steered: bool = False
 
     @property
     def right_from_left(self) -> Float64:
@@ -126,6 +128,7 @@ class SessionPlan:
             "roll_offset": self.body.instrument.roll_offset,
             "version": __version__,
             **({} if self.baseline is None else {"baseline": self.baseline}),
+            **({"steered": True} if self.steered else {}),
         }
 
 

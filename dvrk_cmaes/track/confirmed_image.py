@@ -16,7 +16,7 @@ from dvrk_cmaes.pose.doubts import doubts_of_tips
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction
+from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction, endoscope_at
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.window import covariance_of_masks, mean_of_tips_mm
 
@@ -43,10 +43,12 @@ def confirmed_by(
         return None
     at = Posed(result.camera_from_root, np.array([result.joints[name] for name in instrument.joint_names]))
     readings, names = (reading.outer[None], reading.joints[None]), instrument.joint_names
-    expected = Prediction.of(calibration, *readings, names, wrist=WRIST_ERROR)
+    endoscope = endoscope_at(calibration, result.time, reading.ecm)
+    expected = Prediction.of(calibration, *readings, names, wrist=WRIST_ERROR, endoscope=endoscope)
     if expected_error(instrument, expected.at[0], expected.spread[0]).of_tips_mm > _KNOWN * config.trust.tip_mm:
         return None
-    late = Prediction.of(calibration, *readings, names, late=lag_std * reading.rates[None], wrist=WRIST_ERROR)
+    moved = lag_std * reading.rates[None]
+    late = Prediction.of(calibration, *readings, names, late=moved, wrist=WRIST_ERROR, endoscope=endoscope)
     apart = at.minus(expected.at[0])
     spread = late.spread[0] + result.covariance
     if float(apart @ np.linalg.solve(spread, apart)) > _AGREES * len(apart):

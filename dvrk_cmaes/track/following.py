@@ -27,7 +27,7 @@ from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus, without_pose
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.images import Mask
-from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction
+from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction, endoscope_at
 from dvrk_cmaes.track.quick_fit import quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, judged
@@ -107,6 +107,7 @@ class Following:
         self._images: deque[WindowImage] = deque(maxlen=_WINDOW)
         self._before: Float64 | None = None
         self._outer: Float64 | None = None
+        self._ecm: Float64 | None = None
         self._lengths: dict[str, float] = {}  # px, correlation lengths of the contours' errors, by view
         self._astray = 0
         self._unexplained = 0
@@ -141,20 +142,24 @@ class Following:
     def start_from(self, at: Posed, reading: ReadingAt) -> None:
         """Let the fit of the next image start from the pose and joints of one before it, with that one's readings."""
         if reading.has_outer:
-            self._before = at.minus(self._predicted(reading, reading.outer).at[0])
+            self._before = at.minus(self._predicted(reading, reading.outer, None).at[0])
 
-    def _predicted(self, reading: ReadingAt, outer: Float64) -> Prediction:
+    def _predicted(self, reading: ReadingAt, outer: Float64, time: float | None) -> Prediction:
         """Predict an image from its readings less the lag, with other readings of the outer joints (4,), rad and m."""
+        if reading.ecm is not None:
+            self._ecm = reading.ecm
+        endoscope = endoscope_at(self.calibration, time, self._ecm)
         predicted = Prediction.of(
             self.calibration,
             outer[None],
             reading.joints[None],
             self._body.instrument.joint_names,
-            told=np.array([reading.has_outer]),
+            told=np.array([reading.has_outer and (endoscope is None) == (self.calibration.endoscope is None)]),
             moving=np.array([not reading.still]),
             errors=None if reading.sparse is None else reading.sparse.error[None],
             late=self._lag_std * reading.rates[None] if self._lag_std > 0 else None,
             wrist=WRIST_ERROR,
+            endoscope=endoscope,
         )
         return predicted.without_calibration() if self._uncertain else predicted
 
@@ -176,7 +181,7 @@ class Following:
             self._outer = reading.outer
         if self._outer is None:
             return without_pose(time, "no readings of the outer joints so far")
-        predicted, instrument = self._predicted(reading, self._outer), self._body.instrument
+        predicted, instrument = self._predicted(reading, self._outer, time), self._body.instrument
         at, spread = predicted.at[0], predicted.spread[0]
         if not seen.any_same or self._still is None:
             self._still = at

@@ -20,6 +20,7 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.result import Result
@@ -165,8 +166,15 @@ class KeyframeProblem:
         rates = np.array([[keyframe.rates.get(name, 0.0) for name in names] for keyframe in self.keyframes])
         _, std = lag_and_std(calibration, self.config.track.lag_std)
         outer, joints = np.split(values, [len(OUTER_JOINTS)], axis=1)
-        known = Prediction.of(calibration, outer, joints, instrument.joint_names)
-        late = Prediction.of(calibration, outer, joints, instrument.joint_names, late=std * np.nan_to_num(rates))
+        endoscope = None
+        if calibration.endoscope is not None:
+            read, times = ecm_readings([one.readings for one in self.keyframes]), [one.time for one in self.keyframes]
+            names = tuple(one.name for one in self.keyframes)
+            found = calibration.endoscope.in_frames(calibration.camera_from_base, read, times, names)
+            endoscope = None if isinstance(found, str) else found
+        of_all = calibration, outer, joints, instrument.joint_names
+        known = Prediction.of(*of_all, endoscope=endoscope)
+        late = Prediction.of(*of_all, late=std * np.nan_to_num(rates), endoscope=endoscope)
         covariance = known.shared + late.prior - known.prior
         errors = [expected_error(instrument, known.at[k], own).of_tips_mm for k, own in enumerate(covariance)]
         return float(np.median(errors))

@@ -12,9 +12,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, ecm_readings
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, packed
@@ -47,7 +49,7 @@ class KeyframeStore:
 
     def __init__(self, rig: Rig, joint_names: tuple[str, ...]) -> None:
         self._rig = rig
-        self._names = (*OUTER_JOINTS, *joint_names)
+        self._names = (*OUTER_JOINTS, *joint_names, *ECM_JOINTS)
         self.taken = 0
         self._kept: list[Keyframe] = []
         self._places = np.zeros((0, len(self._names) + 1))
@@ -59,6 +61,11 @@ class KeyframeStore:
 
     def __len__(self) -> int:
         return len(self._kept)
+
+    @property
+    def steered(self) -> bool:
+        """Whether the arm of the endoscope is read, and has moved between keyframes."""
+        return Steered.of(ecm_readings([one.readings for one in self._kept])) is not None
 
     def clear(self) -> None:
         """Forget all keyframes: those that follow are of another base."""
@@ -158,10 +165,16 @@ class KeyframeStore:
         rows = self._rows.series
         read = {name: ~np.isnan(values) for name, values in zip(rows.joints, rows.values.T, strict=True)}
         known = {name: at for name, at in read.items() if at.any()}
+        times = {name: rows.times[at] for name, at in known.items()}
+        values = {name: rows.values[at, rows.joints.index(name)] for name, at in known.items()}
+        if self._rows.ecm is not None:
+            of_ecm = self._rows.ecm.series
+            times |= dict.fromkeys(of_ecm.joints, of_ecm.times)
+            values |= dict(zip(of_ecm.joints, of_ecm.values.T, strict=True))
         series = ReadingSeries(
             "s",
-            {name: rows.times[at] for name, at in known.items()},
-            {name: rows.values[at, rows.joints.index(name)] for name, at in known.items()},
+            times,
+            values,
             {keyframe.name: keyframe.time for keyframe in kept},
             float(np.median(self._interval)) if self._interval else 1 / 30,
         )
@@ -170,8 +183,9 @@ class KeyframeStore:
 
     def _prune(self) -> None:
         """Drop old readings that are near no keyframe."""
-        times = self._rows.series.times
-        kept = times > times[-1] - _LATEST
-        for keyframe in self._kept:
-            kept |= np.abs(times - keyframe.time) < _AROUND
-        self._rows.keep(kept)
+        for rows in filter(None, (self._rows, self._rows.ecm)):
+            times = rows.series.times
+            kept = times > times.max(initial=-np.inf) - _LATEST
+            for keyframe in self._kept:
+                kept |= np.abs(times - keyframe.time) < _AROUND
+            rows.keep(kept)

@@ -11,6 +11,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.pose.doubts import TIPS_NOT_ACCURATE
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
@@ -255,13 +256,14 @@ class KnownBase:
         """Follow by the calibration no longer: images contradict it.
 
         The base may have moved: the keyframes are forgotten. Those that are later than a calibration of an earlier run
-        are not, nor those that are to be solved once more, since a solution of few may have been wrong itself.
+        are not, nor those that are to be solved once more, since a solution of few may have been wrong itself, nor
+        those of an endoscope whose readings say where it is.
         """
         few = self._is_of_few and len(self.store) > self._solved
         self._following, self._reason, self._known_mm = None, "", np.inf
         self._solved = self._asked = 0
         self._asked_names = frozenset()
-        if self._agreeing is None and not few:
+        if self._agreeing is None and not few and not self.store.steered:
             self._bases += 1
             self._alone.clear()
             self.store.clear()
@@ -278,6 +280,8 @@ class KnownBase:
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
         readings = {name: value for name, value in values if not np.isnan(value)}
+        if reading.ecm is not None:
+            readings |= dict(zip(ECM_JOINTS, reading.ecm.tolist(), strict=True))
         rates = dict(zip(names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=True))
         masks = sight.given(seen)
         if not masks and following is not None and following.explained and self.store.is_new(time, readings):

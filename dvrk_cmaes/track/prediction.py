@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.sparse import LEAST_ERROR
@@ -31,8 +32,27 @@ _STEP = 1e-3  # of a change of the readings, of the difference by which the chan
 
 
 def calibration_covariance(calibration: SessionCalibration) -> Float64:
-    """Return the covariance (K, K) of a calibration, widened for errors that all masks of a recording share."""
-    return np.asarray(_CALIBRATION_ERROR * calibration.covariance_given_camera)
+    """Return the covariance (K + M, K + M) of a calibration, widened for errors that all masks of a recording share."""
+    return np.asarray(_CALIBRATION_ERROR * calibration.whole_covariance)
+
+
+def endoscope_at(calibration: SessionCalibration, time: float | None, ecm: Float64 | None) -> InFrames | None:
+    """Return where an endoscope is in one image; None where it stands still, or its place is not known.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    time
+        Time of the image, s, by which the place of an endoscope that is not read is found.
+    ecm : (4,)
+        Readings of the endoscope's arm, rad and m; None without.
+    """
+    if calibration.endoscope is None:
+        return None
+    read = None if ecm is None else ecm[None]
+    found = calibration.endoscope.in_frames(calibration.camera_from_base, read, [time], [""])
+    return None if isinstance(found, str) else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +88,7 @@ class Prediction:
         errors: Float64 | None = None,
         late: Float64 | None = None,
         wrist: float = 1.0,
+        endoscope: InFrames | None = None,
     ) -> Prediction:
         """Predict N images.
 
@@ -88,10 +109,14 @@ class Prediction:
             Change of the readings within a standard deviation of the lag.
         wrist
             Factor on the errors of roll and joints that the calibration expects.
+        endoscope
+            Where an endoscope that moves is in the images, as of `SessionEndoscope.in_frames`.
         """
-        model, own = calibration.model(outer, joints, joint_names)
+        model, own = calibration.model(outer, joints, joint_names, endoscope)
         at, prior, jacobian = model.predict(own), model.covariance(own), model.jacobian(own)
         told = np.ones(len(outer), np.bool_) if told is None else told
+        covariance = calibration_covariance(calibration)
+        jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, len(covariance) - jacobian.shape[2])))
         wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
         prior[~(told if moving is None else told & moving)] += wide
         readings = np.concatenate([outer, joints], axis=1)
@@ -100,7 +125,8 @@ class Prediction:
             some = np.flatnonzero(change.any(axis=1))
             if len(some):
                 moved_outer, moved_joints = np.split(readings[some] + _STEP * change[some], [outer.shape[1]], axis=1)
-                moved_model, same = calibration.model(moved_outer, moved_joints, joint_names)
+                there = None if endoscope is None else (endoscope[0].subset(some), endoscope[1])
+                moved_model, same = calibration.model(moved_outer, moved_joints, joint_names, there)
                 off = moved_model.predict(same).minus(at[some]) / _STEP
                 prior[some] += off[:, :, None] * off[:, None, :]
 
@@ -112,7 +138,7 @@ class Prediction:
                 widen(counted[:, [joint]] * np.eye(readings.shape[1])[joint])
         factor = np.ones(prior.shape[-1])
         factor[ROLL:] = wrist
-        shared = jacobian @ calibration_covariance(calibration) @ jacobian.swapaxes(1, 2)
+        shared = jacobian @ covariance @ jacobian.swapaxes(1, 2)
         return cls(
             at,
             prior * np.outer(factor, factor),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
 from dvrk_cmaes.joints.gaps import Times, extrapolated
 from dvrk_cmaes.joints.interpolation import TimedReadings, weighted_mean
@@ -33,7 +34,7 @@ class ReadingAt:
 
     Values are NaN where there is no reading. ``still`` tells whether the outer joints' readings around that time are
     equal to the last digit. ``sparse`` tells how far the interpolated outer joints may be off; None where that is not
-    known.
+    known. ``ecm`` (4,) are the readings of the endoscope's arm, rad and m, None where that is not read.
     """
 
     outer: Float64
@@ -42,6 +43,7 @@ class ReadingAt:
     joint_rate: Float64
     still: bool = False
     sparse: Sparseness | None = None
+    ecm: Float64 | None = None
 
     @property
     def has_outer(self) -> bool:
@@ -61,10 +63,15 @@ class ReadingRows:
     ----------
     joint_names
         Names of the instrument's J joints.
+    outer
+        Names of the outer joints.
+
+    ``ecm`` are the readings of the endoscope's arm, once there are some.
     """
 
-    def __init__(self, joint_names: Sequence[str]) -> None:
-        self._names = (*OUTER_JOINTS, *joint_names)
+    def __init__(self, joint_names: Sequence[str], outer: tuple[str, ...] = OUTER_JOINTS) -> None:
+        self._names = (*outer, *joint_names)
+        self.ecm: ReadingRows | None = None
         self._count = 0
         self._complete = True  # whether every row has all joints
         self._times = np.empty(_BLOCK)
@@ -93,6 +100,12 @@ class ReadingRows:
         """
         if not math.isfinite(checked_number("readings: time", time, "a finite number of seconds")):
             raise InputError(f"readings: time: expected a finite number of seconds, got {time}")
+        if self._names != ECM_JOINTS and (of_ecm := {name: joints[name] for name in ECM_JOINTS if name in joints}):
+            self.ecm = self.ecm or ReadingRows((), ECM_JOINTS)
+            self.ecm.add(time, of_ecm)
+            joints = {name: value for name, value in joints.items() if name not in of_ecm}
+            if not joints:
+                return
         check_readings("readings", joints, self._names)
         row = np.array([joints.get(name, np.nan) for name in self._names], dtype=np.float64)
         at, end = int(self.series.times.searchsorted(time)), self._count
@@ -107,6 +120,14 @@ class ReadingRows:
             row = np.where(np.isnan(row), self._rows[at], row)
         self._rows[at] = row
         self._complete &= not np.isnan(row).any()
+
+    def held_at(self, time: float) -> Float64 | None:
+        """Interpolate all joints at a time, s, beyond the readings by the nearest one; None if some were never read."""
+        known = ~np.isnan(self.series.values).any(axis=1)
+        if not known.any():
+            return None
+        times, values = self.series.times[known], self.series.values[known]
+        return np.array([np.interp(time, times, column) for column in values.T])
 
     def keep(self, kept: NDArray[np.bool_] | slice) -> None:
         """Drop all readings but some (N,)."""
@@ -140,10 +161,11 @@ class ReadingBuffer(ReadingRows):
     def add(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, and drop old ones, in blocks, because the others are moved."""
         super().add(time, joints)
-        times = self.series.times
-        first = max(int(times.searchsorted(times[-1] - _KEPT)), len(times) - _MOST)
-        if first > _BLOCK:
-            self.keep(slice(first, None))
+        for rows in filter(None, (self if self._count else None, self.ecm)):
+            times = rows.series.times
+            first = max(int(times.searchsorted(times[-1] - _KEPT)), len(times) - _MOST)
+            if first > _BLOCK:
+                rows.keep(slice(first, None))
 
     @property
     def last(self) -> float | None:
@@ -164,7 +186,8 @@ class ReadingBuffer(ReadingRows):
         still = _is_still(of_outer, time, seconds)
         known = not np.isnan(row[:outer]).any()
         sparse = Sparseness.of(np.asarray(of_outer.times), of_outer.values, time) if known else None
-        return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still, sparse)
+        ecm = None if self.ecm is None else self.ecm.held_at(time)
+        return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still, sparse, ecm)
 
     def _read_together(self) -> Iterator[tuple[NDArray[np.intp], TimedReadings]]:
         """Give the columns of joints that are read at the same times, and their readings, without missing ones."""

@@ -40,7 +40,7 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.images import Mask
-from dvrk_cmaes.track.prediction import Prediction
+from dvrk_cmaes.track.prediction import Prediction, endoscope_at
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.sight import Seen, Sight
 from dvrk_cmaes.track.window import CORRELATED_FRAMES
@@ -252,7 +252,8 @@ class UnknownBase:
         if not reading.has_outer:
             return {}
         names = self.body.instrument.joint_names
-        expected = Prediction.of(calibration, reading.outer[None], reading.joints[None], names)
+        endoscope = endoscope_at(calibration, None, reading.ecm)
+        expected = Prediction.of(calibration, reading.outer[None], reading.joints[None], names, endoscope=endoscope)
         return self.sight.boxes_around(expected.at[0], calibration.corrected_views(self.rig.views))
 
     def _follow(self, image: _Image, calibration: SessionCalibration | None) -> TrackResult:

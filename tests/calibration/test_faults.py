@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.session_worlds import EXPECTED_OFFSETS, SEEN, World, make_world
+from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SEEN, World, make_world
 
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
-from dvrk_cmaes.calibration.faults import check_arm, check_motion, find_move
+from dvrk_cmaes.calibration.endoscope_search import find_pieces
+from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
@@ -24,6 +25,13 @@ def on_another_base(modes: list[list[Mode]], *, turned: float = 0.2, by: float =
     return [[Mode(mode.at.seen_from(shift), np.diag(SEEN**2)) for mode in own] for own in modes]
 
 
+def cuts(world: World, modes: list[list[Mode]]) -> list[int]:
+    """Return the first frame of each piece of a session but the first."""
+    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    found = find_pieces(world.model, modes, EXPECTED_OFFSETS, PRIOR, consensus)
+    return [] if found is None else (np.flatnonzero(np.diff(found[0].piece)) + 1).tolist()
+
+
 # a base or camera that moved
 
 
@@ -32,23 +40,14 @@ def test_moved_base_is_located_between_frames(frames: int, at: int) -> None:
     world = make_world(frames, seed=1)
     modes = modes_of(world)
     modes[at:] = on_another_base(modes[at:])
-    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    move = find_move(world.model, modes, EXPECTED_OFFSETS, consensus)
-    assert move is not None
-    assert move.between == (at - 1, at)
-    assert move.side == ("first" if at >= frames / 2 and consensus.agree[0] else "last")
-    kept = range(at) if move.side == "first" else range(at, frames)
-    assert set(move.others) == set(range(frames)) - set(kept)
+    assert cuts(world, modes) == [at]
 
 
 def test_base_moved_by_6_mm_is_found() -> None:
     world = make_world(14, seed=3)
     modes = modes_of(world)
     modes[8:] = on_another_base(modes[8:], turned=0.0, by=0.006)
-    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    move = find_move(world.model, modes, EXPECTED_OFFSETS, consensus)
-    assert move is not None
-    assert move.between == (7, 8)
+    assert cuts(world, modes) == [8]
 
 
 def test_scattered_frames_of_another_base_are_no_move() -> None:
@@ -57,23 +56,20 @@ def test_scattered_frames_of_another_base_are_no_move() -> None:
     there = on_another_base(modes)
     for i in (1, 5, 9):
         modes[i] = there[i]
-    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    assert find_move(world.model, modes, EXPECTED_OFFSETS, consensus) is None
+    assert cuts(world, modes) == []
 
 
 def test_inconsistent_frames_at_end_are_no_move() -> None:
     world = make_world(12, seed=2)
     modes = modes_of(world)
     modes[8:] = modes_of(make_world(12, seed=9))[8:]
-    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    assert find_move(world.model, modes, EXPECTED_OFFSETS, consensus) is None
+    assert cuts(world, modes) == []
 
 
 def test_session_with_fixed_base_has_no_move() -> None:
     world = make_world(12)
     modes = modes_of(world)
-    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    assert find_move(world.model, modes, EXPECTED_OFFSETS, consensus) is None
+    assert cuts(world, modes) == []
 
 
 # a wrong arm or tool, an arm without motion

@@ -120,6 +120,12 @@ def test_wrong_usage_is_refused(run: Run, arguments: tuple[str, ...], complaint:
     assert run(*arguments) == (2, "", f"dvrk-cmaes: {complaint}\n")
 
 
+def test_file_in_the_place_of_a_session_is_refused(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("")
+    said = "dvrk-cmaes: a.csv: a file; expected a session with camera.yaml, joints.csv and masks\n"
+    assert run("a.csv") == (2, "", said)
+
+
 def test_missing_scheduler_is_refused(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dvrk_cmaes.runs.cluster.CONNECT_S", 0.3)
     make_session(tmp_path / "session", ["a"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import shlex
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,16 @@ from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes import estimate
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.export.base_choice import base_of_session
 from dvrk_cmaes.export.bop import bop_files
+from dvrk_cmaes.export.dvrk_registration import registration_files
 from dvrk_cmaes.export.easy_handeye import calibration_file
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.tf import publisher_command
 from dvrk_cmaes.export.tracker import joint_vector, pose_vector, tracker_files
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 
@@ -181,3 +185,20 @@ def test_estimate_agrees_with_published_tracker_start(shared: Path, scanned_body
     assert np.degrees(apart.magnitude()) < 6
     assert np.linalg.norm(start[3:] - theirs[3:]) < 3e-3
     np.testing.assert_allclose(joint_vector(result), np.load(published / "optimized_joint_angles.npy"), atol=0.15)
+
+
+def test_moving_endoscope_is_exported_by_what_stays() -> None:
+    """The camera in the endoscope's tip and the arm's base in that of its arm, in place of one moment's base."""
+    tip, ecm = moved(np.eye(4), [0.001, 0.002, 0.01, 0.0, 0.0, np.pi]), moved(np.eye(4), [0.1, 0.2, 0.0, 0.3, 0.0, 0.4])
+    document = {
+        "camera_from_base": BASE.tolist(),
+        "endoscope": {"tip_from_camera": tip.tolist(), "ecm_from_base": ecm.tolist()},
+    }
+    base = base_of_session("session.json", document)
+    assert base.tip_from_camera is not None
+    files = registration_files(base.camera_from_base, NAMES, ecm_from_base=base.ecm_from_base)
+    arms = {one["name"]: np.array(one["measured_cp"]) for one in json.loads(files["suj-fixed.json"])["arms"]}
+    np.testing.assert_allclose(arms[NAMES.arm], ecm, atol=1e-9)
+    pieces = base_of_session("session.json", {**document, "endoscope": {"tip_from_camera": None}})
+    assert pieces.warnings
+    assert not base.warnings

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import psutil
+import pytest
 from helpers.moving_worlds import SMALL, moving_world
 
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.cli.rehearsal import Stage
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import header
-from dvrk_cmaes.live.apart import Process
+from dvrk_cmaes.live.apart import Process, TrackerApart
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.runs.solver_process import SolverProcess
@@ -30,7 +32,7 @@ BEGIN = 10**9  # ns
 
 def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None = None) -> tuple[Stage, list[str]]:
     """Play images of two arms through the loop, before one of which all processes are killed; also returns lines."""
-    stage, lines = Stage(BEGIN), list[str]()
+    stage, lines = Stage(stamp=BEGIN), list[str]()
     setup = LiveSetup(
         TOPICS,
         tuple(
@@ -81,6 +83,30 @@ def test_arms_in_processes_of_their_own_have_the_same_poses() -> None:
     for arm, poses in here.poses.items():
         assert len(poses) >= 3
         assert all(np.array_equal(pose, apart.poses[arm][stamp]) for stamp, pose in poses.items())
+
+
+def test_step_that_fails_does_not_end_the_process() -> None:
+    class Failing:
+        killed = False
+
+        def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+            if function is bool:
+                return False
+            raise ValueError("a fault of the tracker")
+
+        def kill(self) -> None:
+            self.killed = True
+
+        def close(self) -> None: ...
+
+    process = Failing()
+    tracker = TrackerApart(lambda: process, cast(Any, None), print)
+    for _ in range(2):
+        with pytest.raises(ValueError, match="a fault of the tracker"):
+            tracker.step(0.0)
+    assert not process.killed
+    tracker.close()
+    assert process.killed
 
 
 def test_process_that_dies_costs_three_images_and_its_arm_begins_anew() -> None:

@@ -233,6 +233,17 @@ def test_readings_of_the_endoscopes_arm_are_kept_and_bounded() -> None:
     assert robot.lines == ["cameras: 64 x 48 px, focal length 60.0 px, 64 x 48 px, focal length 60.0 px"]
 
 
+def test_whole_readings_of_the_endoscopes_arm_are_given_to_all_arms() -> None:
+    robot = Robot(MASKED, pair())
+    names = ["outer_yaw", "outer_pitch", "outer_insertion", "outer_roll"]
+    robot.send("/ECM/measured_js", {"header": stamp(1.0), "name": names, "position": [0.1, 0.2, 0.1, 0.3]})
+    expected = {"ecm_yaw": 0.1, "ecm_pitch": 0.2, "ecm_insertion": 0.1, "ecm_roll": 0.3}
+    assert [[one.joints for one in own.take_all()] for own in robot.inputs.readings.values()] == [
+        [expected],
+        [expected],
+    ]
+
+
 def test_cameras_of_both_eyes_are_received_with_their_distance() -> None:
     robot = Robot(MASKED)
     robot.send("/left/camera_info", info(camera()))

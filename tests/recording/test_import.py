@@ -8,6 +8,7 @@ import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -39,8 +40,11 @@ from dvrk_cmaes.cli import main
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
+from dvrk_cmaes.geometry import quaternion_xyzw
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, ecm_from_tip_and_jacobian
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.recording.messages import ecm_values
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.write_session import Selection, write_session
 
@@ -442,3 +446,29 @@ def test_masks_that_were_drawn_in_an_imported_session_are_never_removed(
     ran = run_command(capsys, "import", bag, "--out", "session", "--overwrite")
     assert ran.refusal == ("session: masks/000000.png was not written by `import`; choose another --out, or move it")
     assert mask.read_bytes() == b"drawn by hand"
+
+
+# the arm of the endoscope
+
+
+def test_joints_of_the_endoscopes_arm_are_read_beside_those_of_the_instruments(
+    imported: Import, tmp_path: Path
+) -> None:
+    names = ("outer_yaw", "outer_pitch", "outer_insertion", "outer_roll")
+    of_ecm = [
+        joints(one.time, sweep(one.time)[:4], names, "/ECM/measured_js") for one in good() if "PSM1/m" in one.topic
+    ]
+    summary = imported(write_bag(tmp_path / "bag", "mcap", [*good(), *of_ecm]))
+    assert any(note == "ecm_yaw ecm_pitch ecm_insertion ecm_roll: /ECM/measured_js" for note in summary["notes"])
+    for k, frame in enumerate(read_session("session").frames):
+        expected = dict(zip(ECM_JOINTS, sweep(BEGIN + k * SECOND // 10)[:4], strict=True))
+        assert {name: frame.readings[name] for name in ECM_JOINTS} == pytest.approx(expected, abs=1e-8)
+
+
+def test_joints_follow_from_the_pose_of_the_endoscopes_tip() -> None:
+    values = [0.2, -0.3, 0.12, 0.4]
+    pose, _ = ecm_from_tip_and_jacobian(np.array(values))
+    x, y, z, w = quaternion_xyzw(pose)
+    place = SimpleNamespace(x=pose[0, 3], y=pose[1, 3], z=pose[2, 3])
+    message = SimpleNamespace(pose=SimpleNamespace(position=place, orientation=SimpleNamespace(x=x, y=y, z=z, w=w)))
+    assert ecm_values(message, "bag") == pytest.approx(values, abs=1e-9)

@@ -16,6 +16,7 @@ from helpers.made_recordings import ARM, SECOND, pixels, write_video
 
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 
 Import = Callable[..., dict[str, Any]]
 Refused = Callable[..., str]
@@ -68,6 +69,7 @@ def test_readings_are_interpolated_to_images(imported: Import, tmp_path: Path, r
         # the first image is earlier than all readings: it keeps those of its own frame
         time = image_time(k) + (late if k == 0 else 0)
         expected = {**dict(zip(ARM, positions(arm, time), strict=True)), "jaw": jaw_position(time)}
+        expected |= dict(zip(ECM_JOINTS, positions("ECM", image_time(k))[:4], strict=True))
         assert frame.readings == pytest.approx(expected, abs=1e-8)
     assert dict(session.image_times) == {f"{k:06d}": image_time(k) for k in range(4)}
 
@@ -113,8 +115,16 @@ def test_frame_without_readings_is_counted(imported: Import, tmp_path: Path) -> 
     clip = write_clip(tmp_path / "clip", numbers=range(5))
     (clip / "kinematic/PSM1/4.json").unlink()
     summary = imported(clip, "--arm", "PSM1")
-    assert [(one["frames"], one["without"]) for one in summary["readings"]] == [(4, 1), (4, 1)]
-    assert read_session("session").frames[4].readings == {}
+    assert [(one["frames"], one["without"]) for one in summary["readings"]] == [(4, 1), (4, 1), (5, 0)]
+    assert set(read_session("session").frames[4].readings) == set(ECM_JOINTS)
+
+
+def test_damaged_readings_of_the_endoscopes_arm_are_named_and_left_out(imported: Import, tmp_path: Path) -> None:
+    clip = write_clip(tmp_path / "clip")
+    (clip / "kinematic/ECM/1.json").write_text("{}")
+    summary = imported(clip, "--arm", "PSM1")
+    assert any("endoscope's arm is not read" in note and "ECM/1.json" in note for note in summary["notes"])
+    assert set(read_session("session").frames[0].readings) == {*ARM, "jaw"}
 
 
 def test_readings_far_from_their_image_are_omitted(imported: Import, tmp_path: Path) -> None:
@@ -124,7 +134,8 @@ def test_readings_far_from_their_image_are_omitted(imported: Import, tmp_path: P
     arm["measured_data"]["measured_js_stamp"]["nsec"] += 60_000_000
     (clip / "time_syn/2.json").write_text(json.dumps(document))
     imported(clip, "--arm", "PSM1")
-    assert [set(frame.readings) for frame in read_session("session").frames[1:4]] == [
+    found = [{*frame.readings} - {*ECM_JOINTS} for frame in read_session("session").frames[1:4]]
+    assert found == [
         {*ARM, "jaw"},
         {"jaw"},
         {*ARM, "jaw"},
@@ -154,7 +165,7 @@ def test_flat_readings_are_read(imported: Import, tmp_path: Path) -> None:
     flat = {"measured_js": {"position": positions("PSM1", image_time(0))}, "jaw": {"position": [0.4]}}
     (clip / "kinematic/PSM1/0.json").write_text(json.dumps(flat))
     imported(clip, "--arm", "PSM1")
-    readings = read_session("session").frames[0].readings
+    readings = {k: v for k, v in read_session("session").frames[0].readings.items() if k not in ECM_JOINTS}
     assert readings == pytest.approx({**dict(zip(ARM, flat["measured_js"]["position"], strict=True)), "jaw": 0.4})
 
 

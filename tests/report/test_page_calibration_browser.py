@@ -27,7 +27,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> str:
         frames,
         left_out={"gone": "no readings of all outer joints (yaw, pitch, insertion, roll)", "lost": "no pose"},
         untold=("offset of insertion: standard deviation 0.50 mm, as wide as expected beforehand",),
-        remarks=("the arm's base or the camera moved between frames 04 and 05: calibrated for the last of them",),
+        remarks=("the arm's base or the camera moved between frames 04 and 05: 2 bases, and all else is shared",),
     )
     out = tmp_path_factory.mktemp("out")
     return write_page(write_calibrated(out, [*frames, failed("lost")], session, pictures=[*NAMES, LONG])).as_uri()

@@ -108,7 +108,7 @@ def test_false_input_counts_as_named_by_its_own_message_only(cases: list[Case]) 
 
     still, said = (
         np.zeros(6),
-        "the arm's base or the camera moved between frames 0004 and 0005: calibrated for the first",
+        "the arm's base or the camera moved between frames 0004 and 0005: 2 bases, and all else is shared",
     )
     right = [
         outcome(cases, still, FOREIGN_MASKS, left_out={"0001": "", "0005": "", "0008": ""}),

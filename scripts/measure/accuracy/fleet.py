@@ -23,6 +23,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
+from measure.accuracy.endoscope import endoscope_figures, without_ecm
 from measure.accuracy.figures import base_errors
 from measure.accuracy.fleet_calibrations import MOST_STD, base_in_std, calibrated, pooled, wrong_focal_length
 from measure.accuracy.tip_probability import reliability_rows
@@ -121,12 +122,14 @@ def fleet_report(
     every: int | None = None,
     first: int = 0,
     wrong_focal: int | None = None,
+    ecm: bool = True,
 ) -> dict[str, Any]:
     """Follow all recordings, and return a row of figures for each and one for all; results go to ``keep`` if given.
 
     With ``every``, every N-th frame of each is calibrated as well, which makes two more tables. With ``first``,
     figures are of the frames from that one on, and two more tables of those before it, and of their second half. With
     ``wrong_focal``, every N-th frame is calibrated with a focal length that is 10 % too long, or too short, too.
+    Without ``ecm``, the readings of the endoscope's arm are not used.
     """
     calibrations: dict[str, Any] = {}
     if every is not None:
@@ -136,11 +139,11 @@ def fleet_report(
             session = read_session(folder)
             each.append(calibrated(folder.name, session, golden, given.body, given.config, given.workers, every))
         calibrations = {"calibrated": [one.row for one in each], "all calibrated": [pooled(each)]}
-    return calibrations | _followed(given, causal=causal, keep=keep, first=first, wrong_focal=wrong_focal)
+    return calibrations | _followed(given, causal=causal, keep=keep, first=first, wrong_focal=wrong_focal, ecm=ecm)
 
 
 def _followed(
-    given: Measurement, *, causal: bool, keep: Path | None, first: int, wrong_focal: int | None
+    given: Measurement, *, causal: bool, keep: Path | None, first: int, wrong_focal: int | None, ecm: bool
 ) -> dict[str, Any]:
     """Follow all recordings, and return a row of figures for each and one for all."""
     rows: list[dict[str, Any]] = []
@@ -152,7 +155,8 @@ def _followed(
             print(f"{folder.name}: following", file=sys.stderr, flush=True)
             golden = json.loads((folder / "golden.json").read_text(encoding="utf-8"))
             out = (Path(temporary) if keep is None else keep) / folder.name
-            session, evidence = used_session(read_session(folder), None)
+            read = folder if ecm else without_ecm(folder, Path(temporary) / "without")
+            session, evidence = used_session(read_session(read), None)
             settings = TrackSettings(given.config, causal=causal, evidence=evidence, workers=given.workers)
             done = track_folder(session, out, given.body, settings, video=False, page=False, notice=_notice)
             tracked = read_tracks(out / TRACKS)
@@ -164,6 +168,8 @@ def _followed(
             if wrong_focal is not None:
                 of_session = session, given.body, given.config, given.workers, wrong_focal
                 row["wrong focal length named"] = wrong_focal_length(*of_session, longer=len(rows) % 2 == 1)
+            if "endoscope" in golden:
+                row |= endoscope_figures(done.calibration, golden)
             rows.append(row)
     of_all, right = TipErrors.pooled(found), [one for one in found if not one.wrong]
     total = {"recordings": len(rows), **of_all.figures(), "worst median": max(row["tips, mm"] for row in rows)}

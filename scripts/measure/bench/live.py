@@ -119,6 +119,7 @@ def live_report(options: argparse.Namespace) -> Report:
     )
     server = context.Process(target=serve, args=(theirs, sending), daemon=True)
     server.start()
+    theirs.close()  # so that a server that fails ends this, too
 
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
@@ -231,7 +232,8 @@ Messages = Sequence[tuple[float, dict[str, Any]]]
 def serve(pipe: Any, sending: Sending) -> None:
     """Serve a session's messages in real time; send the port, and at the end the figures, through a pipe."""
     sys.path.insert(0, str(ROOT / "tests"))
-    from helpers.rosbridge_server import RosbridgeServer, wait_for  # type: ignore[import-not-found]
+    from helpers.rosbridge_server import RosbridgeServer  # type: ignore[import-not-found]
+    from helpers.waiting import wait_for  # type: ignore[import-not-found]
 
     recorded = read_recorded(sending.folder, sending.instrument)
     topics = compressed_topics(recorded)

@@ -1,0 +1,362 @@
+"""An endoscope that moves during a session: how each frame's camera_from_base follows from one of them.
+
+``relative`` (N, 4, 4) is the pose of the reference camera in the camera of each frame, so that a frame's
+camera_from_base is ``relative @ camera_from_base``. It is a function of M unknowns, which all frames share: with
+readings of the endoscope's arm (ECM), of the camera in the endoscope's tip, the offsets of the ECM's joints, and the
+errors of its readings at each place where it stands; without readings, of the place of each piece of the session.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.geometry import adjoint, change_between, exp_rotation, inverse, moved, rotation_about_z, transform
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, STRAIGHT, ecm_from_tip_and_jacobian
+
+Float64 = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+OFFSET_STD: Final = np.array([np.deg2rad(3.0), np.deg2rad(3.0), 0.005, np.deg2rad(3.0)])
+"""Standard deviations of the offsets of the ECM's joints beforehand, rad and m."""
+
+PLACE_STD: Final = np.sqrt(2) * np.array([np.deg2rad(0.3), np.deg2rad(0.3), 0.0005, np.deg2rad(0.3)])
+"""Those of the errors of its readings at a place, against those at another one: cables, sag."""
+
+HAND_EYE_STD: Final = np.array([0.005, 0.005, 0.010, np.deg2rad(4.0), np.deg2rad(4.0), np.deg2rad(30.0)])
+"""Those of the camera in the endoscope's tip, along and about the tip's axes, m, rad; the last is a turn about it."""
+
+_PIECE_STD: Final = np.array([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])  # of a piece's camera against the reference, m, rad
+_TILTS: Final = np.deg2rad([0.0, 30.0, -30.0])  # of cameras that look straight, down and up
+_TURNS: Final = np.deg2rad(np.arange(-150.0, 181.0, 30.0))
+_NOISE: Final = np.array([np.deg2rad(0.02), np.deg2rad(0.02), 3e-5, np.deg2rad(0.02)])  # least, from frame to frame
+_MOST_NOISE: Final = np.array([np.deg2rad(0.5), np.deg2rad(0.5), 8e-4, np.deg2rad(0.5)])
+_SAME: Final = 4.0  # standard deviations of that, within which readings are of one place
+_STANDS: Final = 3  # frames, from which on a place is one where the endoscope stands
+
+
+@dataclass(frozen=True, eq=False)
+class EndoscopeValues(ABC):
+    """Values of the M unknowns."""
+
+    @property
+    @abstractmethod
+    def deviation(self) -> Float64:
+        """Differences (M,) from what is expected beforehand."""
+
+    @property
+    @abstractmethod
+    def std(self) -> Float64:
+        """Standard deviations (M,) of these beforehand."""
+
+    @abstractmethod
+    def changed(self, step: Float64) -> EndoscopeValues:
+        """Return the values after a step (M,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteeredValues(EndoscopeValues):
+    """Values of an endoscope whose arm is read.
+
+    ``tip_from_camera`` (4, 4), m, is the camera in the endoscope's tip, ``expected`` (4, 4) what that is beforehand.
+    ``offsets`` (4,) are those of the ECM's joints, and ``errors`` (P, 4) what is added to its readings at P places but
+    the reference: true = reading + offset + error, rad and m.
+    """
+
+    tip_from_camera: Float64
+    expected: Float64
+    offsets: Float64
+    errors: Float64
+
+    @property
+    def deviation(self) -> Float64:
+        """Differences (M,) from what is expected beforehand."""
+        turn = change_between(self.expected, self.tip_from_camera)
+        return np.concatenate([in_tip(self.expected) @ turn, self.offsets, self.errors.ravel()])
+
+    @property
+    def std(self) -> Float64:
+        """Standard deviations (M,) of these beforehand."""
+        return np.concatenate([HAND_EYE_STD, OFFSET_STD, np.tile(PLACE_STD, len(self.errors))])
+
+    def changed(self, step: Float64) -> SteeredValues:
+        """Return the values after a step (M,)."""
+        turned = moved(self.tip_from_camera, in_tip(self.tip_from_camera).T @ step[:6])
+        return replace(
+            self,
+            tip_from_camera=turned,
+            offsets=self.offsets + step[6:10],
+            errors=self.errors + step[10:].reshape(-1, 4),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PieceValues(EndoscopeValues):
+    """Values of an endoscope that is not read: ``cameras`` (P, 4, 4), the reference camera in that of P pieces, m.
+
+    ``expected`` (P, 4, 4) are those from which the estimation started.
+    """
+
+    cameras: Float64
+    expected: Float64
+
+    @property
+    def deviation(self) -> Float64:
+        """Differences (M,) from what is expected beforehand."""
+        return np.asarray(change_between(self.expected, self.cameras).ravel())
+
+    @property
+    def std(self) -> Float64:
+        """Standard deviations (M,) of these beforehand."""
+        return np.tile(_PIECE_STD, len(self.cameras))
+
+    def changed(self, step: Float64) -> PieceValues:
+        """Return the values after a step (M,)."""
+        return replace(self, cameras=moved(self.cameras, step.reshape(-1, 6)))
+
+
+class Endoscope(ABC):
+    """Where the endoscope is in each of N frames, as a function of the values of M unknowns."""
+
+    start: EndoscopeValues
+    loose: Float64
+    """Standard deviations (M,) of the values from which an estimation starts."""
+
+    @property
+    @abstractmethod
+    def place(self) -> Indices:
+        """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
+
+    @abstractmethod
+    def relative(self, values: EndoscopeValues) -> Float64:
+        """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
+
+    @abstractmethod
+    def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
+        """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns, along and about base axes."""
+
+    @abstractmethod
+    def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
+        """Compute the changes (N, 6, 4) of camera_from_base by a standard deviation of a frame's own errors."""
+
+    @abstractmethod
+    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Endoscope:
+        """Return the endoscope in the frames at some indices."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the M unknowns."""
+        return tuple(f"endoscope_{number}" for number in range(len(self.start.std)))
+
+
+InFrames = tuple[Endoscope, EndoscopeValues]
+"""Where an endoscope is in some frames, and the values of its unknowns."""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A place at which the endoscope stands: its ``readings`` (4,), and how far from them (4,) others are of it."""
+
+    readings: Float64
+    within: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Steered(Endoscope):
+    """An endoscope whose arm is read, in N frames.
+
+    ``read`` (N, 4) are the readings, rad and m, ``places`` where it stands, the first of which is the reference.
+    """
+
+    read: Float64
+    places: tuple[Place, ...]
+    start: SteeredValues
+    loose: Float64
+
+    @classmethod
+    def of(cls, read: Float64) -> Steered | None:
+        """Return the endoscope of frames with readings (N, 4), NaN without one; None if it is not read, or stands."""
+        read = filled(read)
+        places = find_places(read)
+        if np.isnan(read).any() or not len(read):
+            return None
+        if not places:  # it moves all the time
+            places = (Place(np.median(read, axis=0), np.zeros(4)),)
+        if len(places) == 1 and (np.abs(read - places[0].readings) <= np.maximum(places[0].within, _NOISE)).all():
+            return None
+        start = SteeredValues(STRAIGHT, STRAIGHT, np.zeros(4), np.zeros((len(places) - 1, 4)))
+        return cls(read, places, start, start.std)
+
+    @cached_property
+    def place(self) -> Indices:
+        """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
+        readings, within = (np.array([getattr(one, name) for one in self.places]) for name in ("readings", "within"))
+        away = (np.abs(self.read[:, None] - readings) / np.maximum(within, 1e-12)).max(axis=2)
+        return np.where(away.min(axis=1) <= 1, away.argmin(axis=1), -1)
+
+    def at(self, read: Float64) -> Steered:
+        """Return the endoscope with other readings (N, 4) of the frames; a frame without has those of its neighbour."""
+        return Steered(filled(read), self.places, self.start, self.loose)
+
+    def _joints(self, values: EndoscopeValues) -> Float64:
+        """Return the joints (N, 4) of the ECM in each frame."""
+        assert isinstance(values, SteeredValues)
+        readings = np.array([one.readings for one in self.places])
+        errors = np.concatenate([np.zeros((1, 4)), values.errors])
+        at_place = (readings + errors)[self.place]
+        return np.where(self.place[:, None] >= 0, at_place, self.read) + values.offsets
+
+    def relative(self, values: EndoscopeValues) -> Float64:
+        """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
+        assert isinstance(values, SteeredValues)
+        tips, _ = ecm_from_tip_and_jacobian(self._joints(values))
+        first, _ = ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
+        return np.asarray(inverse(tips @ values.tip_from_camera) @ first @ values.tip_from_camera)
+
+    def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
+        """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
+        assert isinstance(values, SteeredValues)
+        own, of_joints = self._by_joints(values, camera_from_base)
+        _, first = ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
+        base_from_camera = inverse(camera_from_base)
+        to_base = adjoint(base_from_camera)
+        out = np.zeros((len(self.read), 6, len(values.deviation)))
+        out[:, :, :6] = (to_base - adjoint(own)) @ in_tip(values.tip_from_camera).T
+        out[:, :, 6:10] = of_joints + to_base @ adjoint(inverse(values.tip_from_camera)) @ first
+        for number in range(1, len(self.places)):
+            stands = self.place == number
+            out[stands, :, 6 + 4 * number : 10 + 4 * number] = of_joints[stands]
+        return out
+
+    def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
+        """Compute the changes (N, 6, 4) of camera_from_base by a standard deviation of a frame's own errors."""
+        _, of_joints = self._by_joints(values, camera_from_base)
+        return np.where((self.place < 0)[:, None, None], of_joints * PLACE_STD, 0.0)
+
+    def _by_joints(self, values: EndoscopeValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
+        """Compute the cameras in the base (N, 4, 4), and the changes (N, 6, 4) of the bases by the ECM."""
+        assert isinstance(values, SteeredValues)
+        _, of_tip = ecm_from_tip_and_jacobian(self._joints(values))
+        own = inverse(self.relative(values) @ camera_from_base)
+        return own, -adjoint(own @ inverse(values.tip_from_camera)) @ of_tip
+
+    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Steered:
+        """Return the endoscope in the frames at some indices."""
+        return replace(self, read=self.read[index])
+
+    def with_start(self, values: SteeredValues, loose: Float64) -> Steered:
+        """Return the endoscope with other values from which estimations start."""
+        return replace(self, start=values, loose=loose)
+
+    def hand_eyes(self) -> list[Steered]:
+        """Return the endoscope with cameras in its tip that may be, at any turn about its axis.
+
+        The turn is known to half of the distance between these.
+        """
+        loose = self.start.std.copy()
+        loose[5] = (_TURNS[1] - _TURNS[0]) / 2
+        poses = [
+            STRAIGHT @ transform(rotation_about_z(turn) @ exp_rotation([tilt, 0.0, 0.0]), np.zeros(3))
+            for tilt in _TILTS
+            for turn in _TURNS
+        ]
+        return [
+            self.with_start(replace(self.start, tip_from_camera=pose, expected=pose), loose.copy()) for pose in poses
+        ]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the M unknowns."""
+        hand_eye = tuple(f"tip_from_camera_{name}" for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
+        places = (f"{name}_at_{number}" for number in range(1, len(self.places)) for name in ECM_JOINTS)
+        return (*hand_eye, *ECM_JOINTS, *places)
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces(Endoscope):
+    """An endoscope that is not read, in N frames, each in a ``piece`` (N,) of the session; piece 0 is the reference."""
+
+    piece: Indices
+    start: PieceValues
+    loose: Float64
+
+    @classmethod
+    def of(cls, piece: Indices, cameras: Float64) -> Pieces:
+        """Return the endoscope of frames in pieces, with the reference camera in those of the others (P, 4, 4), m."""
+        start = PieceValues(cameras, cameras)
+        return cls(piece, start, 0.1 * start.std)
+
+    @property
+    def place(self) -> Indices:
+        """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
+        return self.piece
+
+    def relative(self, values: EndoscopeValues) -> Float64:
+        """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
+        assert isinstance(values, PieceValues)
+        return np.concatenate([np.eye(4)[None], values.cameras])[self.piece]
+
+    def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
+        """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
+        out = np.zeros((len(self.piece), 6, len(values.deviation)))
+        to_base = adjoint(inverse(camera_from_base))
+        for number in range(1, len(values.deviation) // 6 + 1):
+            out[self.piece == number, :, 6 * number - 6 : 6 * number] = to_base
+        return out
+
+    def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
+        """Compute the changes (N, 6, 4) of camera_from_base by a standard deviation of a frame's own errors."""
+        return np.zeros((len(self.piece), 6, 4))
+
+    def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Pieces:
+        """Return the endoscope in the frames at some indices."""
+        return replace(self, piece=self.piece[index])
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the M unknowns."""
+        count = len(self.start.cameras)
+        return tuple(f"piece_{k + 1}_{name}" for k in range(count) for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
+
+
+def find_places(read: Float64) -> tuple[Place, ...]:
+    """Find the places at which an endoscope stands in frames with readings (N, 4), in the order of time.
+
+    Readings are of one place if they are within what they scatter from one frame to the next.
+    """
+    if len(read) < 2 or np.isnan(read).any():
+        return ()
+    steps = np.abs(np.diff(read, axis=0))
+    noise = np.maximum(np.quantile(steps, 0.25, axis=0) / 0.45, _NOISE)  # of a normal distribution's differences
+    if (noise > _MOST_NOISE).any():
+        return ()
+    groups: list[list[int]] = []
+    for frame, row in enumerate(read):
+        for group in reversed(groups):
+            if (np.abs(row - read[group].mean(axis=0)) <= _SAME * noise).all():
+                group.append(frame)
+                break
+        else:
+            groups.append([frame])
+    return tuple(Place(read[group].mean(axis=0), _SAME * noise) for group in groups if len(group) >= _STANDS)
+
+
+def filled(read: Float64) -> Float64:
+    """Return readings (N, 4) of which those of a frame without are those of the nearest frame that has some."""
+    known = np.flatnonzero(~np.isnan(read).any(axis=1))
+    if not len(known) or len(known) == len(read):
+        return read
+    return np.asarray(read[known[np.abs(np.arange(len(read))[:, None] - known).argmin(axis=1)]])
+
+
+def in_tip(tip_from_camera: Float64) -> Float64:
+    """Return the matrix (6, 6) that turns changes along and about the camera's axes to the tip's."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = tip_from_camera[:3, :3]
+    return out

@@ -1,0 +1,232 @@
+"""Search for what a session's frames agree on where its endoscope moves: the camera in its tip, or pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
+from dvrk_cmaes.calibration.endoscope import Pieces, Steered, SteeredValues
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.session_state import SessionState
+from dvrk_cmaes.calibration.solve import Solution, robust_costs, solve_with_modes
+from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.instrument.endoscope import ecm_readings
+
+Float64 = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_HYPOTHESIS_FRAMES, _TEST_FRAMES = 10, 60  # of each consensus of the search
+_TRIED: Final = 4  # cameras in the tip by which the frames agree best, that are refined
+_FOUND: Final = 0.3  # of the deviations beforehand: those of a refined camera in the tip
+_LEAST_PIECE: Final = 3  # frames that agree on the base of a piece
+_LEAST_WINDOW, _MOST_WINDOWS = 4, 30  # frames of a run that is solved by itself, and number of these
+_JOIN: Final = 40.0  # increase of the robust cost up to which one base explains two runs
+_AGREE: Final = 0.75  # share of a run's frames that agree on one base
+_CUT: Final = 4.0  # cost of a change of the base from one frame to the next
+
+
+def with_readings(state: SessionState) -> SessionState:
+    """Return the session with its endoscope where the arm that holds it is read and moves, else as it is."""
+    read = ecm_readings([frame.result.readings for frame in state.frames])
+    steered = Steered.of(read)
+    if steered is None:
+        return state
+    state.problem.progress("finding the camera in the endoscope", len(state.frames))
+    found = find_hand_eye(state.model, state.modes, state.problem.offset_std, state.problem.prior, steered)
+    std = np.asarray(found.start.std)
+    return replace(
+        state, model=replace(state.model, endoscope=found), problem=replace(state.problem, endoscope_std=std)
+    )
+
+
+def with_pieces(state: SessionState, consensus: Consensus | None = None) -> SessionState | None:
+    """Return the session in the pieces in which its base stands still; None if it is not to be cut.
+
+    ``consensus`` is that of all frames, if it is known.
+    """
+    problem = state.problem
+    if consensus is None:
+        consensus = find_consensus(state.model, state.modes, problem.offset_std)
+    found = find_pieces(state.model, state.modes, problem.offset_std, problem.prior, consensus)
+    if found is None:
+        return None
+    pieces, _ = found
+    state = state.noted(remarks=[describe_pieces(pieces, state.frames)])
+    return replace(
+        state,
+        model=replace(state.model, endoscope=pieces),
+        problem=replace(problem, endoscope_std=pieces.start.std),
+    )
+
+
+def find_hand_eye(
+    model: SessionModel,
+    modes: Sequence[Sequence[Mode]],
+    offset_std: Float64,
+    prior: Float64,
+    steered: Steered,
+) -> Steered:
+    """Find the camera in the endoscope's tip by which the frames' modes agree best, at any turn about the axis.
+
+    Parameters
+    ----------
+    model, modes, offset_std
+        As in `find_consensus`.
+    prior
+        As in `solve`, without the endoscope.
+    steered
+        The endoscope in all frames, whose camera is not known yet.
+    """
+    few = evenly_spaced(len(modes), _TEST_FRAMES)
+    modes = [modes[i] for i in few]
+    model = replace(model, endoscope=steered).subset(few)
+    tried: list[tuple[float, Steered, Consensus]] = []
+    for offered in steered.hand_eyes():
+        of_few = replace(model, endoscope=offered.subset(few))
+        consensus = find_consensus(of_few, modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES)
+        tried.append((consensus.mean_misfit, offered, consensus))
+    prior = np.diag([*np.diag(prior), *steered.start.std**-2.0])
+    refined: list[tuple[float, Steered]] = []
+    for _, offered, consensus in sorted(tried, key=lambda one: one[0])[:_TRIED]:
+        of_few = replace(model, endoscope=offered.subset(few))
+        solution, _ = solve_with_modes(of_few, modes, consensus.calibration, prior)
+        values = solution.calibration.endoscope
+        assert isinstance(values, SteeredValues)
+        there = offered.with_start(values, _FOUND * offered.loose)
+        again = find_consensus(
+            replace(model, endoscope=there.subset(few)), modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES
+        )
+        refined.append((float(again.cost.mean()), there))
+    return min(refined, key=lambda one: one[0])[1]
+
+
+def find_pieces(
+    model: SessionModel,
+    modes: Sequence[Sequence[Mode]],
+    offset_std: Float64,
+    prior: Float64,
+    consensus: Consensus,
+) -> tuple[Pieces, Indices] | None:
+    """Find the pieces of a session whose base or camera moved without readings that tell, None if it stood still.
+
+    Short runs of consecutive frames are solved by themselves. Those whose frames agree are joined with their neighbours
+    where one base explains both as well, and each base so found then holds for consecutive frames.
+
+    Parameters
+    ----------
+    model, modes, offset_std
+        As in `find_consensus`, of N frames in the order they were taken.
+    prior
+        As in `solve`.
+    consensus
+        The consensus of all frames.
+
+    Returns
+    -------
+    (Pieces, (N,)) or None
+        The pieces of all frames, of which that with most frames is the reference, and which frames (K,) agree with
+        their piece.
+    """
+    if not _disagree_together(consensus.agree):
+        return None
+
+    roll = float(consensus.calibration.offsets[1])
+
+    def solved(index: Indices, *starts: Calibration) -> _Run:
+        own, own_modes = model.subset(index), [modes[i] for i in index]
+        starts = starts or (find_consensus(own, own_modes, offset_std, roll=roll).calibration,)
+        found = [solve_with_modes(own, own_modes, start, prior)[0] for start in starts]
+        return min((_Run(index, one) for one in found), key=lambda run: run.cost)
+
+    count = len(modes)
+    length = max(_LEAST_WINDOW, -(-count // _MOST_WINDOWS))
+    starts = range(0, max(count - length, 0) + 1, max(length // 2, 1))
+    runs = [run for start in starts if (run := solved(np.arange(start, min(start + length, count)))).agrees]
+    joined = [_joined(*pair, solved) for pair in pairwise(runs)]
+    while joined:
+        gains = [
+            one.cost - before.cost - after.cost for one, (before, after) in zip(joined, pairwise(runs), strict=True)
+        ]
+        best = int(np.argmin(gains))
+        if gains[best] > _JOIN:
+            break
+        runs[best : best + 2] = [joined[best]]
+        first = max(best - 1, 0)
+        joined[first : best + 2] = [_joined(*pair, solved) for pair in pairwise(runs[first : best + 2])]
+    kept = [run.solution.calibration for run in runs]
+    if len(kept) < 2:
+        return None
+    found = [agreement(model, modes, offset_std, one) for one in kept]
+    place = _fewest_changes(np.array([one.cost for one in found]))
+    order = sorted(range(len(kept)), key=lambda number: -int((place == number).sum()))
+    reference = kept[order[0]].camera_from_base
+    cameras = np.array([kept[number].camera_from_base @ inverse(reference) for number in order[1:]])
+    agree = np.array([one.agree for one in found])[place, np.arange(count)]
+    return Pieces.of(np.argsort(order)[place], cameras), np.flatnonzero(agree)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """Consecutive frames and what they tell by themselves."""
+
+    index: Indices
+    solution: Solution
+
+    @property
+    def cost(self) -> float:
+        """Robust cost of the frames."""
+        return float(robust_costs(self.solution.misfit, self.dimension).sum())
+
+    @property
+    def dimension(self) -> int:
+        return 4 + len(self.solution.calibration.offsets)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether most frames agree on one base."""
+        agree = self.solution.misfit < INLIER_MISFIT * self.dimension
+        return bool(agree.sum() >= max(_LEAST_PIECE, _AGREE * len(agree)))
+
+
+def _joined(before: _Run, after: _Run, solved: Callable[..., _Run]) -> _Run:
+    """Solve two runs together, from what either tells by itself."""
+    return solved(np.concatenate([before.index, after.index]), before.solution.calibration, after.solution.calibration)
+
+
+def _disagree_together(agree: NDArray[np.bool_]) -> bool:
+    """Whether some consecutive frames, at least three, disagree with the consensus."""
+    runs = np.convolve(~agree, np.ones(_LEAST_PIECE), "valid") if len(agree) >= _LEAST_PIECE else np.zeros(0)
+    return bool((runs == _LEAST_PIECE).any())
+
+
+def describe_pieces(pieces: Pieces, frames: Sequence[SessionFrame]) -> str:
+    """Say between which frames the base or the camera moved."""
+    cuts = np.flatnonzero(np.diff(pieces.piece)).tolist()
+    between = ", ".join(f"{frames[i].name} and {frames[i + 1].name}" for i in cuts)
+    return (
+        f"the arm's base or the camera moved between frames {between}: {len(pieces.start.cameras) + 1} bases, and all "
+        "else is shared"
+    )
+
+
+def _fewest_changes(costs: Float64) -> Indices:
+    """Return which of B bases holds for each of N consecutive frames, by their costs (B, N), with few changes."""
+    bases, frames = costs.shape
+    total, came = costs[:, 0].copy(), np.zeros((frames, bases), np.intp)
+    for frame in range(1, frames):
+        best = int(total.argmin())
+        stays = total <= total[best] + _CUT
+        came[frame] = np.where(stays, np.arange(bases), best)
+        total = np.minimum(total, total[best] + _CUT) + costs[:, frame]
+    out = np.empty(frames, np.intp)
+    out[-1] = total.argmin()
+    for frame in range(frames - 1, 0, -1):
+        out[frame - 1] = came[frame, out[frame]]
+    return out

@@ -1,0 +1,271 @@
+"""What a session tells of an endoscope that moves, as in ``session.json``: places, and the camera in its tip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvrk_cmaes.calibration.endoscope import (
+    OFFSET_STD,
+    InFrames,
+    Pieces,
+    PieceValues,
+    Place,
+    Steered,
+    SteeredValues,
+    filled,
+    in_tip,
+)
+from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.geometry import adjoint, inverse, log_rotation
+from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, STRAIGHT, ecm_from_tip_and_jacobian
+from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
+from dvrk_cmaes.io.natural_order import natural
+from dvrk_cmaes.io.rounding import rounded_array
+from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_document, refused
+
+Float64 = NDArray[np.float64]
+Row = tuple[Number, ...]
+
+_TOLD: Final = np.deg2rad(5.0)  # rad, largest standard deviation of the camera in the tip that is told
+_BEFORE: Final = 0.7  # of the deviations beforehand, from which on an offset is not told
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """Consecutive frames in which the endoscope stood at a place, from ``first`` to ``last``.
+
+    ``start`` and ``end`` are the times of these, s, None where unknown. ``place`` is the number of the place, 0 that of
+    the reference, and ``camera_from_base`` the base from there.
+    """
+
+    place: Count
+    first: str
+    last: str
+    camera_from_base: Transform
+    start: Number | None = None
+    end: Number | None = None
+
+
+@dataclass(frozen=True)
+class ReadPlace:
+    """A place by the readings of the endoscope's arm: ``readings``, how far ``within`` these, and their ``error``."""
+
+    readings: Row
+    within: Row
+    error: Row
+
+
+@dataclass(frozen=True, eq=False)
+class SessionEndoscope:
+    """An endoscope that moved during a session; m, rad, and readings in the order of the ECM's joints.
+
+    bases : where it stood, by time. places : the same by the readings of its arm, the reference first; empty where that
+    is not read.
+    tip_from_camera : the camera in the endoscope's tip; ecm_from_base : the arm's base in that of the endoscope's arm.
+    std_tip_from_camera, std_ecm_from_base : standard deviations along and about the axes of the tip and of the arm's
+    base, with what the offsets of the ECM leave open. expected : what the camera in the tip was taken for beforehand.
+    offsets, std_offsets : of the ECM's joints: true = reading + offset.
+    covariance : (K + M, K + M) of base and offsets, as in ``covariance.given_camera``, and of the M unknowns of the
+    endoscope.
+    """
+
+    bases: tuple[Stand, ...] = ()
+    places: tuple[ReadPlace, ...] = ()
+    tip_from_camera: Transform | None = None
+    ecm_from_base: Transform | None = None
+    std_tip_from_camera: Row = ()
+    std_ecm_from_base: Row = ()
+    expected: Transform | None = None
+    offsets: dict[str, Number] = field(default_factory=dict)
+    std_offsets: dict[str, Number] = field(default_factory=dict)
+    covariance: Float64 = field(default_factory=lambda: np.zeros((0, 0)), metadata=SIGNIFICANT)
+
+    @classmethod
+    def of(
+        cls,
+        model: SessionModel,
+        calibration: Calibration,
+        covariance: Float64,
+        names: Sequence[str],
+        times: Sequence[float | None],
+    ) -> SessionEndoscope | None:
+        """Return what was estimated of N frames; None of an endoscope that stands still.
+
+        Parameters
+        ----------
+        model, calibration
+            The session's model of the frames, and its solution.
+        covariance : (K + M, K + M)
+            That of the solution.
+        names, times
+            Names of the frames, and the times of their images, s, None where unknown.
+        """
+        endoscope, values, base = model.endoscope, calibration.endoscope, calibration.camera_from_base
+        if endoscope is None or values is None:
+            return None
+        cameras, place = model.camera_from_base(calibration), endoscope.place
+        ends = [*(np.flatnonzero(np.diff(place)) + 1).tolist(), len(place)]
+        stands, first = [], 0
+        for end in ends:
+            if place[first] >= 0:
+                own = times[first], times[end - 1]
+                stands.append(Stand(int(place[first]), names[first], names[end - 1], cameras[first], *own))
+            first = end
+        if not isinstance(endoscope, Steered) or not isinstance(values, SteeredValues):
+            return cls(tuple(stands), covariance=covariance)
+        count = calibration.own - len(values.deviation)
+        jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
+        tip, of_tip = ecm_from_tip_and_jacobian(endoscope.places[0].readings + values.offsets)
+        jacobian[:, :6] = np.eye(6)
+        from_camera = adjoint(inverse(base))
+        jacobian[:, count : count + 6] = from_camera @ in_tip(values.tip_from_camera).T
+        jacobian[:, count + 6 : count + 10] = from_camera @ adjoint(inverse(values.tip_from_camera)) @ of_tip
+        std = np.sqrt(np.diag(covariance))[count:]
+        errors = np.concatenate([np.zeros((1, 4)), values.errors])
+        return cls(
+            tuple(stands),
+            tuple(
+                ReadPlace(_row(one.readings), _row(one.within), _row(error))
+                for one, error in zip(endoscope.places, errors, strict=True)
+            ),
+            values.tip_from_camera,
+            np.asarray(tip @ values.tip_from_camera @ base),
+            _row(std[:6]),
+            _row(np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))),
+            values.expected,
+            dict(zip(ECM_JOINTS, values.offsets.tolist(), strict=True)),
+            dict(zip(ECM_JOINTS, std[6:10].tolist(), strict=True)),
+            covariance,
+        )
+
+    @classmethod
+    def from_document(cls, where: str, document: Any, known: int) -> SessionEndoscope | None:
+        """Read the field ``endoscope`` of a document, None where it is null, with K = ``known`` axes of the base."""
+        if document is None:
+            return None
+        where = f"{where}: endoscope"
+        if not isinstance(document, Mapping):
+            raise refused(where, "", "an object", document)
+        matrix = document.get("covariance")
+        found = convert_document(where, {name: part for name, part in document.items() if name != "covariance"}, cls)
+        if bool(found.places) != (found.tip_from_camera is not None and found.expected is not None):
+            raise refused(where, "places", "some with tip_from_camera and expected, else none", len(found.places))
+        if any(len(row) != 4 for one in found.places for row in (one.readings, one.within, one.error)):
+            raise refused(where, "places", "four numbers of each of readings, within and error", "another number")
+        if found.places and tuple(found.offsets) != ECM_JOINTS:
+            raise refused(where, "offsets", f"those of {', '.join(ECM_JOINTS)}", found.offsets)
+        count = known + (10 + 4 * len(found.places) - 4 if found.places else 6 * found.last_place)
+        try:
+            covariance = np.array(matrix, dtype=np.float64)
+        except (TypeError, ValueError):
+            covariance = np.zeros(0)
+        if covariance.shape != (count, count) or not np.isfinite(covariance).all() or (np.diag(covariance) < 0).any():
+            expected = f"{count} rows of {count} finite numbers, no negative variance"
+            raise refused(where, "covariance", expected, matrix)
+        if not found.places and {one.place for one in found.bases} != set(range(found.last_place + 1)):
+            raise refused(where, "bases", "each place from 0 on", [one.place for one in found.bases])
+        return cls(**{**vars(found), "covariance": covariance})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the values in the documented schema, ready for JSON."""
+        names = [name for name in vars(self) if name not in ("places", "covariance")]
+        places = [{name: rounded_array(np.array(row)) for name, row in vars(one).items()} for one in self.places]
+        return {**encoded_fields(self, *names), "places": places, **encoded_fields(self, "covariance")}
+
+    @property
+    def last_place(self) -> int:
+        """Largest number of a place."""
+        return max((one.place for one in self.bases), default=0)
+
+    @property
+    def untold(self) -> list[str]:
+        """Descriptions of what the motions do not tell."""
+        texts = []
+        std = np.array(self.std_tip_from_camera)
+        if len(std) and std[3:].max() > _TOLD:
+            axis = "xyz"[int(std[3:].argmax())]
+            texts.append(
+                f"camera in the endoscope's tip: rotation about its {axis} axis known to "
+                f"{np.degrees(std[3:].max()):.0f} deg only; moves of the endoscope about different axes would tell it"
+            )
+        found = [self.std_offsets.get(name, 0.0) for name in ECM_JOINTS]
+        pairs = zip(ECM_JOINTS, found, OFFSET_STD.tolist(), strict=True)
+        open_ones = [name for name, own, before in pairs if own > _BEFORE * before]
+        if self.places and open_ones:
+            texts.append(
+                f"offsets of {', '.join(open_ones)}: as wide as expected beforehand; those of yaw, insertion and roll "
+                "cannot be told from other places of arm and camera"
+            )
+        return texts
+
+    def in_frames(
+        self, camera_from_base: Float64, read: Float64 | None, times: Sequence[float | None], names: Sequence[str]
+    ) -> InFrames | str:
+        """Return the endoscope in N frames and the values of its unknowns, or why it is not known in one of them.
+
+        Parameters
+        ----------
+        camera_from_base : (4, 4)
+            The base in the reference camera, m.
+        read : (N, 4)
+            Readings of the ECM, NaN without one; None where there are none.
+        times, names
+            Times, s, and names of the frames, by which the place of an endoscope that is not read is found.
+        """
+        if self.places:
+            if read is None or np.isnan(read).all(axis=0).any():
+                return f"no reading of {', '.join(ECM_JOINTS)}"
+            assert self.tip_from_camera is not None
+            assert self.expected is not None
+            errors = np.array([one.error for one in self.places[1:]]).reshape(-1, 4)
+            offsets = np.array([self.offsets[name] for name in ECM_JOINTS])
+            steered = SteeredValues(self.tip_from_camera, self.expected, offsets, errors)
+            places = tuple(Place(np.array(one.readings), np.array(one.within)) for one in self.places)
+            return Steered(filled(read), places, steered, steered.std), steered
+        of_place = {one.place: one.camera_from_base for one in self.bases}
+        moves = [of_place[k] @ inverse(camera_from_base) for k in range(1, self.last_place + 1)]
+        values = PieceValues(np.array(moves).reshape(-1, 4, 4), np.array(moves).reshape(-1, 4, 4))
+        piece = [self.place_at(time, name) for time, name in zip(times, names, strict=True)]
+        return Pieces(np.array(piece, np.intp), values, values.std), values
+
+    def place_at(self, time: float | None, name: str) -> int:
+        """Return the place of the piece nearest to a time, s, or where no times are known, to a frame's name."""
+        if time is not None and all(one.start is not None and one.end is not None for one in self.bases):
+            gaps = [max((one.start or 0.0) - time, time - (one.end or 0.0), 0.0) for one in self.bases]
+            return self.bases[int(np.argmin(gaps))].place
+        before = [one for one in self.bases if natural(one.first) <= natural(name)]
+        return (before[-1] if before else self.bases[0]).place
+
+    def in_words(self) -> list[str]:
+        """Describe the places, and the camera in the tip with its standard deviations, a line each."""
+        count = self.last_place + 1
+        if self.tip_from_camera is None:
+            return [f"endoscope: it moved, and is not read: {count} places, each with a base of its own"]
+        std = np.array(self.std_tip_from_camera)
+        turn = np.degrees(log_rotation((inverse(STRAIGHT) @ self.tip_from_camera)[:3, :3]))
+        offsets = ", ".join(
+            f"{name.removeprefix('ecm_')} {scale * value:+.2f} {unit} (std {scale * self.std_offsets[name]:.2f})"
+            for name, value in self.offsets.items()
+            for scale, unit in [(1e3, "mm") if name == "ecm_insertion" else (180 / np.pi, "deg")]
+        )
+        return [
+            f"endoscope: its arm was read at {count} places where it stood",
+            f"  camera in its tip: {_numbers(1e3 * self.tip_from_camera[:3, 3])} mm, std {_numbers(1e3 * std[:3])}; "
+            f"turned by {_numbers(turn)} deg against a straight one, std {_numbers(np.degrees(std[3:]))}",
+            f"  offsets of its joints: {offsets}",
+        ]
+
+
+def _numbers(values: Float64) -> str:
+    """Format three numbers."""
+    return " ".join(f"{value:.1f}" for value in values)
+
+
+def _row(values: Float64) -> Row:
+    """Return values as plain numbers."""
+    return tuple(np.asarray(values, np.float64).tolist())
