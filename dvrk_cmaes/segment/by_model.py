@@ -51,7 +51,7 @@ _LATER: Final = 0.5  # of these, as the finalists are optimised
 _SEED: Final = 1
 _STRAIN: Final = 0.01  # of the score, for each squared unit of change
 _USUAL: Final = 95  # percentile of the scores along all axes, over which a candidate's margin is measured
-_LOG_ODDS: Final = np.array([1.60, 1.73, 1.48, 0.74, 1.83, -6.75])
+_LOG_ODDS: Final = np.array([1.56, 1.73, 1.64, 0.95, 1.81, -7.18])
 """Of a candidate that is an instrument, for each of its measures and its margin, and in all.
 
 Fitted by ``scripts/segmentation.py fit 20 --seed 1000`` to drawn pictures.
