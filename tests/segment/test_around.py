@@ -84,6 +84,6 @@ def test_an_empty_or_full_silhouette_has_no_mask(flat: np.ndarray) -> None:
 def test_a_large_image_has_the_same_mask_as_a_small_one() -> None:
     size = (1400, 1120)
     image = np.asarray(cv2.resize(picture(bar()), size, interpolation=cv2.INTER_LINEAR), np.uint8)
-    found = segmentation_around(image, resized(bar(62, 92), size), Prompts())
+    found = segmentation_around(image, np.roll(resized(bar(), size), 4, axis=1), Prompts())  # within the free band
     assert found.mask.shape == size[::-1]
-    assert overlap(found.mask, resized(bar(), size)) > 0.95
+    assert overlap(found.mask, resized(bar(), size)) > 0.97
