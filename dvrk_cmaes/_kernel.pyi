@@ -65,11 +65,9 @@ class Mesh:
         camera: Camera,
         camera_from_link: NDArray[numpy.float64],
         lines_per_pixel: int,
-        with_coverage: bool,
         threads: int,
         decide: Callable[..., NDArray[numpy.bool_]] | None,
     ) -> tuple[
-        NDArray[numpy.float32] | None,
         NDArray[numpy.int64],
         NDArray[numpy.int64],
         NDArray[numpy.float64],

@@ -35,8 +35,9 @@ def exp_rotation(rotvec: ArrayLike) -> Float64:
     safe = np.where(small, 1.0, angle)
     a = np.where(small, 1 - squared / 6, np.sin(safe) / safe)
     b = np.where(small, 0.5 - squared / 24, (1 - np.cos(safe)) / safe**2)
-    k = _skew(v)
-    return np.asarray(np.eye(3) + a * k + b * (k @ k))
+    rotation = a * _skew(v) + b * v[..., :, None] * v[..., None, :]
+    np.einsum("...ii->...i", rotation)[...] += 1 - b[..., 0] * squared[..., 0]
+    return np.asarray(rotation)
 
 
 def quaternion_wxyz(rotation: ArrayLike) -> Float64:
@@ -128,9 +129,9 @@ def frame_along(direction: ArrayLike) -> Float64:
     """Return rotations (..., 3, 3) whose z axes are unit vectors (..., 3); the x axis is a fixed function of z."""
     z = np.asarray(direction, dtype=np.float64)
     helper = np.where(np.abs(z[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    x = np.cross(helper, z)
+    x = (_skew(helper) @ z[..., None])[..., 0]
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    return np.stack([x, np.cross(z, x), z], axis=-1)
+    return np.stack([x, (_skew(z) @ x[..., None])[..., 0], z], axis=-1)
 
 
 def rotation_about_z(angle: ArrayLike) -> Float64:

@@ -28,8 +28,8 @@ from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.silhouette.prepare import prepare
 
 FRAME = "0001"
-WIDTH = 800  # px
-QUALITY = 64  # of the JPEG, 0 to 100
+WIDTH = 720  # px
+QUALITY = 50  # of the JPEG, 0 to 100
 
 FOLLOWED_WIDTH = 480  # px
 FOLLOWED_QUALITY = 24  # of the WebP, 0 to 100

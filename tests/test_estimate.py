@@ -13,13 +13,17 @@ import pytest
 
 from dvrk_cmaes import Camera, EstimateConfig, Result, estimate
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameData, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.geometry import inverse, rotation_angle
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.joints.prior import Readings
+from dvrk_cmaes.pose import find_pose
 from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
+from dvrk_cmaes.pose.search.modes import Candidate
 from dvrk_cmaes.silhouette import Body, Renderer
 
 QUICK = EstimateConfig()
@@ -157,6 +161,31 @@ def test_other_candidates_are_refined_only_where_the_first_do_not_agree(
     assert agreed.status == all_refined.status == "ok"
     assert rotation_angle(agreed.camera_from_root, all_refined.camera_from_root) < np.deg2rad(0.05)
     np.testing.assert_allclose(agreed.camera_from_root[:3, 3], all_refined.camera_from_root[:3, 3], atol=2e-5)
+
+
+def test_another_search_follows_where_the_first_does_not_explain_the_mask(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = estimate(frame.mask, frame.camera, readings, bundled_body)
+    seeds, search = [], find_pose.find_candidates
+
+    def poor_at_first(
+        renderer: Renderer, evidence: Evidence, known: Readings, config: EstimateConfig
+    ) -> tuple[list[Candidate], list[Renderer]]:
+        seeds.append(config.seed)
+        found, drawing = search(renderer, evidence, known, config)
+        if len(seeds) == 1:
+            found = [replace(each, at=each.at.moved(np.r_[0.0, 0.08, 0.0, np.zeros(6)])) for each in found]
+        return found, drawing
+
+    monkeypatch.setattr(find_pose, "find_candidates", poor_at_first)
+    found = estimate(frame.mask, frame.camera, readings, bundled_body, config=EstimateConfig(seed=2**32 - 1))
+    assert len(set(seeds)) == 2
+    assert found.status == usual.status == "ok"
+    assert found.evaluations > 1.5 * usual.evaluations
+    np.testing.assert_allclose(found.camera_from_root, usual.camera_from_root, atol=1e-3)
+    estimate(frame.mask, frame.camera, readings, bundled_body)
+    assert len(seeds) == 3  # once is enough
 
 
 def test_no_file_is_opened(

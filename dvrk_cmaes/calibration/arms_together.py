@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.endoscope import Steered, SteeredValues, in_tip
+from dvrk_cmaes.calibration.endoscope import Steered, SteeredValues
 from dvrk_cmaes.calibration.relative_base import RelativeBase
 from dvrk_cmaes.geometry import adjoint, inverse, moved
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, ecm_from_tip_and_jacobian
 from dvrk_cmaes.io.rounding import rounded, rounded_array
+from dvrk_cmaes.joints.names import ECM_JOINTS
 
 Float64 = NDArray[np.float64]
 
@@ -89,16 +89,13 @@ class ArmsTogether:
         values, size = self.values, 6 * len(self.arms)
         std = np.sqrt(np.diag(self.covariance))
         of_offsets = dict(zip(ECM_JOINTS, std[size + 6 : size + 10].tolist(), strict=True))
-        tip, of_tip = ecm_from_tip_and_jacobian(self.endoscope.places[0].readings + values.offsets)
         arms = {}
         for number, (name, base) in enumerate(zip(self.arms, self.bases, strict=True)):
-            from_camera = adjoint(inverse(base))
             jacobian = np.zeros((6, len(self.covariance)))
             jacobian[:, 6 * number : 6 * number + 6] = np.eye(6)
-            jacobian[:, size : size + 6] = from_camera @ in_tip(values.tip_from_camera).T
-            jacobian[:, size + 6 : size + 10] = from_camera @ adjoint(inverse(values.tip_from_camera)) @ of_tip
+            ecm_from_base, jacobian[:, size : size + 10] = self.endoscope.ecm_from_base(values, base)
             arms[name] = {
-                "ecm_from_base": rounded_array(tip @ values.tip_from_camera @ base),
+                "ecm_from_base": rounded_array(ecm_from_base),
                 "std": rounded_array(np.sqrt(np.diag(jacobian @ self.covariance @ jacobian.T))),
             }
         return {

@@ -29,7 +29,6 @@ from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
 from dvrk_cmaes.calibration.solution_trials import (
     solve_session,
-    with_freed_camera,
     with_masks_again,
     with_pieces_if_lost,
 )
@@ -162,12 +161,7 @@ def calibrate_with_evidence(
     state = solve_session(SessionState.of(problem, usable, rotations))
     if settings.session.masks_again:
         state = with_masks_again(state)
-    solved, (state, check) = state, checked_camera(state)
-    if check.may_be_freed:
-        freed = with_freed_camera(solved, SessionState.of(problem, usable, rotations))
-        checked = None if freed is None else checked_camera(freed)
-        if checked is not None and check.agrees_with(checked[1]):
-            state, check = checked
+    state, check = checked_camera(state)
     lag, applied = state.lag, state.lag.applied
     if applied is not None:
         option = f"taken out; other commands take it out with {applied.option}"

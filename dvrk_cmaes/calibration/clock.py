@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.play import Play, play_between
 from dvrk_cmaes.joints.series import ReadingSeries
 

@@ -22,6 +22,7 @@ from dvrk_cmaes.calibration.model import (
     Correction,
     Deviations,
     SessionModel,
+    ecm_readings,
     offset_deviations,
 )
 from dvrk_cmaes.calibration.session_cables import SessionCables
@@ -38,7 +39,6 @@ from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix

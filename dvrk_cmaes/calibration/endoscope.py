@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import adjoint, change_between, exp_rotation, inverse, moved, rotation_about_z, transform
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, STRAIGHT, ecm_from_tip_and_jacobian
+from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
+from dvrk_cmaes.joints.names import ECM_JOINTS
 
 Float64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -218,6 +219,22 @@ class Steered(Endoscope):
         tips, _ = ecm_from_tip_and_jacobian(self._joints(values))
         first, _ = ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
         return np.asarray(inverse(tips @ values.tip_from_camera) @ first @ values.tip_from_camera)
+
+    def ecm_from_base(self, values: SteeredValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
+        """Compute an arm's base (4, 4) in that of the ECM, and its changes (6, 10) by hand-eye and offsets.
+
+        Parameters
+        ----------
+        values
+            Values of the unknowns, of which the first ten are these.
+        camera_from_base : (4, 4)
+            The arm's base in the reference camera, m, in whose axes the changes are, m and rad.
+        """
+        tip, of_tip = ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
+        base_from_camera = adjoint(inverse(camera_from_base))
+        by_hand_eye = base_from_camera @ in_tip(values.tip_from_camera).T
+        by_offsets = base_from_camera @ adjoint(inverse(values.tip_from_camera)) @ of_tip
+        return tip @ values.tip_from_camera @ camera_from_base, np.column_stack([by_hand_eye, by_offsets])
 
     def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
         """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
 from dvrk_cmaes.calibration.endoscope import Pieces, Steered, SteeredValues
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.model import Calibration, SessionModel, ecm_readings
 from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.calibration.solve import Solution, robust_costs, solve_with_modes
 from dvrk_cmaes.geometry import inverse
-from dvrk_cmaes.instrument.endoscope import ecm_readings
 
 Float64 = NDArray[np.float64]
 Indices = NDArray[np.intp]

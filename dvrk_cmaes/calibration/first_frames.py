@@ -15,14 +15,13 @@ from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.endoscope import Pieces, Steered
 from dvrk_cmaes.calibration.endoscope_search import with_readings
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, outer_readings
 from dvrk_cmaes.calibration.session_state import SessionProblem, SessionState
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.joints.series import ReadingSeries
 
 _LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from them

@@ -20,7 +20,7 @@ from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
+from dvrk_cmaes.joints.names import ECM_JOINTS
 
 Float64 = NDArray[np.float64]
 

@@ -18,10 +18,10 @@ from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView
 from dvrk_cmaes.calibration.session_masks import MARGIN
 from dvrk_cmaes.calibration.solve import marginalise
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.terms.shared_errors import LASTING, image_axis
+from dvrk_cmaes.pose.terms.sized_view import ANY_NOISE
 
 Float64 = NDArray[np.float64]
 
@@ -35,8 +35,6 @@ _LEAST, _OF_MARGIN = 0.1, 0.5
 _LOG_STD = 0.7  # of the logarithm of the size beforehand
 _SIZES = np.geomspace(0.03, 0.999 * _STD, 16)  # px
 _NONE = 1e-3  # px, of an error that is not there
-ANY_NOISE = OutlineNoise(1.0, 19.0)
-"""Noise with which the columns of shared errors are made; it does not change them."""
 
 
 class MaskGrowth(Constant):

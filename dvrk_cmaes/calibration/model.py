@@ -17,6 +17,7 @@ from dvrk_cmaes.calibration.endoscope import Endoscope, EndoscopeValues
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Posed, adjoint, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.terms.expected import Expected
 
 Float64 = NDArray[np.float64]
@@ -277,6 +278,16 @@ class SessionModel:
         )
 
 
+def ecm_readings(readings: Sequence[Mapping[str, float]]) -> Float64:
+    """Return the ECM's readings of N frames as an array (N, 4), rad and m; NaN where there is none."""
+    return _columns(readings, ECM_JOINTS)
+
+
 def outer_readings(readings: Sequence[Mapping[str, float]]) -> Float64:
     """Return the outer joints' readings of N frames as an array (N, 4), rad and m; NaN where there is none."""
-    return np.array([[r.get(name, np.nan) for name in OUTER_JOINTS] for r in readings]).reshape(-1, len(OUTER_JOINTS))
+    return _columns(readings, OUTER_JOINTS)
+
+
+def _columns(readings: Sequence[Mapping[str, float]], names: Sequence[str]) -> Float64:
+    """Return the readings of some joints as an array (N, K); NaN where there is none."""
+    return np.array([[own.get(name, np.nan) for name in names] for own in readings]).reshape(-1, len(names))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.geometry import adjoint, inverse, log_rotation
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
+from dvrk_cmaes.joints.names import ECM_JOINTS
 
 Float64 = NDArray[np.float64]
 

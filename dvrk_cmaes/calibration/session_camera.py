@@ -59,8 +59,6 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 _CONTRADICTION = 7.81  # squared Mahalanobis distance from no change; that of 95 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
 _LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
-_AGREES = 3.0  # standard deviations of both together, within which two estimates of one camera agree
-_ASPECT = 0.03  # of the focal lengths across and down, from which on no change of both puts a file right
 _HARDLY_TOLD = 2.0  # standard deviations of the file's principal point
 _PASSES = 6  # largest number of linearisations of the outlines
 _NOT_ASKED = "camera: not tested, as the settings say"
@@ -150,12 +148,6 @@ class SessionCamera(Document):
             applied=applied,
             width=width,
         )
-
-    @property
-    def values(self) -> tuple[Float64, Float64]:
-        """Focal length's factor and the principal point's shift, (3,), and their standard deviations."""
-        values = np.array([self.focal_scale, *self.principal_point_px])
-        return values, np.array([self.std_focal_scale, *self.std_principal_point_px])
 
     def corrected(self, camera: Camera) -> Camera:
         """Return the camera of the file with the change, for images of any size; unchanged if it was not applied.
@@ -289,8 +281,7 @@ class CameraCheck:
     ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
     ``growth`` and ``shaft`` are what the outlines tell of errors of the masks on some sides, beside the camera, and of
-    the radius of the shaft, with the camera of the file; None where the camera cannot be changed. ``aspect_off`` is by
-    how much the file's focal lengths across and down differ, relative.
+    the radius of the shaft, with the camera of the file; None where the camera cannot be changed.
     """
 
     camera: SessionCamera | None
@@ -298,26 +289,6 @@ class CameraCheck:
     covariance: Float64
     growth: GrowthTold | None = None
     shaft: SessionShaft | None = None
-    aspect_off: float = 0.0
-
-    def agrees_with(self, other: CameraCheck) -> bool:
-        """Whether another estimate from the same frames, with their camera in use, is what this one expects of it.
-
-        Parameters
-        ----------
-        other
-            The other estimate.
-        """
-        if self.camera is None or other.camera is None:
-            return False
-        values, stds = zip(*(one.values for one in (self.camera, other.camera)), strict=True)
-        return bool((np.abs(values[0] - values[1]) < _AGREES * np.hypot(*stds)).all())
-
-    @property
-    def may_be_freed(self) -> bool:
-        """Whether the frames contradict the file, and the change of the camera that they fit may put it right."""
-        camera = self.camera
-        return camera is not None and camera.contradicts and not camera.applied and self.aspect_off < _ASPECT
 
 
 @dataclass(frozen=True, eq=False)
@@ -451,8 +422,7 @@ def check_camera(
         frames=len(at),
         unusual=any(text.startswith(FILE) for text in outlines.camera.remarks),
     )
-    aspect_off = abs(outlines.camera.fx / outlines.camera.fy - 1)
-    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft, aspect_off)
+    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft)
 
 
 def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool, applied: bool) -> Float64:

@@ -18,15 +18,15 @@ from dvrk_cmaes.calibration.endoscope import (
     Steered,
     SteeredValues,
     filled,
-    in_tip,
 )
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.geometry import adjoint, inverse, log_rotation
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, STRAIGHT, ecm_from_tip_and_jacobian
+from dvrk_cmaes.geometry import inverse, log_rotation
+from dvrk_cmaes.instrument.endoscope import STRAIGHT
 from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
 from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_document, refused
+from dvrk_cmaes.joints.names import ECM_JOINTS
 
 Float64 = NDArray[np.float64]
 Row = tuple[Number, ...]
@@ -120,11 +120,8 @@ class SessionEndoscope:
             return cls(tuple(stands), covariance=covariance)
         count = calibration.own - len(values.deviation)
         jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
-        tip, of_tip = ecm_from_tip_and_jacobian(endoscope.places[0].readings + values.offsets)
         jacobian[:, :6] = np.eye(6)
-        from_camera = adjoint(inverse(base))
-        jacobian[:, count : count + 6] = from_camera @ in_tip(values.tip_from_camera).T
-        jacobian[:, count + 6 : count + 10] = from_camera @ adjoint(inverse(values.tip_from_camera)) @ of_tip
+        ecm_from_base, jacobian[:, count : count + 10] = endoscope.ecm_from_base(values, base)
         std = np.sqrt(np.diag(covariance))[count:]
         errors = np.concatenate([np.zeros((1, 4)), values.errors])
         return cls(
@@ -134,7 +131,7 @@ class SessionEndoscope:
                 for one, error in zip(endoscope.places, errors, strict=True)
             ),
             values.tip_from_camera,
-            np.asarray(tip @ values.tip_from_camera @ base),
+            ecm_from_base,
             _row(std[:6]),
             _row(np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))),
             values.expected,

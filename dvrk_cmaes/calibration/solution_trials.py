@@ -42,7 +42,6 @@ _LIKELY = 1.5  # largest ratio of the misfit at a lag that is tried to the least
 _CLEAR = 2.0  # standard deviations of a mean difference, and ...
 _LEAST_GAIN = 0.005  # ... of overlap, by which a lag must predict better than none
 _ALIKE = 3.0  # frames near each other in time err alike, so that each counts as one of so many
-_AS_WELL = 0.02  # of overlap, by which left-out frames may be worse with a camera that is freed
 _WELL = 0.06  # of overlap, by which left-out frames may be worse than their own fits for the session to predict well
 
 
@@ -173,31 +172,6 @@ def with_masks_again(session: SessionState) -> SessionState:
     again = compared([of_frame.iou for of_frame in found.values()], len(new), bases, predicted)
     better = other if again.applied else session
     return replace(better, again=replace(better.again or FoundMasks(), compared=again))
-
-
-def with_freed_camera(session: SessionState, start: SessionState) -> SessionState | None:
-    """Solve a session again with the camera that its frames fit; None where that predicts frames clearly worse.
-
-    An error of the masks or the instrument, too, can look like another camera in the frames that are fitted.
-
-    Parameters
-    ----------
-    session
-        The session, solved with the camera of the file, which its frames contradict.
-    start
-        The same session, of which nothing is solved yet.
-    """
-    if session.again is not None:
-        return None
-    session.problem.progress("trying the camera that the frames fit", len(start.frames))
-    problem = replace(start.problem, refine_camera=True)
-    imaging = replace(start.imaging, change=np.zeros(3))
-    try:
-        freed = solve_session(replace(start, problem=problem, imaging=imaging))
-    except InputError:
-        return None
-    by_file, by_any = (float(np.mean(list(_left_out_overlaps(one).values()))) for one in (session, freed))
-    return freed if by_any > by_file - _AS_WELL else None
 
 
 def _at_lags(start: SessionState, lags: Sequence[float]) -> list[SessionState]:

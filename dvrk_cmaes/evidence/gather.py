@@ -51,10 +51,18 @@ class Evidence:
         if (width, height) not in known:
             mask, weight = self.mask.astype(np.float32), self.weight
             if mask.shape != (height, width):
-                weight = shrunk(self.weight, width, height)
-                mask = np.divide(shrunk(mask * self.weight, width, height), np.maximum(weight, 1e-6), dtype=np.float32)
+                weight = self.weight_at(width, height)
+                mask = shrunk(mask * self.weight if self.ignores else mask, width, height)
+                if self.ignores:
+                    mask = np.divide(mask, np.maximum(weight, 1e-6), dtype=np.float32)
             known[width, height] = mask, weight
         return known[width, height]
+
+    def weight_at(self, width: int, height: int) -> Float32:
+        """Return the weight (h, w) at another image size, px."""
+        if not self.ignores:
+            return np.ones((height, width), dtype=np.float32)
+        return shrunk(self.weight, width, height)
 
     def shows_both(self, width: int, height: int) -> bool:
         """Return whether some pixel is instrument, and another one background, at an image size, px."""
@@ -147,7 +155,7 @@ def _gathered(
     if instrument.shaft is None:
         unused.append("shaft edges: the instrument has no straight shaft below its root link")
     else:
-        found = find_shaft_edges(mask, contour, camera, instrument.shaft.radius, seed=seed)
+        found = find_shaft_edges(mask, contour, camera, instrument.shaft.radius, ignore=ignore, seed=seed)
         if isinstance(found, str):
             unused.append(f"shaft edges: {found}")
         else:
@@ -176,9 +184,7 @@ def _without_features(
 
 
 def shrunk(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    """Downsample an image (H, W) to another size by area averaging; one of ones, as most weights are, stays exact."""
-    if bool(image.min() == 1) and bool(image.max() == 1):
-        return np.ones((height, width), dtype=np.float32)
+    """Downsample an image (H, W) to another size by area averaging."""
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 

@@ -11,26 +11,29 @@ from dvrk_cmaes.evidence.shaft_edges import Contour, ShaftEdges
 
 Float64 = NDArray[np.float64]
 
+_LEAST_BORDER = 5  # pixels of a mask at the border of the image, from which on the instrument comes in there
 _LEAST_TIP_DISTANCE = 8.0  # px between two separate tips
 
 
-def distal_direction(mask: NDArray[np.bool_], edges: ShaftEdges) -> Float64:
-    """Find the unit vector (2,) along the shaft towards the jaws, in the undistorted image.
+def distal_direction(
+    mask: NDArray[np.bool_], edges: ShaftEdges, contour: Contour, camera: Camera
+) -> tuple[Float64, bool]:
+    """Find the unit vector (2,) along the shaft towards the jaws, in the undistorted image, and whether that is sure.
 
     The instrument enters the image at its border, so it points away from the mask's pixels on the image border. If the
-    mask has fewer than five of these, it points to the side on which the mask reaches farther from the middle of the
-    edges.
+    mask has fewer than five of these, the vector points to the side on which the contour reaches farther from the
+    middle of the edges, which is not sure: a black border or another tool may hide the rest of either side.
     """
     axis = edges.ends[0, 1] - edges.ends[0, 0]
     axis = axis / np.linalg.norm(axis)
     middle = edges.ends.mean(axis=(0, 1))
     border = _border_pixels(mask)
-    if len(border) < 5:
-        v, u = np.divmod(np.flatnonzero(mask), mask.shape[1])
-        along = (np.stack([u, v], axis=1) - middle) @ axis
-        return np.asarray(axis if along.max() > -along.min() else -axis)
-    entry = np.array([median(border[:, 0]), median(border[:, 1])])
-    return np.asarray(axis if (entry - middle) @ axis < 0 else -axis)
+    if len(border) < _LEAST_BORDER:
+        along = (contour.ideal - middle) @ axis
+        return np.asarray(axis if along.max() > -along.min() else -axis), False
+    ideal = camera.normalise(border.astype(np.float64)) * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    entry = np.array([median(ideal[:, 0]), median(ideal[:, 1])])
+    return np.asarray(axis if (entry - middle) @ axis < 0 else -axis), True
 
 
 def _border_pixels(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -55,7 +58,7 @@ def find_tips(
     """
     if edges is None:
         return "without the shaft's edges there is no telling which end is distal"
-    direction = distal_direction(mask, edges)
+    direction, _ = distal_direction(mask, edges, contour, camera)
     ends = edges.ends.reshape(-1, 2)
     foot = ends[np.argsort(-(ends @ direction))[:2]].mean(axis=0)
     distal = np.flatnonzero((contour.ideal - foot) @ direction > -20)

@@ -7,7 +7,7 @@ Constants are those of the dVRK's descriptions (``ECM.json`` and ``ECM_Si.json``
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import pi
 from typing import Any, Final
 
@@ -18,9 +18,6 @@ from dvrk_cmaes.geometry import transform
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, Arm, base_from_root_and_jacobian
 
 Float64 = NDArray[np.float64]
-
-ECM_JOINTS: Final = ("ecm_yaw", "ecm_pitch", "ecm_insertion", "ecm_roll")
-"""Joints of the ECM from its base to the endoscope's tip; insertion in m, the others in rad."""
 
 TIP_OFFSET: Final = 0.3829 - 0.3822
 """Distance of the endoscope's tip from the remote centre of motion at an insertion of zero, m."""
@@ -47,11 +44,6 @@ def ecm_from_tip_and_jacobian(readings: Float64) -> tuple[Float64, Float64]:
     """
     offset = TIP_OFFSET - INSERTION_OFFSET["classic"]
     return base_from_root_and_jacobian(np.asarray(readings, np.float64), "classic", roll_offset=offset)
-
-
-def ecm_readings(readings: Sequence[Mapping[str, float]]) -> Float64:
-    """Return the ECM's readings of N frames as an array (N, 4), rad and m; NaN where there is none."""
-    return np.array([[own.get(name, np.nan) for name in ECM_JOINTS] for own in readings]).reshape(-1, len(ECM_JOINTS))
 
 
 def joints_of_ecm_tip(ecm_from_tip: Any) -> Float64:

@@ -21,7 +21,7 @@ WRIST_JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
 """Joints of the instrument's wrist and jaws, which the camera sees."""
 
 ECM_JOINTS = ("ecm_yaw", "ecm_pitch", "ecm_insertion", "ecm_roll")
-"""Joints of the arm that holds the endoscope, beside those of the instrument's arm."""
+"""Joints of the arm that holds the endoscope (ECM), from its base to the tip; insertion in m, the others in rad."""
 
 ARM_ORDER = (*OUTER_JOINTS, "wrist_pitch", "wrist_yaw")
 """Order of the six values that the dVRK publishes as ``measured_js``; the jaw has a separate topic."""

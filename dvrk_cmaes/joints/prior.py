@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -17,11 +18,6 @@ Float64 = NDArray[np.float64]
 
 LIMIT_SIGMA = float(np.deg2rad(3.0))
 """Standard deviation of the distance by which a joint may exceed its limits, rad."""
-
-
-def reading_loss(joints: Float64, readings: Float64, sigma: Float64) -> Float64:
-    """Sum the squared deviations of joints (..., J) from readings (J,), in units of ``sigma`` (J,); NaN is unknown."""
-    return np.asarray(np.nansum(((joints - readings) / sigma) ** 2, axis=-1))
 
 
 class JointLimits(Protocol):
@@ -66,8 +62,14 @@ class Readings:
     def cost(self, joints: Float64) -> Float64:
         """Sum the squared deviations of joints (..., J) from readings and limits, in standard deviations, (...)."""
         beyond = np.maximum(self.low - joints, 0) + np.maximum(joints - self.high, 0)
-        outside = ((beyond / LIMIT_SIGMA) ** 2).sum(axis=-1)
-        return np.asarray(reading_loss(joints, self.values, self.sigma) + outside)
+        weight, centre = self.weight_and_centre
+        return np.asarray((weight * (joints - centre) ** 2 + (beyond / LIMIT_SIGMA) ** 2).sum(axis=-1))
+
+    @cached_property
+    def weight_and_centre(self) -> tuple[Float64, Float64]:
+        """The inverse variances (J,) of the readings and their values (J,), zero where there is none."""
+        known = ~np.isnan(self.values)
+        return np.where(known, 1 / self.sigma**2, 0.0), np.where(known, self.values, 0.0)
 
 
 def split_readings(

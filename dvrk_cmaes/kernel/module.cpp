@@ -330,21 +330,15 @@ Made<float> coverage(const Mesh& mesh, const Camera& camera, const Given<double>
   return out;
 }
 
-using Outlines = std::tuple<std::optional<Made<float>>, Made<std::int64_t>, Made<std::int64_t>, Made<double>,
-                            Made<double>, Made<double>>;
+using Outlines = std::tuple<Made<std::int64_t>, Made<std::int64_t>, Made<double>, Made<double>, Made<double>>;
 
 Outlines outlines(const Mesh& mesh, const Camera& camera, const Given<double>& links, int lines_per_pixel,
-                  bool with_coverage, std::size_t threads, const Decision& decide) {
+                  std::size_t threads, const Decision& decide) {
   const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, decide, kBend};
   drawing.check();
-  const std::size_t poses = drawing.poses(), pixels = std::size_t(camera.width) * camera.height;
-  std::optional<Made<float>> image;
-  if (with_coverage) image = zeros<float>({poses, std::size_t(camera.height), std::size_t(camera.width)});
+  const std::size_t poses = drawing.poses();
   std::vector<std::vector<OutlinePoint>> of_poses(poses);
-  drawing.each([&](Workspace& at, std::size_t pose) {
-    if (image) fill_coverage(at.rows, image->data() + pixels * pose, at.change);
-    drawing.find_points(at, pose, of_poses[pose]);
-  });
+  drawing.each([&](Workspace& at, std::size_t pose) { drawing.find_points(at, pose, of_poses[pose]); });
   Made<std::int64_t> begin = zeros<std::int64_t>({poses + 1});
   for (std::size_t i = 0; i < poses; ++i) begin.data()[i + 1] = begin.data()[i] + std::int64_t(of_poses[i].size());
   const std::size_t count = begin.data()[poses];
@@ -360,7 +354,7 @@ Outlines outlines(const Mesh& mesh, const Camera& camera, const Given<double>& l
       ++i;
     }
   }
-  return {std::move(image), begin, link, pixel, normal, point};
+  return {begin, link, pixel, normal, point};
 }
 
 // Refuse offsets (C + 1,) that do not divide `count` points among C poses.
@@ -672,10 +666,10 @@ NB_MODULE(_kernel, module) {
            "Find the pixels whose centres are covered in C poses: (C, H, W).")
       .def("coverage", &coverage, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "threads"_a,
            "decide"_a.none(), "Compute the covered fraction of each pixel in C poses: (C, H, W).")
-      .def("outlines", &outlines, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "with_coverage"_a, "threads"_a,
+      .def("outlines", &outlines, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "threads"_a,
            "decide"_a.none(),
-           "Find N points on the outlines of C poses: coverage (C, H, W) or None, offsets (C + 1,) of the poses' points, "
-           "links (N,), pixels (N, 2), normals (N, 2), points (N, 3) in the links' frames.")
+           "Find N points on the outlines of C poses: offsets (C + 1,) of the poses' points, links (N,), pixels (N, 2), "
+           "normals (N, 2), points (N, 3) in the links' frames.")
       .def("compare", &compare, "camera"_a, "target"_a, "camera_from_root"_a, "root_from_link"_a, "by_joint"_a.none(),
            "camera_from_link"_a, "lines_per_pixel"_a, "cauchy"_a, "threads"_a, "decide"_a.none(),
            "Compare C silhouettes with a target: losses by widths, and outlines if derivatives by joints are given.");

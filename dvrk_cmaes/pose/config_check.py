@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import fields, is_dataclass
+from functools import lru_cache
 from typing import Any
 
 from dvrk_cmaes.config import EstimateConfig, Limits
@@ -35,6 +36,12 @@ def check_config(config: EstimateConfig) -> None:
         a number is not finite, negative, outside its range, or zero where only positive values are allowed.
     """
     check_type("config", config, EstimateConfig, "an EstimateConfig")
+    _check_values(config)
+
+
+@lru_cache(maxsize=8)
+def _check_values(config: EstimateConfig) -> None:
+    """Check the values of all settings, once of those of many frames."""
     for key, value, limits in _settings(config):
         where = f"config: {key}"
         if key in _NAMES and value not in _NAMES[key]:

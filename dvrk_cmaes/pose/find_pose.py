@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings, reading_distance
@@ -20,12 +20,15 @@ from dvrk_cmaes.pose.quality import Overlap, measure_modes, pooled_quality
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.global_search import find_candidates
+from dvrk_cmaes.pose.search.methods import SEEDS
 from dvrk_cmaes.pose.search.modes import Candidate, is_twin
 from dvrk_cmaes.pose.views import FrameView, clearest_view
 from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, ViewCheck
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Float64 = NDArray[np.float64]
+
+_AGAIN = 1_000_003  # added to the seed for the second search
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,25 +70,31 @@ def find_pose(
     The first view is the reference: its ``view_from_camera`` is the identity, and the pose is in its camera. The view
     with the largest mask is searched; a search of all would cost more and find the same modes, since the eyes of an
     endoscope see nearly the same. What is found, or else the candidates to ``start`` from, is refined, ranked and
-    judged on all of them. ``decimated`` is the instrument with fewer faces, for the small images of the search.
+    judged on all of them. Where the best of it does not explain the masks, another search adds candidates.
+    ``decimated`` is the instrument with fewer faces, for the small images of the search.
     """
     instrument = decimated.instrument
-    candidates, evaluations, rays = list(start), 0, 0
-    if not candidates:
-        searched = clearest_view(views)
-        coarse = Renderer(decimated, searched.evidence.camera, threads=config.threads)
-        seen, drawing = find_candidates(coarse, searched.evidence, readings, config)
-        camera_from_view = inverse(searched.view_from_camera)
-        candidates = [Candidate(each.at.seen_from(camera_from_view), each.score) for each in seen]
-        evaluations, rays = sum(each.poses for each in drawing), sum(each.rays for each in drawing)
     local = LocalSearch(views, decimated, readings, config)
-    modes, rotations = local.refine(candidates)
-    best = modes[0]
-    of_views, others, confirming = measure_modes(views, readings, Posed.stacked([mode.at for mode in modes]), config)
-    pooled = pooled_quality(of_views)
-    covariance = pose_covariance(modes, pooled)
-    expected = expected_error(instrument, best.at, covariance)
-    probability = mode_probability(modes, expected.of_tips_mm)
+    candidates, evaluations, rays = list(start), 0, 0
+    for again in (False, True):
+        if not start:
+            seeded = replace(config, seed=(config.seed + _AGAIN) % SEEDS) if again else config
+            searched, coarse = _searched(views, decimated, readings, seeded)
+            candidates += searched
+            evaluations += sum(each.poses for each in coarse)
+            rays += sum(each.rays for each in coarse)
+        modes, rotations = local.refine(candidates)
+        best = modes[0]
+        at = Posed.stacked([mode.at for mode in modes])
+        of_views, others, confirming = measure_modes(views, readings, at, config)
+        pooled = pooled_quality(of_views)
+        rays += confirming
+        covariance = pose_covariance(modes, pooled)
+        expected = expected_error(instrument, best.at, covariance)
+        probability = mode_probability(modes, expected.of_tips_mm)
+        if start or not _lacks_fit(of_views, probability, config.trust):
+            break
+        candidates = list(modes)
     of_rig = [(np.zeros(3), np.zeros((3, 3))), *rotations]  # the first view is the reference
     checks = tuple(
         ViewCheck(view.name, quality, np.degrees(turn), np.degrees(np.degrees(spread)))
@@ -98,13 +107,31 @@ def find_pose(
         quality=pooled,
         reasons=tuple(reasons),
         evaluations=evaluations + local.silhouettes + sum(view.renderer.poses for view in views),
-        rays=rays + local.rays + sum(view.renderer.rays for view in views) + confirming,
+        rays=rays + local.rays + sum(view.renderer.rays for view in views),
         expected_error=expected,
         mode_probability=probability,
         tip_probability=of_tips,
         alternatives=_alternatives(instrument, readings, modes, others),
         views=checks,
         notes=tuple(notes),
+    )
+
+
+def _searched(
+    views: Sequence[FrameView], decimated: Body, readings: Readings, config: EstimateConfig
+) -> tuple[list[Candidate], list[Renderer]]:
+    """Search the clearest view; returns candidates in the reference camera, and the renderers used."""
+    view = clearest_view(views)
+    coarse = Renderer(decimated, view.evidence.camera, threads=config.threads)
+    found, drawing = find_candidates(coarse, view.evidence, readings, config)
+    camera_from_view = inverse(view.view_from_camera)
+    return [Candidate(each.at.seen_from(camera_from_view), each.score) for each in found], drawing
+
+
+def _lacks_fit(qualities: Sequence[Quality], of_mode: float, trust: TrustConfig) -> bool:
+    """Return whether the mode is in doubt and no view is explained, so that another search may find a better pose."""
+    return of_mode < trust.least_probability and all(
+        quality.iou < trust.least_iou or quality.distal_px > trust.largest_distal_px for quality in qualities
     )
 
 

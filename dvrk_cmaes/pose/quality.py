@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.distance_field import distance_field
-from dvrk_cmaes.evidence.gather import Evidence, window_around
+from dvrk_cmaes.evidence.gather import Evidence, shrunk, window_around
 from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.quantiles import median, quantile
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
@@ -26,6 +26,7 @@ from dvrk_cmaes.silhouette.ray_check import trace_near_outlines
 Float64 = NDArray[np.float64]
 
 _BACK = 0.004  # m, from the root's origin to another point of its axis
+_FIELD = 160  # px, largest width and height of images of distances from a mask
 _FARTHEST = 15.0  # px, to which distances of the contour beyond the shaft are limited
 
 
@@ -61,7 +62,8 @@ def measure_quality(
     traced.
     """
     seen = at.seen_from(view.view_from_camera)
-    masks, rays = _traced(view, seen)
+    masks = view.renderer.masks(seen.pose, seen.joints)
+    masks, rays = trace_near_outlines(view.renderer, seen.pose, seen.joints, masks)
     terms = _losses(view, readings, seen, masks, config)
     pairs = zip(_without_losses(view, seen, masks), terms, strict=True)
     return [_with_losses(quality, of_pose, config) for quality, of_pose in pairs], rays
@@ -80,13 +82,14 @@ def measure_modes(
 ) -> tuple[list[Quality], list[Overlap], int]:
     """Measure the first of C poses in each view, and of each other one the mean overlap and loss of all views.
 
-    Silhouettes and readings as in `measure_views`. Returns the quality of the first pose in each view, the overlaps of
-    the C - 1 others, and the number of rays traced.
+    Silhouettes of the first pose, and readings, as in `measure_views`; those of the others are not traced. Returns the
+    quality of the first pose in each view, the overlaps of the C - 1 others, and the number of rays traced.
     """
     best, others, rays = [], [], 0
     for view in views:
         seen = at.seen_from(view.view_from_camera)
-        masks, traced = _traced(view, seen)
+        masks = view.renderer.masks(seen.pose, seen.joints)
+        masks[:1], traced = trace_near_outlines(view.renderer, seen.pose[:1], seen.joints[:1], masks[:1])
         terms = _losses(view, readings, seen, masks, config)
         (quality,) = _without_losses(view, seen[:1], masks[:1])
         best.append(_with_losses(quality, terms[0], config))
@@ -100,18 +103,9 @@ def measure_modes(
     return best, mean, rays
 
 
-def _traced(view: FrameView, seen: Posed) -> tuple[NDArray[np.bool_], int]:
-    """Draw the masks (C, H, W) of poses in a view's camera, with rays along their outlines; also returns their number.
-
-    Coverage and rays are computed from the same meshes, independently of each other.
-    """
-    renderer = view.renderer
-    return trace_near_outlines(renderer, seen.pose, seen.joints, renderer.masks(seen.pose, seen.joints))
-
-
 def _with_losses(quality: Quality, terms: Terms, config: EstimateConfig) -> Quality:
     """Return a quality with the terms of the loss."""
-    by_name = {name: float(value[0]) for name, value in asdict(terms).items()}
+    by_name = {name: float(value[0]) for name, value in vars(terms).items()}
     return replace(quality, loss=float(terms.total(config.weights)[0]), terms=by_name)
 
 
@@ -131,19 +125,20 @@ def _losses(
     evidence, weights = view.evidence, config.weights
     window = _window(evidence, masks)
     mask, weight = evidence.mask[window], evidence.weight[window]
-    around = np.pad(mask, 1)  # the distance field is undefined for a mask without background
-    drawn_anywhere = np.pad(masks[:, window[0], window[1]].any(axis=0), 1)
-    far = distance_field(around, config.distance_field, where=drawn_anywhere)[1:-1, 1:-1] / config.decay_px
+    drawn = masks[:, window[0], window[1]]
+    far = _far(mask, np.logical_or.reduce(drawn), config.distance_field) / config.decay_px
     area = float(weight[mask].sum(dtype=np.float64))
     cylinder, keypoints, deviations = pose_terms(evidence, view.renderer.body.instrument, readings, weights, seen)
     of_poses = []
-    for i, silhouette in enumerate(masks[:, window[0], window[1]]):
-        drawn = weight[silhouette].astype(np.float64)
-        total, overlap = np.array([drawn.sum()]), np.array([drawn[mask[silhouette]].sum()])
+    for i, silhouette in enumerate(drawn):
+        shown = silhouette * weight
+        total, overlap = (np.array([part.sum(dtype=np.float64)]) for part in (shown, shown[mask]))
+        outside = shrunk(np.where(mask, np.float32(0), shown), far.shape[1], far.shape[0])
+        away = np.vdot(outside, far) * (mask.size / far.size)
         of_poses.append(
             Terms(
                 mse=mse_loss(total, overlap, area) / area,
-                dist=dist_loss(np.array([drawn @ far[silhouette]])) / area,
+                dist=dist_loss(np.array([away])) / area,
                 scale=scale_loss(total, area) / area,
                 cylinder=cylinder[i : i + 1],
                 keypoints=keypoints[i : i + 1],
@@ -151,6 +146,20 @@ def _losses(
             )
         )
     return of_poses
+
+
+def _far(mask: NDArray[np.bool_], where: NDArray[np.bool_], method: str) -> Float64:
+    """Compute the distance field, px, of a mask in a window, of which only the pixels ``where`` are needed.
+
+    It is that of a smaller image where the window is large: distances vary slowly.
+    """
+    by = -(-max(mask.shape) // _FIELD)
+    width, height = max(mask.shape[1] // by, 1), max(mask.shape[0] // by, 1)
+    share, needed = (shrunk(each.astype(np.float32), width, height) for each in (mask, where))
+    inside = share > min(0.5, 0.99 * float(share.max()))
+    # the distance field is undefined for a mask without background
+    field = distance_field(np.pad(inside, 1), method, where=np.pad(needed > 0, 1))
+    return np.asarray(field[1:-1, 1:-1] * np.sqrt(mask.size / (width * height)))
 
 
 def _window(evidence: Evidence, masks: NDArray[np.bool_]) -> tuple[slice, slice]:

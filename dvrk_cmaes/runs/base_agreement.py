@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from dvrk_cmaes.calibration.endoscope import Steered
+from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
-from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.results.paths import result_path

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
-from dvrk_cmaes.calibration.model import outer_readings
+from dvrk_cmaes.calibration.model import ecm_readings, outer_readings
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.sparse import Sparseness
 from dvrk_cmaes.pose.terms.expected import Expected

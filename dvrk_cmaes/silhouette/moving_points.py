@@ -79,10 +79,3 @@ def joined(groups: Sequence[object], name: str) -> NDArray[Any]:
     """Return one array of the same name of several groups, one after another; a single one is not copied."""
     arrays = [getattr(group, name) for group in groups]
     return np.ascontiguousarray(arrays[0] if len(arrays) == 1 else np.concatenate(arrays))
-
-
-def placed_points(instrument: Instrument, fixed: FixedPoints, at: Posed) -> Float64:
-    """Return points (N, 3), m, at one pose, in the frame of the camera that it is in."""
-    camera_from_link = at.pose @ instrument.forward(at.joints)
-    of_points = camera_from_link[np.asarray(fixed.link)]
-    return np.asarray(np.einsum("nij,nj->ni", of_points[:, :3, :3], fixed.points) + of_points[:, :3, 3])

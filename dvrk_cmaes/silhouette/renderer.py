@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import chain, pairwise
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -249,26 +249,8 @@ class Renderer:
         poses, values = self._arrays(camera_from_root, joints)
         return _like(camera_from_root, _joined(self._in_batches(poses, values, draw, _DRAWN)))
 
-    def outlines(self, camera_from_root: Float64, joints: Float64) -> list[OutlinePoints]:
-        """Find points on the outlines of C poses, in the image and on the instrument, on all pixel rows and columns.
-
-        Parameters
-        ----------
-        camera_from_root
-            Poses of the root link in the camera, (C, 4, 4), m.
-        joints
-            Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
-        """
-        drawn = self._outlines(camera_from_root, joints, 1, with_coverage=False)
-        return [outline for _, outlines in drawn for outline in outlines]
-
-    def coverage_and_outlines(
-        self, camera_from_root: Float64, joints: Float64, *, lines_per_pixel: int = 2
-    ) -> tuple[NDArray[np.float32], list[OutlinePoints]]:
-        """Compute the coverage and the outlines of C poses together, at little more than the cost of one of them.
-
-        The points of the outlines lie on all lines of the coverage, ``lines_per_pixel`` per pixel row, and on the pixel
-        columns.
+    def outlines(self, camera_from_root: Float64, joints: Float64, *, lines_per_pixel: int = 1) -> list[OutlinePoints]:
+        """Find points on the outlines of C poses, in the image and on the instrument, on pixel rows and columns.
 
         Parameters
         ----------
@@ -277,11 +259,17 @@ class Renderer:
         joints
             Joint values, (C, J), rad, in the order of the instrument's `joint_names`.
         lines_per_pixel
-            Lines of the image along which edges are found, for each row of pixels.
+            Lines of the image on which points are found, for each row of pixels.
         """
-        drawn = self._outlines(camera_from_root, joints, lines_per_pixel, with_coverage=True)
-        coverage = _joined([image for image, _ in drawn if image is not None])
-        return coverage, [outline for _, outlines in drawn for outline in outlines]
+        camera, mesh = kernel_camera(self.camera), self.body.mesh
+
+        def draw(links: Float64) -> list[OutlinePoints]:
+            decide = self._rays(links, lines_per_pixel)
+            begin, link, pixels, normals, points = mesh.outlines(camera, links, lines_per_pixel, self.threads, decide)
+            parts = [slice(*ends) for ends in pairwise(begin.tolist())]
+            return [OutlinePoints(link[part], pixels[part], normals[part], points[part]) for part in parts]
+
+        return list(chain.from_iterable(self._in_batches(camera_from_root, joints, draw, _DRAWN)))
 
     def compare(
         self,
@@ -388,21 +376,6 @@ class Renderer:
         if wrong := [name for name, column in zip(names, columns, strict=True) if column.shape not in ((), (count,))]:
             raise InputError(f"joints: {wrong[0]}: expected a number, or ({count},), got {described(joints[wrong[0]])}")
         return camera_from_root, np.stack([np.broadcast_to(column, count) for column in columns], axis=1)
-
-    def _outlines(
-        self, camera_from_root: Float64, joints: Float64, lines_per_pixel: int, *, with_coverage: bool
-    ) -> list[tuple[NDArray[np.float32] | None, list[OutlinePoints]]]:
-        camera, mesh = kernel_camera(self.camera), self.body.mesh
-
-        def draw(links: Float64) -> tuple[NDArray[np.float32] | None, list[OutlinePoints]]:
-            decide = self._rays(links, lines_per_pixel)
-            coverage, begin, link, pixels, normals, points = mesh.outlines(
-                camera, links, lines_per_pixel, with_coverage, self.threads, decide
-            )
-            parts = [slice(*ends) for ends in pairwise(begin.tolist())]
-            return coverage, [OutlinePoints(link[part], pixels[part], normals[part], points[part]) for part in parts]
-
-        return self._in_batches(camera_from_root, joints, draw, _DRAWN)
 
     def _in_batches(
         self, camera_from_root: Float64, joints: Float64, draw: Callable[[Float64], T], most: int

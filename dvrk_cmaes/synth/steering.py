@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import exp_rotation, inverse, log_rotation, rotation_about_z, transform
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, STRAIGHT, ecm_from_tip_and_jacobian
+from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.synth.files import rounded, rounded_joints
 
 Float64 = NDArray[np.float64]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
@@ -20,14 +21,13 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
-from dvrk_cmaes.instrument.endoscope import ecm_readings
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.calibration_lag import lag_and_std
 from dvrk_cmaes.track.keyframes import solved_with
-from dvrk_cmaes.track.prediction import Prediction
+from dvrk_cmaes.track.prediction import Prediction, endoscope_in
 from dvrk_cmaes.track.quick_fit import LINES_PER_PIXEL
 
 Bool = NDArray[np.bool_]
@@ -166,12 +166,9 @@ class KeyframeProblem:
         rates = np.array([[keyframe.rates.get(name, 0.0) for name in names] for keyframe in self.keyframes])
         _, std = lag_and_std(calibration, self.config.track.lag_std)
         outer, joints = np.split(values, [len(OUTER_JOINTS)], axis=1)
-        endoscope = None
-        if calibration.endoscope is not None:
-            read, times = ecm_readings([one.readings for one in self.keyframes]), [one.time for one in self.keyframes]
-            names = tuple(one.name for one in self.keyframes)
-            found = calibration.endoscope.in_frames(calibration.camera_from_base, read, times, names)
-            endoscope = None if isinstance(found, str) else found
+        read = ecm_readings([one.readings for one in self.keyframes])
+        moments = [one.time for one in self.keyframes], [one.name for one in self.keyframes]
+        endoscope = endoscope_in(calibration, *moments, read)
         of_all = calibration, outer, joints, instrument.joint_names
         known = Prediction.of(*of_all, endoscope=endoscope)
         late = Prediction.of(*of_all, late=std * np.nan_to_num(rates), endoscope=endoscope)

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.endoscope import Steered
+from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, ecm_readings
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, packed

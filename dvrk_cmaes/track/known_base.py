@@ -11,7 +11,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.doubts import TIPS_NOT_ACCURATE
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult

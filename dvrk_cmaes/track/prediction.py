@@ -48,10 +48,16 @@ def endoscope_at(calibration: SessionCalibration, time: float | None, ecm: Float
     ecm : (4,)
         Readings of the endoscope's arm, rad and m; None without.
     """
+    return endoscope_in(calibration, [time], [""], None if ecm is None else ecm[None])
+
+
+def endoscope_in(
+    calibration: SessionCalibration, times: Sequence[float | None], names: Sequence[str], ecm: Float64 | None
+) -> InFrames | None:
+    """Return where an endoscope is in N images, as `endoscope_at`; ``ecm`` (N, 4) are readings, None without."""
     if calibration.endoscope is None:
         return None
-    read = None if ecm is None else ecm[None]
-    found = calibration.endoscope.in_frames(calibration.camera_from_base, read, [time], [""])
+    found = calibration.endoscope.in_frames(calibration.camera_from_base, ecm, times, names)
     return None if isinstance(found, str) else found
 
 

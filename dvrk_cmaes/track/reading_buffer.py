@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
 from dvrk_cmaes.joints.gaps import Times, extrapolated
 from dvrk_cmaes.joints.interpolation import TimedReadings, weighted_mean
-from dvrk_cmaes.joints.names import check_readings
+from dvrk_cmaes.joints.names import ECM_JOINTS, check_readings
 from dvrk_cmaes.joints.sparse import Sparseness
 
 Float64 = NDArray[np.float64]

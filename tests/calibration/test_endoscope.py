@@ -27,7 +27,7 @@ from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.solve import Solution, solve_with_modes
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed, change_between, moved
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.synth.steering import Steering
 
 FRAMES = 40

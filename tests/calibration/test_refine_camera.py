@@ -10,7 +10,7 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.session_camera import CameraCheck, SessionCamera, covariance_of_camera
+from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
@@ -56,39 +56,6 @@ def test_focal_length_is_found_and_applied(refined: SolvedSession) -> None:
     assert right.fx == pytest.approx(SMALL.fx, rel=0.02)
     assert refined.calibration.remarks[0].endswith("; which is used")
     assert refined.calibration.doubts == ()
-
-
-def test_contradicted_file_is_replaced_without_being_asked(bundled_body: Body, frames: list[SessionFrame]) -> None:
-    """With its covariance in every frame's: that of the tips is of their distance what that of the focal length is."""
-    found = calibrate_session(frames, bundled_body, config=SETTINGS)
-    camera = found.calibration.camera
-    assert camera is not None
-    assert camera.applied
-    assert camera.focal_scale == pytest.approx(SCALE, abs=0.02)
-    assert found.calibration.doubts == ()
-    assert any(text.endswith("; which is used") for text in found.calibration.remarks)
-    result = found.results[frames[0].name]
-    assert result.camera_from_root is not None
-    assert result.expected_error is not None
-    share = camera.std_focal_scale / camera.focal_scale
-    assert result.expected_error.of_tips_mm > 0.9e3 * share * result.camera_from_root[2, 3]
-    few = calibrate_session(frames[:8], bundled_body, config=SETTINGS).calibration
-    assert few.camera is not None
-    assert not few.camera.applied
-
-
-def test_file_is_replaced_only_by_what_was_found_from_it() -> None:
-    camera = SessionCamera(0.9, 0.01, (0.0, 0.0), (5.0, 5.0), contradicts=True, applied=False, width=640)
-    check = CameraCheck(camera, "", np.eye(11))
-    assert check.may_be_freed
-    assert not replace(check, aspect_off=0.15).may_be_freed
-    assert not replace(check, camera=replace(camera, applied=True)).may_be_freed
-    assert not replace(check, camera=replace(camera, contradicts=False)).may_be_freed
-    found = replace(camera, focal_scale=0.88, applied=True)
-    assert check.agrees_with(replace(check, camera=found))
-    assert not check.agrees_with(replace(check, camera=replace(found, focal_scale=0.75)))
-    assert not check.agrees_with(replace(check, camera=replace(found, principal_point_px=(0.0, -110.0))))
-    assert not check.agrees_with(replace(check, camera=None))
 
 
 def test_session_agrees_with_refined_camera(bundled_body: Body, refined: SolvedSession) -> None:

@@ -13,7 +13,7 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS

@@ -27,7 +27,7 @@ EXCHANGED = "PSM1 and PSM2: the readings of each fit the masks of the other bett
 def frames(bundled_body: Body, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of single frames of two arms."""
     folder = tmp_path_factory.mktemp("frames") / "session"
-    write_two_arms(folder, SessionPlan(bundled_body, SMALL, LEVELS["clean"], "rcm", 3, 3, {}), TOOL)
+    write_two_arms(folder, SessionPlan(bundled_body, SMALL, LEVELS["clean"], "rcm", 3, 7, {}), TOOL)
     return folder
 
 

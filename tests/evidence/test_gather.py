@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,7 +11,8 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.distance_field import FIELDS, distance_field
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.evidence.shaft_edges import axis_tilt_error, find_contour, shaft_axis
+from dvrk_cmaes.evidence.jaw_tips import distal_direction
+from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, find_contour, shaft_axis
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -52,6 +54,62 @@ def test_holes_and_blobs_do_not_move_shaft_edges(bundled_body: Body) -> None:
     mask |= np.hypot(u - straight.ends[0, 0, 0], v - straight.ends[0, 0, 1]) < 7
     rough = gather_evidence(mask, camera, bundled_body.instrument).shaft_edges[0]
     assert (np.abs(rough.planes @ straight.planes.T).max(axis=1) > np.cos(np.deg2rad(0.3))).all()
+
+
+@pytest.mark.parametrize("width", [1280, 2560])
+def test_rough_edges_of_a_large_image_are_found(bundled_body: Body, width: int) -> None:
+    camera = CAMERAS["pinhole"].scaled(width, width * 3 // 4)
+    rough = cv2.GaussianBlur(np.random.default_rng(0).standard_normal((480, 640)), (0, 0), 3.0)
+    rough = cv2.resize(rough * (1.6 / rough.std()), (camera.width, camera.height)) * (width / 640)
+    mask = drawn(bundled_body, camera)
+    inside, outside = (cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) for part in (mask, ~mask))
+    evidence = gather_evidence(inside - outside + rough > 0, camera, bundled_body.instrument)
+    assert bundled_body.instrument.shaft is not None
+    expected = project_cylinder(POSE[:3, 3], POSE[:3, 2], bundled_body.instrument.shaft.radius)
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    likeness = np.abs(evidence.shaft_edges[0].planes @ expected.T).max(axis=1)
+    assert (np.degrees(np.arccos(np.minimum(likeness, 1))) < 1.5).all()
+    # the ends are on the edges in the whole image
+    lines = expected @ np.linalg.inv(camera.matrix)
+    lines /= np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
+    away = np.abs(evidence.shaft_edges[0].ends @ lines[:, :2].T + lines[:, 2])
+    assert away.min(axis=2).max() < 5 * width / 640
+
+
+def test_edges_much_closer_than_the_mask_is_wide_are_not_the_shaft(bundled_body: Body) -> None:
+    v, u = np.mgrid[:480, :640]
+    bar, disc = (np.abs(v - 240) < 16) & (u > 330), np.hypot(u - 250, v - 240) < 130
+    alone, beside = (gather_evidence(mask, CAMERAS["pinhole"], bundled_body.instrument) for mask in (bar, bar | disc))
+    assert alone.shaft_edges
+    assert beside.shaft_edges == ()
+
+
+def towards_jaws(mask: np.ndarray, camera: Camera, ends: list[list[list[float]]]) -> tuple[float, bool]:
+    """Give the horizontal part of the direction to the jaws along edges whose ends, ideal pixels, are given."""
+    edges = ShaftEdges(np.zeros((2, 3)), np.array(ends), np.ones(2), np.full(2, 50))
+    direction, sure = distal_direction(mask, edges, find_contour(mask, camera), camera)
+    return float(direction[0]), sure
+
+
+def test_instrument_points_away_from_where_it_comes_in() -> None:
+    v, u = np.mgrid[:480, :640]
+    beam = np.abs(v - 240) < 20
+    ends = [[[300.0, 220.0], [420.0, 220.0]], [[420.0, 260.0], [300.0, 260.0]]]
+    camera = CAMERAS["pinhole"]
+    assert towards_jaws(beam & (u < 450), camera, ends) == (1, True)
+    assert towards_jaws(beam & (u > 100), camera, ends) == (-1, True)
+    # where it ends before the border, the side on which it reaches farther is only likely
+    assert towards_jaws(beam & (u > 100) & (u < 500), camera, ends) == (-1, False)
+    assert towards_jaws(beam & (u > 290) & (u < 500), camera, ends) == (1, False)
+
+
+def test_instrument_points_away_from_the_border_through_a_lens_that_bends_it() -> None:
+    v, u = np.mgrid[:480, :640]
+    camera = Camera(640, 480, 320, 320, 320, 240, (0.1, 0.02, 0.0, 0.0, 0.0, 0.45, 0.05, 0.0), "rational_polynomial")
+    middle = float((camera.normalise(np.array([[600.0, 240.0]])) * 320 + 320)[0, 0])
+    assert middle > 640  # the middle of the edges lies outside the image of a camera without a lens
+    ends = [[[middle - 60, 220.0], [middle + 60, 220.0]], [[middle + 60, 260.0], [middle - 60, 260.0]]]
+    assert towards_jaws((np.abs(v - 240) < 20) & (u > 200), camera, ends) == (-1, True)
 
 
 def test_jaw_tips_agree_with_projected_tips(bundled_body: Body) -> None:

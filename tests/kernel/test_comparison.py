@@ -63,7 +63,7 @@ def test_points_are_those_of_outlines_and_move_as_they_do(bundled_body: Body) ->
     drawing = renderer(bundled_body, 2)
     target = _kernel.Target(*mask_and_weight(drawing, ignored=False), blur_filter(BLUR), REACH)
     compared = drawing.compare(AT, target, [0.5], lines_per_pixel=2)
-    _, outlines = drawing.coverage_and_outlines(AT.pose, AT.joints, lines_per_pixel=2)
+    outlines = drawing.outlines(AT.pose, AT.joints, lines_per_pixel=2)
     moving = moving_points(bundled_body.instrument, drawing.camera, outlines, AT)
     for one, outline, moved in zip(compared, outlines, moving, strict=True):
         for name in ("link", "pixels", "normals", "points"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import Any, cast
@@ -32,7 +32,7 @@ BEGIN = 10**9  # ns
 
 def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None = None) -> tuple[Stage, list[str]]:
     """Play images of two arms through the loop, before one of which all processes are killed; also returns lines."""
-    stage, lines = Stage(stamp=BEGIN), list[str]()
+    stage, lines, others = Stage(stamp=BEGIN), list[str](), workers()
     setup = LiveSetup(
         TOPICS,
         tuple(
@@ -53,7 +53,7 @@ def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None
         loop = setup.loop(inputs, stage, lines.append, stack)
         for k in range(images):
             if k == dies_at:
-                for child in workers():
+                for child in workers(others):
                     child.kill()
             stamp = BEGIN + round(1e9 * k / 30)
             for arm, world in ARMS.items():
@@ -63,15 +63,15 @@ def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None
             data = {arm: np.asarray(255 * world.masks[k], np.uint8).tobytes() for arm, world in ARMS.items()}
             stage.send(stamp, {MASKS[arm]: {"header": header(stamp), **size, "data": data[arm]} for arm in ARMS})
             loop.turn()
-        started = workers()
+        started = workers(others)
     _, alive = psutil.wait_procs(started, 30)  # those that solve keyframes are not killed, but end with their arm's
     assert not alive
     return stage, lines
 
 
-def workers() -> list[psutil.Process]:
-    """Return the processes that this one and its processes have started; not the one that tracks resources."""
-    children = psutil.Process().children(recursive=True)
+def workers(others: Sequence[psutil.Process] = ()) -> list[psutil.Process]:
+    """Return the processes that this one and its processes have started; not others, nor one that tracks resources."""
+    children = [child for child in psutil.Process().children(recursive=True) if child not in others]
     return [child for child in children if "resource_tracker" not in " ".join(child.cmdline())]
 
 

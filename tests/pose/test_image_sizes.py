@@ -12,6 +12,7 @@ from helpers.batch_sessions import QUICK_CONFIG
 from dvrk_cmaes import estimate
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import gather_evidence, shrunk
+from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.pose.search.global_search import search_size
 from dvrk_cmaes.pose.search.screening import screening_size
 from dvrk_cmaes.pose.search.starts import lookat_pose
@@ -79,3 +80,14 @@ def test_estimate_of_any_size_explains_its_mask(bundled_body: Body, size: tuple[
     assert result.quality is not None
     assert result.quality.iou > 0.85
     assert json.dumps(result.to_dict(), allow_nan=False)
+
+
+@pytest.mark.parametrize("turn", [0.7, 4.7])
+def test_mode_of_a_thin_tool_is_told_in_images_that_show_it(bundled_body: Body, turn: float) -> None:
+    camera = Camera(1300, 1024, 650.0, 650.0, 650.0, 512.0)
+    pose = lookat_pose(0.9, turn, 0.4, 0.33)
+    mask = Renderer(bundled_body, camera, threads=1).masks(pose[None], JOINTS)[0]
+    values = (JOINTS[0] + [0.05, -0.05, 0.1]).tolist()
+    found = estimate(mask, camera, dict(zip(bundled_body.instrument.joint_names, values, strict=True)), bundled_body)
+    assert found.camera_from_root is not None
+    assert np.degrees(rotation_angle(found.camera_from_root, pose)) < 3

@@ -15,7 +15,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import LossWeights
 from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.geometry import exp_rotation, transform
-from dvrk_cmaes.joints.prior import reading_loss
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import (
     Terms,
     cylinder_loss,
@@ -275,6 +275,11 @@ def test_keypoint_loss_is_best_pairing_plus_mean_points(projected: np.ndarray, r
 
 
 # Readings and total
+
+
+def reading_loss(joints: np.ndarray, readings: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Return the cost of joints within their limits."""
+    return Readings(readings, sigma, np.full(len(readings), -9.0), np.full(len(readings), 9.0)).cost(joints)
 
 
 def test_reading_loss_is_sum_of_squared_standardised_deviations() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.frame_terms import view_at
+from helpers.placed_points import placed_points
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
@@ -19,7 +20,6 @@ from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, shared_er
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
-from dvrk_cmaes.silhouette.moving_points import placed_points
 
 CAMERA = Camera(320, 240, 440, 440, 160, 120)
 TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,10 +11,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import LookAtRange
+from dvrk_cmaes.config import EstimateConfig, LookAtRange
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.starts import (
+    draw_starts,
     likely_distances,
     lookat_pose,
     sample_distances,
@@ -202,3 +206,22 @@ def test_samples_depend_on_seed(name: str) -> None:
 
     np.testing.assert_array_equal(draw(1), draw(1))
     assert not np.array_equal(draw(1), draw(2))
+
+
+@pytest.mark.parametrize(("cut", "ends"), [(0, 1), (30, 2)])
+def test_candidates_are_at_either_end_where_it_is_not_seen_which_one_is_distal(
+    bundled_body: Body, cut: int, ends: int
+) -> None:
+    camera = Camera(640, 480, 900.0, 900.0, 320.0, 240.0)
+    pose, joints = lookat_pose(0.9, 1.0, 0.3, 0.12), np.array([[0.3, -0.2, 0.6]])
+    mask = Renderer(bundled_body, camera, threads=1).masks(pose[None], joints)[0]
+    v, u = np.mgrid[:480, :640]
+    mask &= (u >= cut) & (u < 640 - cut) & (v >= cut) & (v < 480 - cut)
+    evidence = gather_evidence(mask, camera, bundled_body.instrument)
+    config = EstimateConfig()
+    config = replace(config, search=replace(config.search, free_share=0.0))
+    readings = Readings.none(bundled_body.instrument)
+    drawn, _ = draw_starts(evidence, bundled_body.instrument, readings, config, np.random.default_rng(0))
+    along = drawn.pose[:, :3, 2] @ pose[:3, 2]
+    assert len(np.unique(np.sign(along))) == ends
+    assert (along > 0).mean() >= 0.5 if ends == 2 else (along > 0).all()

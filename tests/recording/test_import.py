@@ -41,9 +41,10 @@ from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.geometry import quaternion_xyzw
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS, ecm_from_tip_and_jacobian
+from dvrk_cmaes.instrument.endoscope import ecm_from_tip_and_jacobian
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.recording.messages import ecm_values
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.write_session import Selection, write_session

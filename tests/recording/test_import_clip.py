@@ -16,7 +16,7 @@ from helpers.made_recordings import ARM, SECOND, pixels, write_video
 
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
+from dvrk_cmaes.joints.names import ECM_JOINTS
 
 Import = Callable[..., dict[str, Any]]
 Refused = Callable[..., str]

@@ -29,9 +29,9 @@ def session(turns_deg: list[float]) -> dict[str, Result]:
 
 
 def test_frame_apart_is_named_with_its_angle() -> None:
-    doubts = base_doubts(session([0, 1, -1, 2, 0.5, 40]), 10.0)
+    doubts = base_doubts(session([0, 1, -1, 2, 0.5, 40.3]), 10.0)
     assert list(doubts) == ["0005"]
-    assert doubts["0005"].startswith(f"{PREFIX}: rotated by 39 deg, expected at most 10 deg")
+    assert doubts["0005"].startswith(f"{PREFIX}: rotated by 40 deg, expected at most 10 deg")
 
 
 def test_frames_that_agree_are_not_doubted() -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.placed_points import placed_points
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body, OutlinePoints, Renderer
-from dvrk_cmaes.silhouette.moving_points import moving_points, placed_points
+from dvrk_cmaes.silhouette.moving_points import moving_points
 
 PINHOLE = Camera(640, 480, 880, 880, 330, 250)
 CAMERAS = {

@@ -13,7 +13,7 @@ from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.track.prediction import Prediction, endoscope_at
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 

@@ -30,6 +30,7 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 _HALF = 2  # the least divisor of the size between the smallest and the whole one
 _BETWEEN = 400  # px, about the width of the images of that size where the whole ones are larger than twice that
+_LEAST_AREA = 800.0  # px of a mask in the smallest image
 _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
 _AS_GOOD = 3.0  # difference of the negative log-likelihood
 _FARTHEST = 1.0  # m, of an instrument that an endoscope sees; a refinement that leads beyond has diverged
@@ -49,6 +50,13 @@ def _agree(modes: Sequence[Fit], gap: float) -> bool:
     return len(modes) - len(others) >= _AGREEING and all(
         mode.score > best.score + gap and mode.outline_score >= best.outline_score for mode in others
     )
+
+
+def _not_diverged(fits: list[Fit]) -> list[Fit]:
+    """Leave out the fits of an instrument farther away than an endoscope sees; the nearest stays if all are."""
+    distances = [float(np.linalg.norm(fit.at.pose[:3, 3])) for fit in fits]
+    near = [fit for fit, distance in zip(fits, distances, strict=True) if distance < _FARTHEST]
+    return near or [fits[int(np.argmin(distances))]]
 
 
 class LocalSearch:
@@ -92,6 +100,14 @@ class LocalSearch:
         """The size, as a divisor, at which the instrument is drawn with all of its faces, as at the whole size."""
         return max(_HALF, round(self._views[0].evidence.camera.width / _BETWEEN))
 
+    @cached_property
+    def _smallest(self) -> int:
+        """The divisor of the smallest size, at which the mask is still large enough to tell modes."""
+        mask = self._views[0].evidence.mask
+        legible = int(np.sqrt(np.count_nonzero(mask) / _LEAST_AREA))
+        usual: int = round(mask.shape[1] / self._config.refine.width_px)
+        return max(1, min(usual, legible))
+
     def _coverage(self, shrink: int) -> Coverage:
         """Return the coverage of all views at 1 / ``shrink`` of the main one's size."""
         outline = self._config.refine.outline
@@ -129,9 +145,7 @@ class LocalSearch:
         shrink = coverage.views[0].shrink
         steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations, continued=continued)
         fits = refine(coverage, self._terms, Posed.stacked([mode.at for mode in modes]), steps, selection)
-        distances = [float(np.linalg.norm(fit.at.pose[:3, 3])) for fit in fits]
-        near = [fit for fit, distance in zip(fits, distances, strict=True) if distance < _FARTHEST]
-        return near or [fits[int(np.argmin(distances))]]
+        return _not_diverged(fits)
 
     def _assess(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
         """Score modes without refining them."""
@@ -154,7 +168,7 @@ class LocalSearch:
         view but the first would turn at the best mode, as `rotations_of_views`.
         """
         c, full_width = self._config.refine, self._views[0].evidence.camera.width
-        coarse = self._coverage(max(1, round(full_width / c.width_px)))
+        coarse = self._coverage(self._smallest)
         twins = [self._twin(candidate) for candidate in candidates[:_TWINS]] if self._instrument.has_twin else []
         first = Selection(gap=c.first_gap, least=c.small_modes)
         tried, rest = candidates[: c.first_candidates], candidates[c.first_candidates :]
@@ -199,7 +213,7 @@ class LocalSearch:
         modes = best_per_mode([*self._last(coverage, close), *rest])
         if missing := self._missing_twin(modes[0], modes[1:]):
             modes = best_per_mode([*modes, *self._last(coverage, missing)])
-        first, *others = modes
+        first, *others = _not_diverged(modes)
         if self._config.refine.method == "gauss-newton" and all(has_correlated_noise(noise) for noise in noises):
             first = self._with_correlated_noise(coverage, first)
         views = [ViewAtFullSize(*pair) for pair in zip(self._views, coverage.views, strict=True)]

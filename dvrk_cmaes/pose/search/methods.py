@@ -27,8 +27,11 @@ LossOfStarts = Callable[[NDArray[np.intp], Float64], Float64]
 _Search = Generator[Float64, Float64, "Found"]
 """A search that gives candidates (n, D), takes their losses (n,), and returns what it found."""
 
+SEEDS = 2**32
+"""Number of different seeds."""
 POPULATION = 16
 """Population size of CMA-ES."""
+_SPREAD = 0.6  # standard deviation of its first population, in units of the expected error of the start
 BOX = 3.0
 """Half the side of the search box, in units of the expected error of the start."""
 
@@ -66,18 +69,18 @@ def minimise_each(
 ) -> list[Found]:
     """Minimise a loss as `minimise` does, from each of several starts whose losses are known.
 
-    The seed of a start is ``seed`` plus its index. The populations of all starts are evaluated together, which costs
-    less than one after another: most of the time of a small population is that of calls.
+    The seed of a start is ``seed`` plus its index, modulo `SEEDS`. The populations of all starts are evaluated
+    together, which costs less than one after another: most of the time of a small population is that of calls.
     """
     if method == "cmaes":
-        searches = [_cmaes(known, dimension, evaluations, seed + k) for k, known in enumerate(starts)]
+        searches = [_cmaes(known, dimension, evaluations, (seed + k) % SEEDS) for k, known in enumerate(starts)]
         return _together(searches, loss)
 
     def alone(start: int) -> Found:
         def loss_of_start(candidates: Float64) -> Float64:
             return loss(np.full(len(candidates), start), candidates)
 
-        return minimise(method, loss_of_start, dimension, evaluations, seed + start)
+        return minimise(method, loss_of_start, dimension, evaluations, (seed + start) % SEEDS)
 
     return [alone(start) for start in range(len(starts))]
 
@@ -130,17 +133,30 @@ def _cmaes(known: float | None, dimension: int, evaluations: int, seed: int) -> 
     """Search by CMA-ES from 0, whose loss may be known."""
     bounds = np.tile([-BOX, BOX], (dimension, 1)).astype(np.float64)
     optimiser = _cma_class()(
-        mean=np.zeros(dimension), sigma=0.6, bounds=bounds, seed=seed, population_size=POPULATION, n_max_resampling=10
+        mean=np.zeros(dimension),
+        sigma=_SPREAD,
+        bounds=bounds,
+        seed=seed,
+        population_size=POPULATION,
+        n_max_resampling=10,
     )
     start = np.zeros((1, dimension))
     best, best_loss = start[0], float((yield start)[0]) if known is None else known
     count = 1
-    while count + POPULATION <= evaluations and not optimiser.should_stop():
-        candidates = np.stack([optimiser.ask() for _ in range(POPULATION)])
+    while count + POPULATION <= evaluations:
+        if count == 1:  # the first population, as the optimiser would draw it, but all at once
+            drawn = _SPREAD * np.random.default_rng(seed).standard_normal((POPULATION, dimension))
+            candidates = np.clip(drawn, -BOX, BOX)
+        else:
+            candidates = np.stack([optimiser.ask() for _ in range(POPULATION)])
         values = yield candidates
         count += POPULATION
         lowest = int(np.argmin(values))
         if values[lowest] < best_loss:
             best, best_loss = candidates[lowest], float(values[lowest])
+        if count + POPULATION > evaluations:
+            break  # the distribution is not needed any more
         optimiser.tell([(x, float(v)) for x, v in zip(candidates, values, strict=True)])
+        if optimiser.should_stop():
+            break
     return Found(best, best_loss, count)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LookAtRange
-from dvrk_cmaes.evidence.gather import Evidence, window_around
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
-from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, shaft_axis
+from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, half_width, shaft_axis
 from dvrk_cmaes.geometry import Posed, cross, exp_rotation, frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
@@ -54,11 +53,8 @@ def likely_distances(evidence: Evidence, instrument: Instrument) -> Float64 | No
     """Return between which distances (2,), m, the root lies, by the mask's width; None without a shaft to compare."""
     if instrument.shaft is None:
         return None
-    left, top, width, height = window_around(evidence.mask, 1)
-    mask = evidence.mask[top : top + height, left : left + width].astype(np.uint8)
-    half_width = float(cv2.distanceTransform(mask, cv2.DIST_L2, 3).max())
     focal = np.sqrt(evidence.camera.fx * evidence.camera.fy)
-    return np.asarray(_WIDEST * focal * instrument.shaft.radius / half_width)
+    return np.asarray(_WIDEST * focal * instrument.shaft.radius / half_width(evidence.mask))
 
 
 def sample_distances(count: int, limits: LookAtRange, likely: Float64 | None, rng: np.random.Generator) -> Float64:
@@ -147,11 +143,29 @@ def sample_uniform(count: int, limits: LookAtRange, rng: np.random.Generator, *,
 def _on_edges(
     edges: ShaftEdges, evidence: Evidence, instrument: Instrument, count: int, rng: np.random.Generator
 ) -> Float64:
-    """Draw candidates (count, 4, 4) on the axis given by a pair of edges, with the wrist near the mask's distal end."""
+    """Draw candidates (count, 4, 4) on the axis given by a pair of edges, with the wrist near the mask's distal end.
+
+    Where it is not sure which end is the distal one, half of the candidates are at either end.
+    """
+    towards, sure = distal_direction(evidence.mask, edges, evidence.contour, evidence.camera)
+    if sure:
+        return _towards(edges, towards, evidence, instrument, count, rng)
+    ends = [(towards, count - count // 2), (-towards, count // 2)]
+    return np.concatenate([_towards(edges, each, evidence, instrument, number, rng) for each, number in ends])
+
+
+def _towards(
+    edges: ShaftEdges,
+    towards: Float64,
+    evidence: Evidence,
+    instrument: Instrument,
+    count: int,
+    rng: np.random.Generator,
+) -> Float64:
+    """Draw candidates as `_on_edges`, with the jaws in the direction ``towards`` (2,) of the undistorted image."""
     assert instrument.shaft is not None
     camera = evidence.camera
     direction, point = shaft_axis(edges.planes, instrument.shaft.radius)
-    towards = distal_direction(evidence.mask, edges)
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
 
     def coordinate(pixel: Float64) -> float:

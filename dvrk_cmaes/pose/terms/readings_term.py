@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,19 +26,13 @@ class ReadingsTerm(Term):
 
     def local(self, at: Posed) -> Quadratic:
         """Return the approximation of half of it, which is exact but for the corners at the limits."""
-        weight, centre = self._weight_and_centre
+        weight, centre = self.readings.weight_and_centre
         quadratic = Quadratic.zero(len(at), 6 + len(weight))
         beyond = np.maximum(at.joints - self.readings.high, 0) - np.maximum(self.readings.low - at.joints, 0)
         np.einsum("cii->ci", quadratic.information)[:, 6:] = weight + (beyond != 0) / LIMIT_SIGMA**2
         quadratic.slope[:, 6:] = weight * (at.joints - centre)
         quadratic.slope[:, 6:] += beyond / LIMIT_SIGMA**2
         return quadratic
-
-    @cached_property
-    def _weight_and_centre(self) -> tuple[Float64, Float64]:
-        """The inverse variances (J,) of the readings and their values (J,), zero where there is none."""
-        known = ~np.isnan(self.readings.values)
-        return np.where(known, 1 / self.readings.sigma**2, 0.0), np.where(known, self.readings.values, 0.0)
 
     def allowed(self, at: Posed) -> Posed:
         """Return the poses with joints clipped to at most ``LIMIT_SIGMA`` beyond their limits."""

@@ -24,8 +24,10 @@ Float64 = NDArray[np.float64]
 REACH = 4
 """Distance, px, from the outline up to which differences are sampled."""
 
+ANY_NOISE = OutlineNoise(1.0, 19.0)
+"""Noise with which the columns of shared errors are made; it does not change them."""
+
 REMEMBERED = 64  # drawings that a view keeps
-_ANY_NOISE = OutlineNoise(1.0, 19.0)  # of the columns of shared errors, which no noise changes
 _FARTHEST_SIDE = 8.0  # px, of the mask from a side of the shaft
 _FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
@@ -58,7 +60,7 @@ class SizedView:
             mask = less_margin(evidence.mask, margin)
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
-            mask, weight = shrunk(mask, *size), shrunk(weight, *size)
+            mask, weight = shrunk(mask, *size), evidence.weight_at(*size)
         left, top, width, height = window_around(mask > 0, 48 // shrink + 8)
         window = np.s_[top : top + height, left : left + width]
         self._view, self._size, self._window = view, size, (left, top, width, height)
@@ -68,7 +70,7 @@ class SizedView:
         beside = int(np.ceil(_BLURRED_IN * blur))
         above, before = min(top, beside), min(left, beside)
         weight = weight[top - above : top + height + beside, left - before : left + width + beside]
-        if weight.min() < 1:
+        if evidence.ignores:
             weight = np.asarray(cv2.erode(weight, np.ones((2 * beside + 1, 2 * beside + 1))), dtype=np.float32)
         self.weight = np.ascontiguousarray(weight[above : above + height, before : before + width])
         mask = np.ascontiguousarray(mask[window])
@@ -157,7 +159,7 @@ class SizedView:
     def side_offsets(self, at: Posed) -> Float64:
         """Return by how much the mask lies outwards of both sides of the shaft of a pose, (2,), px; 0 where unseen."""
         (outline,) = self.outlines(Posed.stacked([at]))
-        sides = self.shared_errors(outline, at, _ANY_NOISE).columns[:, :LASTING]
+        sides = self.shared_errors(outline, at, ANY_NOISE).columns[:, :LASTING]
         offsets = np.clip(self.offsets(outline), -_FARTHEST_SIDE, _FARTHEST_SIDE)
         return np.asarray(sides.T @ offsets / np.maximum(sides.sum(axis=0), 1.0))
 

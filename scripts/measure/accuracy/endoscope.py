@@ -12,8 +12,8 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import in_tip
 from dvrk_cmaes.geometry import change_between, inverse, log_rotation
-from dvrk_cmaes.instrument.endoscope import ECM_JOINTS
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.joints.names import ECM_JOINTS
 
 _NEAR = 3.0  # frames
 _STILL_DEG, _STILL_MM = 0.02, 0.02  # motion of the camera from frame to frame, below which it stands
