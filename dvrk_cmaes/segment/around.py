@@ -157,8 +157,7 @@ def segmentation_around(
 ) -> Segmentation:
     """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W), as `mask_around`, and assess the mask."""
     height, width = silhouette.shape
-    scale = min(FINEST / max(height, width), 1.0)
-    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    size, scale = size_within(silhouette.shape, FINEST)
     if scale < 1:
         image, prompts = shrunk(image, size), prompts.resized(*size, scale)
     expected = resized(silhouette, size)
@@ -171,6 +170,12 @@ def segmentation_around(
     score[found.window] = 1 / (1 + np.exp(-found.odds))
     score = np.asarray(cv2.resize(score, (width, height)), np.float32)
     return noted(Segmentation(resized(found.mask, (width, height)), score, verdict.confidence, verdict.notes))
+
+
+def size_within(shape: tuple[int, ...], longest: int) -> tuple[tuple[int, int], float]:
+    """Return width and height, px, and scale of an image of a shape (H, W, ...) with at most some px as longer side."""
+    scale = min(longest / max(shape[:2]), 1.0)
+    return (max(round(shape[1] * scale), 1), max(round(shape[0] * scale), 1)), scale
 
 
 def shrunk(image: Image, size: tuple[int, int]) -> Image:

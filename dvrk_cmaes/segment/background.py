@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
-from dvrk_cmaes.segment.around import log_odds_beyond, shrunk
+from dvrk_cmaes.segment.around import log_odds_beyond, shrunk, size_within
 from dvrk_cmaes.segment.colours import measure_colours
 from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
@@ -60,6 +60,7 @@ _WEIGHT: Final = 4.0
 _EDGE: Final = 2.5  # px by which the outline is moved to an edge, at most
 _WINDOW: Final = 0.06  # of the longer side, about the mask, in which it is assessed
 _SMALLEST: Final = 8  # px, shorter side to which a smooth background is fitted
+_SURFACE: Final = 160  # px, longer side at which it is fitted
 _SURFACE_PASSES: Final = 8
 _NEAR_SURFACE: Final = 0.05  # logarithm of brightness
 _LEAST_SURFACE: Final = 0.4  # share of the pixels that a smooth background fits
@@ -73,7 +74,7 @@ def learn_background(images: Sequence[Image]) -> Image | None:
     """
     if len(images) < FEWEST or len({image.shape for image in images}) > 1:
         return None
-    stack = np.stack([_reduced(image) for image in images])
+    stack = np.stack([shrunk(image, size_within(image.shape, _FINEST)[0]) for image in images])
     found, spread = np.empty(stack.shape[1:], np.uint8), np.empty(stack.shape[1:3], np.float32)
     for rows in _blocks(stack.shape[1]):
         found[rows], spread[rows] = _closest_values(stack[:, rows])
@@ -89,7 +90,7 @@ def learn_background(images: Sequence[Image]) -> Image | None:
 
 def smooth_background(image: Image) -> Image | None:
     """Fit a smooth background to one image (H, W, 3) uint8 BGR; None if it does not fit 40 % of the pixels."""
-    small = _reduced(image, 160)
+    small = shrunk(image, size_within(image.shape, _SURFACE)[0])
     height, width = small.shape[:2]
     if min(height, width) < _SMALLEST:
         return None
@@ -230,14 +231,6 @@ def _most_frequent(values: NDArray[np.float64]) -> float:
     counts, edges = np.histogram(values, bins=40)
     fullest = int(counts.argmax())
     return float(edges[fullest : fullest + 2].mean())
-
-
-def _reduced(image: Image, longest: int = _FINEST) -> Image:
-    """Return an image at a size of at most some pixels."""
-    scale = longest / max(image.shape)
-    if scale >= 1:
-        return image
-    return shrunk(image, (max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1)))
 
 
 def _blocks(rows: int) -> Iterator[slice]:

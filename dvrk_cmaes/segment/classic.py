@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.segment.around import ROUGH, resized, segmentation_around, shrunk
+from dvrk_cmaes.segment.around import ROUGH, resized, segmentation_around, shrunk, size_within
 from dvrk_cmaes.segment.colours import (
     LARGEST_COLOUR_ODDS,
     Colours,
@@ -59,8 +59,7 @@ def segment_classic(
     height, width = image.shape[:2]
     if min(height, width) < _SMALLEST:
         return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
-    scale = min(_REDUCED / max(height, width), 1.0)
-    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    size, scale = size_within(image.shape, _REDUCED)
     small = shrunk(image, size)
     rough = _segment_reduced(
         measure_colours(small),

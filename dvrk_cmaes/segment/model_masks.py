@@ -18,7 +18,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.segment.around import ROUGH, mask_around, resized, segmentation_around, shrunk
+from dvrk_cmaes.segment.around import ROUGH, mask_around, resized, segmentation_around, shrunk, size_within
 from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
@@ -123,6 +123,7 @@ def segment_by_model(
             masks.append(replace(mask, mask=mask.mask & ~before))
     if not masks:
         return otherwise()
+    masks.sort(key=lambda mask: -mask.confidence)
     first, others = masks[0], tuple(each for each in masks[1:] if each.confidence >= GUESS)
     notes = (*first.notes, _taken(first.mask, [each.mask for each in others])) if others else first.notes
     return replace(first, notes=notes, others=others)
@@ -145,8 +146,7 @@ def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, pr
     """Return the mask of a candidate in an image (H, W, 3), with its confidence; None if it is not in the picture."""
     instrument = body.instrument
     assert instrument.shaft is not None
-    scale = min(_SIZE / max(image.shape), 1.0)
-    size = max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1)
+    size, scale = size_within(image.shape, _SIZE)
     own = camera.scaled(*size)
     root = Body(replace(instrument, links=instrument.links[:1], link_joints=instrument.link_joints[:1]))
     at = found.at[None]

@@ -202,7 +202,7 @@ def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Fl
     base = (across(upper) + across(lower)) / 2 * normal
 
     def places(at: Float64) -> Float64:
-        """Return coordinates (N,), m, on the axis of its points nearest to the rays of places (N,) along the pair, px."""
+        """Return coordinates (N,), m, on the axis of its points nearest to the rays of places (N,) along the pair."""
         pixels = (base + at[:, None] * along - centre) / focals
         rays = np.concatenate([pixels, np.ones((len(at), 1))], axis=1)
         away = np.cross(rays, np.cross(direction, rays))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.segment import around
-from dvrk_cmaes.segment.around import FINEST, resized, shrunk
+from dvrk_cmaes.segment.around import FINEST, resized, shrunk, size_within
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.moving_colours import moving_pixels
 from dvrk_cmaes.segment.prompts import Prompts
@@ -105,8 +105,7 @@ def mask_around(
         silhouette is without its colours.
     """
     height, width = silhouette.shape
-    scale = min(FINEST / max(height, width), 1.0)
-    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    size, scale = size_within(silhouette.shape, FINEST)
     small = shrunk(image, size)
     beside = None if outside is None else resized(outside, size)
     found = around.mask_around(
@@ -136,8 +135,7 @@ def moving_colours(images: Sequence[Image]) -> ColourModel | None:
 def mask_by_colours(image: Image, colours: ColourModel, prompts: Prompts) -> Segmentation:
     """Segment the instrument in an image (H, W, 3) uint8 BGR by colours that other images of the recording tell."""
     height, width = image.shape[:2]
-    scale = min(_REDUCED / max(height, width), 1.0)
-    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    size, scale = size_within(image.shape, _REDUCED)
     small, fixed = shrunk(image, size), prompts.resized(*size, scale)
     odds = _by_colours(small, colours)
     rough = cut(odds, around.guide(small), background=fixed.background, tool=fixed.tool)

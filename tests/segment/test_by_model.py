@@ -91,7 +91,7 @@ def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None
     found = find_instruments(image, outside, BODY, CAMERA)
     size = found[0].silhouette.shape[::-1]
     small = cv2.resize(masks[0].astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
-    assert overlap(found[0].silhouette, small) > 0.6
+    assert overlap(found[0].silhouette, small) > 0.75
     axis = np.array(RIGHT[0]) / np.linalg.norm(RIGHT[0])
     assert np.degrees(np.arccos(found[0].at.pose[:3, 2] @ axis)) < 8
     assert [each.confidence for each in found] == sorted((each.confidence for each in found), reverse=True)
