@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 Float64 = NDArray[np.float64]
 
+_BELOW, _ABOVE = [7, 2, 3], [5, 6, 1]  # the entries of a 3 x 3 matrix whose differences are those of a cross product
 
-def _skew(v: Float64) -> Float64:
+
+def skew(v: Float64) -> Float64:
     """Return the cross-product matrices (..., 3, 3) of vectors (..., 3)."""
     out = np.zeros((*v.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
@@ -35,7 +37,7 @@ def exp_rotation(rotvec: ArrayLike) -> Float64:
     safe = np.where(small, 1.0, angle)
     a = np.where(small, 1 - squared / 6, np.sin(safe) / safe)
     b = np.where(small, 0.5 - squared / 24, (1 - np.cos(safe)) / safe**2)
-    rotation = a * _skew(v) + b * v[..., :, None] * v[..., None, :]
+    rotation = a * skew(v) + b * v[..., :, None] * v[..., None, :]
     np.einsum("...ii->...i", rotation)[...] += 1 - b[..., 0] * squared[..., 0]
     return np.asarray(rotation)
 
@@ -66,7 +68,15 @@ def quaternion_wxyz(rotation: ArrayLike) -> Float64:
 
 def log_rotation(rotation: ArrayLike) -> Float64:
     """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3), rad, of length at most pi."""
-    q = quaternion_wxyz(rotation)
+    r = np.asarray(rotation, dtype=np.float64)
+    nine = r.reshape(*r.shape[:-2], 9)
+    cosine = nine[..., ::4].sum(axis=-1, keepdims=True) - 1  # twice that of the angle
+    if (cosine > -1).all():  # of angles up to 120 deg, whose sines are exact enough
+        vector = nine[..., _BELOW] - nine[..., _ABOVE]  # along the axis, twice the sine long
+        sine = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
+        angle = np.arctan2(sine, cosine)
+        return np.asarray(np.where(sine < 1e-9, 0.5, angle / np.maximum(sine, 1e-300)) * vector)
+    q = quaternion_wxyz(r)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, q[..., :1])
     scale = np.where(sine < 1e-9, 2.0, angle / np.maximum(sine, 1e-300))
@@ -98,7 +108,7 @@ def adjoint(pose: Float64) -> Float64:
     r, t = pose[..., :3, :3], pose[..., :3, 3]
     out = np.zeros((*pose.shape[:-2], 6, 6))
     out[..., :3, :3] = out[..., 3:, 3:] = r
-    out[..., :3, 3:] = _skew(t) @ r
+    out[..., :3, 3:] = skew(t) @ r
     return out
 
 
@@ -129,9 +139,9 @@ def frame_along(direction: ArrayLike) -> Float64:
     """Return rotations (..., 3, 3) whose z axes are unit vectors (..., 3); the x axis is a fixed function of z."""
     z = np.asarray(direction, dtype=np.float64)
     helper = np.where(np.abs(z[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    x = (_skew(helper) @ z[..., None])[..., 0]
+    x = (skew(helper) @ z[..., None])[..., 0]
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    return np.stack([x, (_skew(z) @ x[..., None])[..., 0], z], axis=-1)
+    return np.stack([x, (skew(z) @ x[..., None])[..., 0], z], axis=-1)
 
 
 def rotation_about_z(angle: ArrayLike) -> Float64:
@@ -183,3 +193,18 @@ def quaternion_xyzw(pose: NDArray[np.float64]) -> list[float]:
     """Convert the rotation of a pose (4, 4) to a quaternion x, y, z, w, the order of ROS and SciPy, with w >= 0."""
     quaternion: list[float] = np.roll(quaternion_wxyz(pose[:3, :3]), -1).tolist()
     return quaternion
+
+
+def project_cylinder(point: Float64, direction: Float64, radius: float) -> Float64:
+    """Compute both outline edges of a cylinder as homogeneous lines in normalised coordinates, (..., 2, 3).
+
+    A line (A, B, C) is the set of points with A X + B Y + C = 0. ``point`` (..., 3) on the axis, m, and the unit vector
+    ``direction`` (..., 3) are in the camera's frame; ``radius`` is in m. The result is NaN where the camera centre is
+    inside the cylinder.
+    """
+    k = (point * direction).sum(axis=-1, keepdims=True)
+    square = (point * point).sum(axis=-1, keepdims=True) - k**2 - radius**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        first = radius * (point - direction * k) / np.sqrt(square)
+    second = np.cross(direction, point)
+    return np.stack([first + second, first - second], axis=-2)

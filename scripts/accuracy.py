@@ -162,7 +162,7 @@ def _parser() -> argparse.ArgumentParser:
         "--wrong-focal",
         type=int,
         metavar="N",
-        help="for fleet: calibrate every N-th frame with a focal length that is 10 % too short, or too long, too",
+        help="for fleet: calibrate every N-th frame with a focal length that is 10 %% too short, or too long, too",
     )
     parser.add_argument("--causal", action="store_true", help="for fleet: use nothing later than each image")
     parser.add_argument("--no-ecm", action="store_true", help="for fleet: without readings of the endoscope's arm")

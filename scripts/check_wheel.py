@@ -72,8 +72,7 @@ def main() -> int:
 
     code = command(["demo"])
     import dvrk_cmaes
-    from dvrk_cmaes.io.bundled import bundled_path
-    from dvrk_cmaes.io.cache_folder import cache_folder
+    from dvrk_cmaes.io.bundled import bundled_path, cache_folder
 
     allowed = {
         sys.prefix,

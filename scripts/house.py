@@ -33,7 +33,7 @@ NAMED: Final = {
         pose/refine/gauss_newton.py:refine              pose/refine/direct.py:_coordinate_descent
         calibration/solve.py:solve                      calibration/solve.py:solve_with_modes
         calibration/variances.py:solve_with_variances   calibration/alternation.py:solved
-        calibration/constants.py:linearise              calibration/lag.py:LagRefiner.refine_value
+        calibration/constants.py:linearise              calibration/lag.py:LagRefiner._near
         track/colour_edges.py:fit_edges""",
     "drivers of a fit": """
         calibration/frame_fit.py:fit_frame

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes import Camera, EstimateConfig, Result, estimate
+from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameData, read_frame
@@ -78,6 +79,17 @@ def test_result_has_pose_quality_and_covariance(quick_result: Result, bundled_bo
     assert result.seconds > 0
     assert result.evaluations > 128
     assert result.rays >= 0
+
+
+def test_known_mistake_of_the_camera_file_makes_a_result_doubtful(
+    quick_result: Result, bundled_body: Body, frame: FrameData, readings: dict[str, float]
+) -> None:
+    remarks = ("camera file: unusual", f"{WRONG}fx 800 and fy 920 are 13 % apart")
+    camera = replace(frame.camera, remarks=remarks)
+    result = estimate(frame.mask, camera, readings, bundled_body, config=QUICK)
+    assert result.status == "doubtful"
+    assert result.reasons == (remarks[1], *quick_result.reasons)
+    assert result.remarks == remarks
 
 
 def test_overlap_is_that_of_silhouette(quick_result: Result, bundled_body: Body, frame: FrameData) -> None:

@@ -7,7 +7,7 @@ calibration is estimated from all fits. `reported` makes each frame's result and
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -237,9 +237,13 @@ def with_other_masks(state: SessionState, masks: Mapping[int, Mapping[str, Packe
         stored[i] = of_frame
     first = {i: state.stored[i] for i in again}
     found = FoundMasks({frames[i].name: masks[i] for i in again}, first)
-    state = replace(state, frames=tuple(frames), stored=tuple(stored), again=found)
+    return fitted_again(replace(state, frames=tuple(frames), stored=tuple(stored), again=found), again)
+
+
+def fitted_again(state: SessionState, again: Collection[int]) -> SessionState:
+    """Return a session solved in one more round from the current one, with new fits of the frames at some indices."""
     calibration = state.solution.calibration
-    starts = [(fit.at,) if i in masks else () for i, fit in enumerate(state.fits)]
+    starts = [(fit.at,) if i in again else () for i, fit in enumerate(state.fits)]
     state = _fitted(state, state.model.priors(calibration), starts, last=True)
     return _finished(_solved_round(state, calibration, keep_all=False)[0])
 

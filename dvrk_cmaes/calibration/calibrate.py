@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.alternation import reported, with_lag_of_modes
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
+from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.endoscope_search import with_readings
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
 from dvrk_cmaes.calibration.imaging import checked_camera
@@ -33,6 +34,7 @@ from dvrk_cmaes.calibration.solution_trials import (
     with_pieces_if_lost,
 )
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
+from dvrk_cmaes.calibration.together import Solving, solved_alone, with_others
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
@@ -108,7 +110,7 @@ def calibrate_session(
         Fewer than three frames are usable or agree; the arm does not move; the readings only fit another arm or tool;
         fewer than ten frames, or 5 mm of insertion, to refine the camera.
     """
-    solved, _ = calibrate_with_evidence(
+    solving = solving_arm(
         frames,
         instrument,
         series=series,
@@ -118,28 +120,29 @@ def calibrate_session(
         run=run,
         progress=progress,
     )
-    return solved
+    return solved_alone(solving)[0]
 
 
-@single_blas_thread()
-def calibrate_with_evidence(
+def solving_arm(
     frames: Sequence[SessionFrame],
     instrument: Instrument | Body | str,
     *,
-    series: ReadingSeries | None,
-    arm: Arm,
-    refine_camera: bool,
-    config: EstimateConfig | None,
-    run: Run[Any, Any] | None,
-    progress: Callable[[str, int], None],
+    series: ReadingSeries | None = None,
+    arm: Arm = "classic",
+    refine_camera: bool = False,
+    config: EstimateConfig | None = None,
+    run: Run[Any, Any] | None = None,
+    progress: Callable[[str, int], None] = lambda stage, count: None,
     others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
     guessed_camera: bool = False,
-) -> tuple[SolvedSession, dict[str, Evidence]]:
-    """Do what `calibrate_session` does, and also return what was found in the masks, for drawings.
+    places: Sequence[Place] = (),
+) -> Solving[tuple[SolvedSession, dict[str, Evidence]]]:
+    """Do what `calibrate_session` does as one of several arms, and also return what was found in the masks.
 
-    That is of the first view of each frame that was fitted, by name, without its image. ``others`` are the
-    leave-one-out predictions of calibrations of the same frames with other instruments, by name of the instrument, or
-    why they were refused. ``guessed_camera`` tells that the frames' camera is a guess, of which there is no file.
+    That is of the first view of each frame that was fitted, by name, without its image, for drawings. ``others`` are
+    the leave-one-out predictions of calibrations of the same frames with other instruments, by name of the instrument,
+    or why they were refused. ``guessed_camera`` tells that the frames' camera is a guess, of which there is no file.
+    ``places`` are those at which another arm found the endoscope.
     """
     settings = EstimateConfig() if config is None else config
     check_config(settings)
@@ -158,15 +161,19 @@ def calibrate_with_evidence(
     if turned := changes_of(rotations):
         usable = [with_changed_views(frame, turned, {}) for frame in usable]
     problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera, guessed_camera)
-    state = solve_session(SessionState.of(problem, usable, rotations))
-    if settings.session.masks_again:
-        state = with_masks_again(state)
-    state, check = checked_camera(state)
+    with single_blas_thread():
+        state = solve_session(SessionState.of(problem, usable, rotations), places)
+        if settings.session.masks_again:
+            state = with_masks_again(state)
+    others_states = yield state
+    with single_blas_thread():
+        state, check = checked_camera(with_others(state, others_states))
     lag, applied = state.lag, state.lag.applied
     if applied is not None:
         option = f"taken out; other commands take it out with {applied.option}"
         state = state.noted(remarks=[f"{applied.describe()}: {option}"])
-    reports, reasons = reported(state, check.camera)
+    with single_blas_thread():
+        reports, reasons = reported(state, check.camera)
     results = {frame.name: frame.result for frame in frames}
     by_name = dict(zip((frame.name for frame in state.frames), reports, strict=True))
     results |= {name: report.result for name, report in by_name.items()}

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.geometry import adjoint, change_between, exp_rotation, inverse, moved, rotation_about_z, transform
 from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
+from dvrk_cmaes.pose.refine.elimination import times
 
 Float64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -43,83 +44,59 @@ _STANDS: Final = 3  # frames, from which on a place is one where the endoscope s
 
 
 @dataclass(frozen=True, eq=False)
-class EndoscopeValues(ABC):
-    """Values of the M unknowns."""
+class EndoscopeValues:
+    """Values of the M unknowns: first ``poses`` (Q, 4, 4), m, then ``numbers``.
+
+    Of an endoscope whose arm is read, the only pose is the camera in its tip. The numbers are the offsets of the ECM's
+    joints (4,), then what is added to its readings at P places but the reference (P, 4): true = reading + offset +
+    error, rad and m. Of one that is not read, the poses are the reference camera in that of each other piece.
+    ``expected`` (Q, 4, 4) are the poses beforehand, ``std`` (M,) the standard deviations of all, and ``mean`` (M,) what
+    is expected of all as differences, beside ``expected`` and zero.
+    """
+
+    poses: Float64
+    expected: Float64
+    numbers: Float64
+    std: Float64
+    mean: Float64 | float = 0.0
+
+    @classmethod
+    def read(cls, tip_from_camera: Float64, expected: Float64, offsets: Float64, errors: Float64) -> EndoscopeValues:
+        """Return the values of an endoscope whose arm is read: (4, 4), (4, 4), (4,) and (P, 4)."""
+        std = np.concatenate([HAND_EYE_STD, OFFSET_STD, np.tile(PLACE_STD, len(errors))])
+        return cls(tip_from_camera[None], expected[None], np.concatenate([offsets, errors.ravel()]), std)
+
+    @classmethod
+    def of_pieces(cls, cameras: Float64) -> EndoscopeValues:
+        """Return the values of an endoscope that is not read, with the reference camera in pieces (P, 4, 4)."""
+        return cls(cameras, cameras, np.zeros(0), np.tile(_PIECE_STD, len(cameras)))
 
     @property
-    @abstractmethod
+    def tip_from_camera(self) -> Float64:
+        """The camera (4, 4) in the tip of an endoscope whose arm is read, m."""
+        return np.asarray(self.poses[0])
+
+    @property
+    def offsets(self) -> Float64:
+        """The offsets (4,) of the ECM's joints, rad and m."""
+        return self.numbers[:4]
+
+    @property
+    def errors(self) -> Float64:
+        """What is added to the readings (P, 4) at P places but the reference, rad and m."""
+        return self.numbers[4:].reshape(-1, 4)
+
+    @property
     def deviation(self) -> Float64:
-        """Differences (M,) from what is expected beforehand."""
+        """Differences (M,) from what is expected beforehand, of poses along and about the axes that they are in."""
+        turns = times(in_tip(self.expected), change_between(self.expected, self.poses))
+        return np.concatenate([turns.ravel(), self.numbers]) - self.mean
 
-    @property
-    @abstractmethod
-    def std(self) -> Float64:
-        """Standard deviations (M,) of these beforehand."""
-
-    @abstractmethod
     def changed(self, step: Float64) -> EndoscopeValues:
         """Return the values after a step (M,)."""
-
-
-@dataclass(frozen=True, eq=False)
-class SteeredValues(EndoscopeValues):
-    """Values of an endoscope whose arm is read.
-
-    ``tip_from_camera`` (4, 4), m, is the camera in the endoscope's tip, ``expected`` (4, 4) what that is beforehand.
-    ``offsets`` (4,) are those of the ECM's joints, and ``errors`` (P, 4) what is added to its readings at P places but
-    the reference: true = reading + offset + error, rad and m.
-    """
-
-    tip_from_camera: Float64
-    expected: Float64
-    offsets: Float64
-    errors: Float64
-
-    @property
-    def deviation(self) -> Float64:
-        """Differences (M,) from what is expected beforehand."""
-        turn = change_between(self.expected, self.tip_from_camera)
-        return np.concatenate([in_tip(self.expected) @ turn, self.offsets, self.errors.ravel()])
-
-    @property
-    def std(self) -> Float64:
-        """Standard deviations (M,) of these beforehand."""
-        return np.concatenate([HAND_EYE_STD, OFFSET_STD, np.tile(PLACE_STD, len(self.errors))])
-
-    def changed(self, step: Float64) -> SteeredValues:
-        """Return the values after a step (M,)."""
-        turned = moved(self.tip_from_camera, in_tip(self.tip_from_camera).T @ step[:6])
-        return replace(
-            self,
-            tip_from_camera=turned,
-            offsets=self.offsets + step[6:10],
-            errors=self.errors + step[10:].reshape(-1, 4),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class PieceValues(EndoscopeValues):
-    """Values of an endoscope that is not read: ``cameras`` (P, 4, 4), the reference camera in that of P pieces, m.
-
-    ``expected`` (P, 4, 4) are those from which the estimation started.
-    """
-
-    cameras: Float64
-    expected: Float64
-
-    @property
-    def deviation(self) -> Float64:
-        """Differences (M,) from what is expected beforehand."""
-        return np.asarray(change_between(self.expected, self.cameras).ravel())
-
-    @property
-    def std(self) -> Float64:
-        """Standard deviations (M,) of these beforehand."""
-        return np.tile(_PIECE_STD, len(self.cameras))
-
-    def changed(self, step: Float64) -> PieceValues:
-        """Return the values after a step (M,)."""
-        return replace(self, cameras=moved(self.cameras, step.reshape(-1, 6)))
+        count = 6 * len(self.poses)
+        turned = moved(self.poses, times(in_tip(self.poses).swapaxes(1, 2), step[:count].reshape(-1, 6)))
+        return replace(self, poses=turned, numbers=self.numbers + step[count:])
 
 
 class Endoscope(ABC):
@@ -177,21 +154,24 @@ class Steered(Endoscope):
 
     read: Float64
     places: tuple[Place, ...]
-    start: SteeredValues
+    start: EndoscopeValues
     loose: Float64
 
     @classmethod
-    def of(cls, read: Float64) -> Steered | None:
-        """Return the endoscope of frames with readings (N, 4), NaN without one; None if it is not read, or stands."""
+    def of(cls, read: Float64, places: Sequence[Place] = ()) -> Steered | None:
+        """Return the endoscope of frames with readings (N, 4), NaN without one; None if it is not read, or stands.
+
+        ``places`` are those at which it stands, where they are known.
+        """
         read = filled(read)
-        places = find_places(read)
+        places = tuple(places) or find_places(read)
         if np.isnan(read).any() or not len(read):
             return None
         if not places:  # it moves all the time
             places = (Place(np.median(read, axis=0), np.zeros(4)),)
         if len(places) == 1 and (np.abs(read - places[0].readings) <= np.maximum(places[0].within, _NOISE)).all():
             return None
-        start = SteeredValues(STRAIGHT, STRAIGHT, np.zeros(4), np.zeros((len(places) - 1, 4)))
+        start = EndoscopeValues.read(STRAIGHT, STRAIGHT, np.zeros(4), np.zeros((len(places) - 1, 4)))
         return cls(read, places, start, start.std)
 
     @cached_property
@@ -207,7 +187,6 @@ class Steered(Endoscope):
 
     def _joints(self, values: EndoscopeValues) -> Float64:
         """Return the joints (N, 4) of the ECM in each frame."""
-        assert isinstance(values, SteeredValues)
         readings = np.array([one.readings for one in self.places])
         errors = np.concatenate([np.zeros((1, 4)), values.errors])
         at_place = (readings + errors)[self.place]
@@ -215,12 +194,11 @@ class Steered(Endoscope):
 
     def relative(self, values: EndoscopeValues) -> Float64:
         """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
-        assert isinstance(values, SteeredValues)
         tips, _ = ecm_from_tip_and_jacobian(self._joints(values))
         first, _ = ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
         return np.asarray(inverse(tips @ values.tip_from_camera) @ first @ values.tip_from_camera)
 
-    def ecm_from_base(self, values: SteeredValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
+    def ecm_from_base(self, values: EndoscopeValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
         """Compute an arm's base (4, 4) in that of the ECM, and its changes (6, 10) by hand-eye and offsets.
 
         Parameters
@@ -238,7 +216,6 @@ class Steered(Endoscope):
 
     def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
         """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
-        assert isinstance(values, SteeredValues)
         own, of_joints = self._by_joints(values, camera_from_base)
         _, first = ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
         base_from_camera = inverse(camera_from_base)
@@ -258,7 +235,6 @@ class Steered(Endoscope):
 
     def _by_joints(self, values: EndoscopeValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
         """Compute the cameras in the base (N, 4, 4), and the changes (N, 6, 4) of the bases by the ECM."""
-        assert isinstance(values, SteeredValues)
         _, of_tip = ecm_from_tip_and_jacobian(self._joints(values))
         own = inverse(self.relative(values) @ camera_from_base)
         return own, -adjoint(own @ inverse(values.tip_from_camera)) @ of_tip
@@ -267,7 +243,7 @@ class Steered(Endoscope):
         """Return the endoscope in the frames at some indices."""
         return replace(self, read=self.read[index])
 
-    def with_start(self, values: SteeredValues, loose: Float64) -> Steered:
+    def with_start(self, values: EndoscopeValues, loose: Float64) -> Steered:
         """Return the endoscope with other values from which estimations start."""
         return replace(self, start=values, loose=loose)
 
@@ -284,7 +260,7 @@ class Steered(Endoscope):
             for turn in _TURNS
         ]
         return [
-            self.with_start(replace(self.start, tip_from_camera=pose, expected=pose), loose.copy()) for pose in poses
+            self.with_start(replace(self.start, poses=pose[None], expected=pose[None]), loose.copy()) for pose in poses
         ]
 
     @property
@@ -300,13 +276,13 @@ class Pieces(Endoscope):
     """An endoscope that is not read, in N frames, each in a ``piece`` (N,) of the session; piece 0 is the reference."""
 
     piece: Indices
-    start: PieceValues
+    start: EndoscopeValues
     loose: Float64
 
     @classmethod
     def of(cls, piece: Indices, cameras: Float64) -> Pieces:
         """Return the endoscope of frames in pieces, with the reference camera in those of the others (P, 4, 4), m."""
-        start = PieceValues(cameras, cameras)
+        start = EndoscopeValues.of_pieces(cameras)
         return cls(piece, start, 0.1 * start.std)
 
     @property
@@ -316,15 +292,14 @@ class Pieces(Endoscope):
 
     def relative(self, values: EndoscopeValues) -> Float64:
         """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
-        assert isinstance(values, PieceValues)
-        return np.concatenate([np.eye(4)[None], values.cameras])[self.piece]
+        return np.concatenate([np.eye(4)[None], values.poses])[self.piece]
 
     def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
         """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
         out = np.zeros((len(self.piece), 6, len(values.deviation)))
-        to_base = adjoint(inverse(camera_from_base))
-        for number in range(1, len(values.deviation) // 6 + 1):
-            out[self.piece == number, :, 6 * number - 6 : 6 * number] = to_base
+        to_base = adjoint(inverse(camera_from_base)) @ in_tip(values.poses).swapaxes(1, 2)
+        for number, of_piece in enumerate(to_base, start=1):
+            out[self.piece == number, :, 6 * number - 6 : 6 * number] = of_piece
         return out
 
     def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
@@ -338,7 +313,7 @@ class Pieces(Endoscope):
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the M unknowns."""
-        count = len(self.start.cameras)
+        count = len(self.start.poses)
         return tuple(f"piece_{k + 1}_{name}" for k in range(count) for name in ("tx", "ty", "tz", "rx", "ry", "rz"))
 
 
@@ -373,7 +348,7 @@ def filled(read: Float64) -> Float64:
 
 
 def in_tip(tip_from_camera: Float64) -> Float64:
-    """Return the matrix (6, 6) that turns changes along and about the camera's axes to the tip's."""
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = tip_from_camera[:3, :3]
+    """Return the matrices (..., 6, 6) that turn changes along and about the axes of cameras to those of their tips."""
+    out = np.zeros((*tip_from_camera.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = tip_from_camera[..., :3, :3]
     return out

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
-from dvrk_cmaes.calibration.endoscope import Pieces, Steered, SteeredValues
+from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import Calibration, SessionModel, ecm_readings
 from dvrk_cmaes.calibration.session_state import SessionState
@@ -24,25 +24,27 @@ Indices = NDArray[np.intp]
 _HYPOTHESIS_FRAMES, _TEST_FRAMES = 10, 60  # of each consensus of the search
 _TRIED: Final = 4  # cameras in the tip by which the frames agree best, that are refined
 _FOUND: Final = 0.3  # of the deviations beforehand: those of a refined camera in the tip
-_LEAST_PIECE: Final = 3  # frames that agree on the base of a piece
+LEAST_PIECE: Final = 3
+"""Frames that agree on the base of a piece."""
 _LEAST_WINDOW, _MOST_WINDOWS = 4, 30  # frames of a run that is solved by itself, and number of these
 _JOIN: Final = 40.0  # increase of the robust cost up to which one base explains two runs
 _AGREE: Final = 0.75  # share of a run's frames that agree on one base
 _CUT: Final = 4.0  # cost of a change of the base from one frame to the next
 
 
-def with_readings(state: SessionState) -> SessionState:
-    """Return the session with its endoscope where the arm that holds it is read and moves, else as it is."""
+def with_readings(state: SessionState, places: Sequence[Place] = ()) -> SessionState:
+    """Return the session with its endoscope where the arm that holds it is read and moves, else as it is.
+
+    ``places`` are those at which it stands, where they are known.
+    """
     read = ecm_readings([frame.result.readings for frame in state.frames])
-    steered = Steered.of(read)
+    steered = Steered.of(read, places)
     if steered is None:
         return state
     state.problem.progress("finding the camera in the endoscope", len(state.frames))
     found = find_hand_eye(state.model, state.modes, state.problem.offset_std, state.problem.prior, steered)
-    std = np.asarray(found.start.std)
-    return replace(
-        state, model=replace(state.model, endoscope=found), problem=replace(state.problem, endoscope_std=std)
-    )
+    problem = replace(state.problem, endoscope_prior=np.diag(found.start.std**-2.0))
+    return replace(state, model=replace(state.model, endoscope=found), problem=problem)
 
 
 def with_pieces(state: SessionState, consensus: Consensus | None = None) -> SessionState | None:
@@ -51,6 +53,8 @@ def with_pieces(state: SessionState, consensus: Consensus | None = None) -> Sess
     ``consensus`` is that of all frames, if it is known.
     """
     problem = state.problem
+    if not problem.may_cut:
+        return None
     if consensus is None:
         consensus = find_consensus(state.model, state.modes, problem.offset_std)
     found = find_pieces(state.model, state.modes, problem.offset_std, problem.prior, consensus)
@@ -61,7 +65,7 @@ def with_pieces(state: SessionState, consensus: Consensus | None = None) -> Sess
     return replace(
         state,
         model=replace(state.model, endoscope=pieces),
-        problem=replace(problem, endoscope_std=pieces.start.std),
+        problem=replace(problem, endoscope_prior=np.diag(pieces.start.std**-2.0)),
     )
 
 
@@ -97,7 +101,7 @@ def find_hand_eye(
         of_few = replace(model, endoscope=offered.subset(few))
         solution, _ = solve_with_modes(of_few, modes, consensus.calibration, prior)
         values = solution.calibration.endoscope
-        assert isinstance(values, SteeredValues)
+        assert values is not None
         there = offered.with_start(values, _FOUND * offered.loose)
         again = find_consensus(
             replace(model, endoscope=there.subset(few)), modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES
@@ -191,7 +195,7 @@ class _Run:
     def agrees(self) -> bool:
         """Whether most frames agree on one base."""
         agree = self.solution.misfit < INLIER_MISFIT * self.dimension
-        return bool(agree.sum() >= max(_LEAST_PIECE, _AGREE * len(agree)))
+        return bool(agree.sum() >= max(LEAST_PIECE, _AGREE * len(agree)))
 
 
 def _joined(before: _Run, after: _Run, solved: Callable[..., _Run]) -> _Run:
@@ -201,8 +205,8 @@ def _joined(before: _Run, after: _Run, solved: Callable[..., _Run]) -> _Run:
 
 def _disagree_together(agree: NDArray[np.bool_]) -> bool:
     """Whether some consecutive frames, at least three, disagree with the consensus."""
-    runs = np.convolve(~agree, np.ones(_LEAST_PIECE), "valid") if len(agree) >= _LEAST_PIECE else np.zeros(0)
-    return bool((runs == _LEAST_PIECE).any())
+    runs = np.convolve(~agree, np.ones(LEAST_PIECE), "valid") if len(agree) >= LEAST_PIECE else np.zeros(0)
+    return bool((runs == LEAST_PIECE).any())
 
 
 def describe_pieces(pieces: Pieces, frames: Sequence[SessionFrame]) -> str:
@@ -210,7 +214,7 @@ def describe_pieces(pieces: Pieces, frames: Sequence[SessionFrame]) -> str:
     cuts = np.flatnonzero(np.diff(pieces.piece)).tolist()
     between = ", ".join(f"{frames[i].name} and {frames[i + 1].name}" for i in cuts)
     return (
-        f"the arm's base or the camera moved between frames {between}: {len(pieces.start.cameras) + 1} bases, and all "
+        f"the arm's base or the camera moved between frames {between}: {len(pieces.start.poses) + 1} bases, and all "
         "else is shared"
     )
 

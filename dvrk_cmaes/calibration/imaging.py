@@ -46,7 +46,7 @@ def with_camera(state: SessionState, calibration: Calibration, at: Posed) -> Cha
     problem = state.problem
     of_all = state.model, calibration, problem.prior, problem.config.session, at
     estimate = estimate_camera(*of_all, _outlines(state), passes=_CAMERA_PASSES)
-    changed = replace(state, imaging=replace(state.imaging, change=estimate.change))
+    changed = replace(state, imaging=replace(state.imaging, change=estimate.change, of_change=estimate.covariance))
     return changed, estimate.calibration, estimate.at
 
 

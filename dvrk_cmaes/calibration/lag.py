@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.clock import FAR_RANGE, RANGE, Clock, Delay
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, robust_costs, scatter, solve
+from dvrk_cmaes.calibration.solve import FrameFits, along, scatter, solve
 from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.joints.lag import Lag, Unit
@@ -32,14 +32,14 @@ _LEAST_AT_LAG = 4  # frames that must have readings at a lag
 _LEAST_SHARE = 0.5  # of the frames that must have readings at a lag
 _HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus of the search
 _REFINEMENTS = 4
-_MOVES = 4  # of the start of a refinement whose minimum lies farther away than half a step of the search
+_MOVES = 6  # of the start of a refinement that leads farther away than half a step of the search
 _LEAST_STEP = 0.25  # of the refinement's differences, relative to the search's
+_SETTLED = 0.01  # steps of the search, by which a refined value still changes
 _IMPROVEMENT = 0.5  # largest ratio of mean misfits at which a lag of readings that cannot be interpolated is applied
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_LAG = 0.3  # frames, below which a lag, or its change in half of the session, is not corrected
 _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
 _LARGEST_STD = 1.0  # frames, above which the lag is not determined
-_JOINT_STEPS = 6  # of the search for the additional lag of wrist and jaw, to both sides
 _DRIFT_STEPS = 4.0  # range of the change of the lag in half of the session, in steps of the search
 _DRIFT_STD = 1e-3  # expected beforehand: clocks differ by parts per thousand at most
 _TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
@@ -265,8 +265,8 @@ def _consensus_at(
 class LagRefiner:
     """Refines a lag, its drift, and the additional lag of wrist and jaw to a fraction of a step of the search.
 
-    Each is found by solving the calibration at three values at a time: the minimum of the parabola through the three
-    robust costs is the next value. Only frames with readings within the range of these values are used.
+    Each is an unknown that all frames share, beside the calibration: Gauss-Newton steps take it to where the frames
+    agree best. Only frames with readings around it are used.
 
     Parameters
     ----------
@@ -287,20 +287,15 @@ class LagRefiner:
         self._step = clock.step or 0.0
 
     def refine_value(self) -> Refined | None:
-        """Refine the lag; None if too few frames have readings, or if the cost has no minimum near the start.
+        """Refine the lag; None if too few frames have readings, or if the frames agree best nowhere near the start.
 
         A lag of readings that cannot be interpolated is left as it is.
         """
         if self._step and not self._clock.interpolable:
             return Refined(self.delay.value, float(self._step / np.sqrt(12)))
-        for _ in range(_MOVES):
-            start = self.delay.value
-            refined = self._minimum(lambda value: replace(self.delay, value=value), start, self._step)
-            if refined is None:
-                return None
+        refined = self._refined(lambda value: replace(self.delay, value=value), self.delay.value)
+        if refined is not None:
             self.delay = replace(self.delay, value=refined.value)
-            if abs(refined.value - start) < 0.49 * self._step:
-                break
         return refined
 
     def refine_drift(self) -> Refined | None:
@@ -309,7 +304,7 @@ class LagRefiner:
         if half * _DRIFT_STD < _LEAST_LAG * self._clock.series.interval / 4:
             return None
         step, weight = _DRIFT_STEPS * self._step / half, (_SHARED_ERRORS / _DRIFT_STD) ** 2
-        drift = self._minimum(lambda value: replace(self.delay, drift=value), self.delay.drift, step, weight=weight)
+        drift = self._near(lambda value: replace(self.delay, drift=value), self.delay.drift, step, weight=weight)
         if drift is not None and self._matters(drift, half):
             self.delay = replace(self.delay, drift=drift.value)
             return drift
@@ -324,76 +319,55 @@ class LagRefiner:
     def estimate_joints(self) -> Refined | None:
         """Estimate the lag of the readings of wrist and jaw in addition to that of the outer joints.
 
-        None if its standard deviation exceeds a frame, or if the cost has no minimum within the range of the search.
+        None if its standard deviation exceeds a frame, or if the frames agree best nowhere in the range of the search.
         """
-
-        def at(value: float) -> Delay:
-            return replace(self.delay, joints=value)
-
-        reach = _JOINT_STEPS * self._step
-        cost = self._cost(at, -reach - self._step, reach + self._step, lasting=False)
-        if cost is None:
-            return None
-        values = self._step * np.arange(-_JOINT_STEPS, _JOINT_STEPS + 1)
-        best = int(np.argmin([cost(value).sum() for value in values]))
-        if best in (0, len(values) - 1):
-            return None
-        lag = self._minimum(at, float(values[best]), self._step, lasting=False)
+        lag = self._refined(lambda value: replace(self.delay, joints=value), 0.0, lasting=False)
         return None if lag is None or lag.std > _LARGEST_STD * self._clock.series.interval else lag
 
-    def _cost(
-        self, at: Callable[[float], Delay], low: float, high: float, *, lasting: bool = True
-    ) -> Callable[[float], Float64] | None:
-        """Return the frames' robust costs, in the order of their times, as a function of a value.
+    def _refined(self, at: Callable[[float], Delay], value: float, *, lasting: bool = True) -> Refined | None:
+        """Refine a value in moves of at most half a step of the search; None if it is not settled after some."""
+        for _ in range(_MOVES):
+            refined = self._near(at, value, self._step, lasting=lasting)
+            if refined is None or abs(refined.value - value) < 0.49 * self._step:
+                return refined
+            value = refined.value
+        return None
 
-        The value may be from ``low`` to ``high``; None if too few frames have readings at both. ``lasting`` errors of
-        cables are those of `Clock.model_to_compare`.
-        """
-        if not (self._clock.interpolable and self._step > 0):
-            return None
-        has = np.flatnonzero(self._clock.has_readings(at(low)) & self._clock.has_readings(at(high)))
-        if len(has) < _LEAST_AT_LAG:
-            return None
-        has = has[np.argsort(self._clock.times[has], kind="stable")]
-        clock, model, fits = self._clock.subset(has), self._model.subset(has), self._fits.subset(has)
-        calibration = self._calibration
-
-        def cost(value: float) -> Float64:
-            nonlocal calibration  # that of one value is a good start for the next
-            compared = clock.model_to_compare(model, at(value), lasting=lasting)
-            solution = solve(compared, fits, calibration, self._prior)
-            calibration = solution.calibration
-            return robust_costs(solution.misfit, 6 + len(model.names))
-
-        return cost
-
-    def _minimum(
-        self,
-        at: Callable[[float], Delay],
-        start: float,
-        step: float,
-        *,
-        weight: float = 0.0,
-        lasting: bool = True,
+    def _near(
+        self, at: Callable[[float], Delay], start: float, step: float, *, weight: float = 0.0, lasting: bool = True
     ) -> Refined | None:
-        """Find the minimum of the cost and of a prior about zero with a weight, at most half a step from the start."""
-        cost = self._cost(at, start - step, start + step, lasting=lasting)
-        if cost is None:
+        """Refine a value that is known to be zero with a weight, at most half a step from the start.
+
+        ``lasting`` errors of cables are those of `Clock.model_to_compare`. None if too few frames have readings a step
+        from the start.
+        """
+        if not (self._clock.interpolable and step > 0):
             return None
-        value, width = start, step
+        has = self._clock.has_readings(at(start - step)) & self._clock.has_readings(at(start + step))
+        if has.sum() < _LEAST_AT_LAG:
+            return None
+        order = np.flatnonzero(has)[np.argsort(self._clock.times[has], kind="stable")]
+        clock, model, fits = self._clock.subset(order), self._model.subset(order), self._fits.subset(order)
+        calibration, value, reach = self._calibration, start, _LEAST_STEP * step
+
+        def compared(value: float) -> SessionModel:
+            return clock.model_to_compare(model, at(value), lasting=lasting)
+
         for _ in range(_REFINEMENTS):
-            before, here, after = cost(value - width), cost(value), cost(value + width)
-            curvature = float((before - 2 * here + after).sum()) / width**2 + 2 * weight
+            solution = solve(compared(value), fits, calibration, self._prior)
+            calibration = solution.calibration
+            later, earlier = (compared(value + by).predict(calibration) for by in (reach, -reach))
+            slopes, curvature = along(compared(value), fits, solution, later.minus(earlier) / (2 * reach))
+            curvature += weight
             if not curvature > 0:
                 return None
-            slopes = (after - before) / (2 * width)
-            slope = float(slopes.sum()) + 2 * weight * value
-            value += float(np.clip(-slope / curvature, -width, width))
-            value = float(np.clip(value, start - step / 2, start + step / 2))
-            width = max(width / 2, _LEAST_STEP * step)
-            if abs(value - start) + width > step:
-                width = step - abs(value - start)
-        alone = _SHARED_ERRORS * float(np.sqrt(2 / curvature))
+            before = value
+            value = float(
+                np.clip(value - (slopes.sum() + weight * value) / curvature, start - step / 2, start + step / 2)
+            )
+            if abs(value - before) < _SETTLED * step:
+                break
+        alone = _SHARED_ERRORS / float(np.sqrt(curvature))
         return Refined(value, max(alone, float(np.sqrt(scatter(slopes[:, None])[0, 0])) / curvature))
 
 

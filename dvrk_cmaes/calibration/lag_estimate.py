@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.clock import Clock, Delay
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
-from dvrk_cmaes.calibration.lag import LagCurve, LagRefiner, describe_lag, search_lag
+from dvrk_cmaes.calibration.lag import LagCurve, LagRefiner, Refined, describe_lag, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.joints.lag import Lag
@@ -21,6 +21,7 @@ Float64 = NDArray[np.float64]
 
 _UNDETERMINED = 2.0  # frames, least standard deviation of a lag that is not determined, and ...
 _UNKNOWN = 3.0  # ... largest
+_AGREE = 3.0  # standard deviations of each lag, within which those of several arms are taken for one
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,7 @@ class LagEstimate:
 
     ``clock`` has the readings of the frames at any lag, None where they have no order. ``lag`` is None where it is not
     determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the frames as a function of the
-    lag. ``nowhere`` tells that they agree at none.
+    lag. ``nowhere`` tells that they agree at none. ``shared`` tells that other arms' frames tell the lag, too.
     """
 
     clock: Clock | None
@@ -37,6 +38,7 @@ class LagEstimate:
     undetermined: str = ""
     nowhere: bool = False
     curve: LagCurve | None = None
+    shared: bool = False
 
     @classmethod
     def of(cls, series: ReadingSeries | None, names: Sequence[str], outer_std: Float64) -> LagEstimate:
@@ -101,7 +103,7 @@ class LagEstimate:
 
         A lag at which a frame would have no readings is not taken.
         """
-        if self.applied is None or self.clock is None:
+        if self.applied is None or self.clock is None or self.shared:
             return self
         start = self.clock.delay_of(self.applied)
         found = self._by(LagRefiner(self.clock, model, fits, calibration, prior, start))
@@ -144,6 +146,35 @@ class LagEstimate:
             return self, value.value
         against = self.curve is not None and self.curve.against_none
         return (self if against else replace(self, lag=lag)), None
+
+    def with_others(self, others: Sequence[LagEstimate]) -> LagEstimate:
+        """Return the estimate with the mean of the lags that the frames of several arms tell, by their deviations.
+
+        A lag that disagrees, that drifts, or at which a frame would have no readings, is not shared: arms may have
+        clocks of their own.
+        """
+        clock = self.clock
+        if clock is None or not clock.interpolable or (self.lag is not None and self._told is None):
+            return self
+        same = [one for one in others if one.clock is not None and one.clock.series.unit == clock.series.unit]
+        told = [each for one in (self, *same) if (each := one._told) is not None]
+        if len(told) < (1 if self.lag is None else 2):
+            return self
+        weights = np.array([one.std**-2.0 for one in told])
+        value, std = float(weights @ [one.value for one in told] / weights.sum()), float(weights.sum() ** -0.5)
+        if any(abs(one.value - value) > _AGREE * one.std for one in told):
+            return self
+        lag = describe_lag(clock, Refined(value, std))
+        shared = replace(self, lag=lag, undetermined="", shared=True) if isinstance(lag, Lag) else self
+        return shared if shared.all_have_readings else self
+
+    @property
+    def _told(self) -> Refined | None:
+        """The lag in the unit of the readings' times; None where it is not determined, or drifts."""
+        if self.lag is None or self.clock is None or self.lag.drift:
+            return None
+        std = self.lag.std_seconds if self.clock.series.unit == "s" else self.lag.std_frames
+        return None if std is None else Refined(self.clock.delay_of(self.lag).value, std)
 
     def with_joints(
         self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, fit_frame
+from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.mask_growth import covariance_of_growth
 from dvrk_cmaes.calibration.model import outer_readings
-from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import OF_FRAMES
 from dvrk_cmaes.calibration.session_masks import margins_of

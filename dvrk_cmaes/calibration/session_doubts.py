@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 
 from dvrk_cmaes.calibration.instrument_test import better_instrument
+from dvrk_cmaes.camera.critical import known_mistakes
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.results.result import Quality, Result
 from dvrk_cmaes.results.tracked import TrackResult
@@ -167,6 +168,12 @@ def _wrong_camera(calibration: SessionCalibration, config: SessionConfig) -> lis
     return [] if camera is None or camera.applied else camera.contradictions(config)
 
 
+def _mistaken_camera(calibration: SessionCalibration) -> list[str]:
+    """List known mistakes of the camera's file; none where the session was solved with another camera."""
+    camera = calibration.camera
+    return [] if camera is not None and camera.applied else known_mistakes(calibration.remarks)
+
+
 def _few_agree(calibration: SessionCalibration) -> str:
     """Say that only few of the frames that were solved together agree; empty if enough do."""
     agree = len(calibration.frames)
@@ -223,6 +230,7 @@ OF_SESSIONS: Final[Mapping[str, Callable[[SessionCalibration, SessionConfig], Se
     "instrument": lambda calibration, config: [better_instrument(calibration.instruments, calibration.predicted_iou)],
     "shaft": lambda calibration, config: [] if calibration.shaft is None else [calibration.shaft.contradiction()],
     "masks": lambda calibration, config: [_wide_masks(calibration)],
+    "camera file": lambda calibration, config: _mistaken_camera(calibration),
     "camera": _wrong_camera,
     "offsets": _far_offsets,
 }

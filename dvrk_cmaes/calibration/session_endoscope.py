@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
+    EndoscopeValues,
     InFrames,
     Pieces,
-    PieceValues,
     Place,
     Steered,
-    SteeredValues,
     filled,
 )
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import STRAIGHT
 from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
-from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.rounding import rounded_array
+from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_document, refused
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
@@ -116,7 +115,7 @@ class SessionEndoscope:
                 own = times[first], times[end - 1]
                 stands.append(Stand(int(place[first]), names[first], names[end - 1], cameras[first], *own))
             first = end
-        if not isinstance(endoscope, Steered) or not isinstance(values, SteeredValues):
+        if not isinstance(endoscope, Steered):
             return cls(tuple(stands), covariance=covariance)
         count = calibration.own - len(values.deviation)
         jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
@@ -134,7 +133,7 @@ class SessionEndoscope:
             ecm_from_base,
             _row(std[:6]),
             _row(np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))),
-            values.expected,
+            values.expected[0],
             dict(zip(ECM_JOINTS, values.offsets.tolist(), strict=True)),
             dict(zip(ECM_JOINTS, std[6:10].tolist(), strict=True)),
             covariance,
@@ -221,12 +220,12 @@ class SessionEndoscope:
             assert self.expected is not None
             errors = np.array([one.error for one in self.places[1:]]).reshape(-1, 4)
             offsets = np.array([self.offsets[name] for name in ECM_JOINTS])
-            steered = SteeredValues(self.tip_from_camera, self.expected, offsets, errors)
+            steered = EndoscopeValues.read(self.tip_from_camera, self.expected, offsets, errors)
             places = tuple(Place(np.array(one.readings), np.array(one.within)) for one in self.places)
             return Steered(filled(read), places, steered, steered.std), steered
         of_place = {one.place: one.camera_from_base for one in self.bases}
         moves = [of_place[k] @ inverse(camera_from_base) for k in range(1, self.last_place + 1)]
-        values = PieceValues(np.array(moves).reshape(-1, 4, 4), np.array(moves).reshape(-1, 4, 4))
+        values = EndoscopeValues.of_pieces(np.array(moves).reshape(-1, 4, 4))
         piece = [self.place_at(time, name) for time, name in zip(times, names, strict=True)]
         return Pieces(np.array(piece, np.intp), values, values.std), values
 

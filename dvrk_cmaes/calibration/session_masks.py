@@ -66,6 +66,11 @@ class Margin:
     std_px: float
     applied: bool
 
+    @classmethod
+    def of(cls, px: float, std_px: float) -> Margin:
+        """Return a margin, which is taken off if it is clear."""
+        return cls(px, std_px, abs(px) > max(_CLEAR * std_px, _LEAST_MARGIN))
+
 
 @dataclass(frozen=True)
 class ViewMargin(Document):
@@ -182,13 +187,13 @@ def estimate_margin(
     there = linearise(model, calibration, prior, at, outlines, solve_unchanged, [MARGIN], passes=_PASSES)
     value = float(there.value(MARGIN)[0])
     (std,) = (float(there.std(one)[0]) for one in outlines.constants if one.name == MARGIN)
-    clear = abs(value) > max(_CLEAR * std, _LEAST_MARGIN)
+    margin = Margin.of(value, std)
     values = {one.name: np.zeros(len(one.std)) for one in outlines.constants} | {MARGIN: there.value(MARGIN)}
-    for _ in range(_MARGIN_STEPS if clear else 0):
+    for _ in range(_MARGIN_STEPS if margin.applied else 0):
         fits = outlines.near(at, values).at_constants()
         calibration = solve(model, fits, calibration, prior).calibration
         at = at.moved(marginalise(model, fits, calibration).own)
-    return Margin(value, std, clear), calibration, at
+    return margin, calibration, at
 
 
 def _in_words(view: str, margin: Margin) -> str:

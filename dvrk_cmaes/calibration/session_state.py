@@ -44,9 +44,9 @@ class SessionProblem:
     ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
-    frames' camera is a guess, of which there is no file. ``endoscope_std`` (M,) are the standard deviations beforehand
-    of the unknowns of an endoscope that moves. ``gathered`` keeps the frames'
-    evidence by name, for all solutions.
+    frames' camera is a guess, of which there is no file. ``endoscope_prior`` (M, M) is the information beforehand about
+    the unknowns of an endoscope that moves. ``may_cut`` is whether the session may be cut into pieces between which the
+    base moved. ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
     series: ReadingSeries | None
@@ -57,7 +57,8 @@ class SessionProblem:
     progress: Callable[[str, int], None] = lambda stage, count: None
     refine_camera: bool = False
     guessed_camera: bool = False
-    endoscope_std: Float64 = field(default_factory=lambda: np.zeros(0))
+    endoscope_prior: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+    may_cut: bool = True
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
     @property
@@ -68,20 +69,25 @@ class SessionProblem:
     @property
     def prior(self) -> Float64:
         """Information matrix (8 + J + M, 8 + J + M) of the calibration's prior; M are the unknowns of the endoscope."""
-        return np.diag([*np.zeros(6), *(1 / self.offset_std**2), *(1 / self.endoscope_std**2)])
+        count = 6 + len(self.offset_std)
+        prior = np.diag([*np.zeros(6), *(1 / self.offset_std**2), *np.zeros(len(self.endoscope_prior))])
+        prior[count:, count:] = self.endoscope_prior
+        return prior
 
 
 @dataclass(frozen=True, eq=False)
 class Imaging:
     """What is known of a session's cameras and masks.
 
-    ``change`` (3,) is that of the camera, as of `changed`, None where the camera's file is used; ``rig`` what the
+    ``change`` (3,) is that of the camera, as of `changed`, None where the camera's file is used, and ``of_change``
+    (3, 3) its covariance, None until it is estimated; ``rig`` what the
     further views differ in from the file; ``margins`` those of the views' masks by name, in the views' order, empty
     until they are estimated; ``lasting`` the size of the masks' errors that last, ``growth`` what is told of their
     errors on some sides, both None until they are estimated.
     """
 
     change: Float64 | None = None
+    of_change: Float64 | None = None
     rig: tuple[ViewRotation, ...] = ()
     margins: tuple[tuple[str, Margin], ...] = ()
     lasting: LastingEstimate | None = None
@@ -168,7 +174,7 @@ class SessionState:
             SessionModel(outer, joints, names, deviations, arm=problem.arm, roll_offset=instrument.roll_offset),
             LagEstimate.of(problem.series, [frame.name for frame in frames], deviations.outer),
             CableEstimate.of(names, deviations, problem.offset_std[1:]),
-            Imaging(np.zeros(3) if problem.refine_camera else None, rig),
+            Imaging(np.zeros(3) if problem.refine_camera else None, rig=rig),
         )
 
     @property

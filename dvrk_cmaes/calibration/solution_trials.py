@@ -21,7 +21,8 @@ from dvrk_cmaes.calibration.alternation import (
     with_lag_of_modes,
     with_other_masks,
 )
-from dvrk_cmaes.calibration.endoscope_search import with_pieces, with_readings
+from dvrk_cmaes.calibration.endoscope import Pieces, Place
+from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, with_pieces, with_readings
 from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.masks_again import (
     AgainTask,
@@ -42,28 +43,48 @@ _LIKELY = 1.5  # largest ratio of the misfit at a lag that is tried to the least
 _CLEAR = 2.0  # standard deviations of a mean difference, and ...
 _LEAST_GAIN = 0.005  # ... of overlap, by which a lag must predict better than none
 _ALIKE = 3.0  # frames near each other in time err alike, so that each counts as one of so many
+_MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
 _WELL = 0.06  # of overlap, by which left-out frames may be worse than their own fits for the session to predict well
 
 
-def solve_session(start: SessionState) -> SessionState:
-    """Solve a session; where the frames' own modes do not tell the lag, also at others.
+def solve_session(start: SessionState, places: Sequence[Place] = ()) -> SessionState:
+    """Solve a session; one that is cut into pieces between which the base moved is also solved in one.
 
-    These are the lags that the modes allow and the one that the fits without a lag tell. A solution at such a lag is
-    taken where it predicts frames that are left out clearly better than that without; else the fits may tell that there
-    is no lag. Where the frames' own modes agree at no lag, such a solution must also predict well: the best of wrong
-    ones predicts better than the others by chance.
+    Frames near each other in time, whose masks err alike, agree with each other whatever they show. So a session stays
+    cut only if that explains clearly more frames.
 
     Parameters
     ----------
     start
         The session, of which nothing is solved yet.
+    places
+        Those at which the endoscope stands, where they are known.
 
     Raises
     ------
     InputError
         As `initialised`.
     """
-    start = with_pieces_if_lost(with_lag_of_modes(with_readings(start)))
+    session = _solved_at_its_lag(start, places)
+    if not isinstance(session.model.endoscope, Pieces):
+        return session
+    try:
+        whole = _solved_at_its_lag(replace(start, problem=replace(start.problem, may_cut=False)), places)
+    except InputError:
+        return session
+    gain = sum(session.agreeing) - sum(whole.agreeing)
+    return session if gain >= max(LEAST_PIECE, _MOVED_SHARE * len(session.frames)) else whole
+
+
+def _solved_at_its_lag(start: SessionState, places: Sequence[Place]) -> SessionState:
+    """Solve a session; where the frames' own modes do not tell the lag, also at others; arguments as `solve_session`.
+
+    These are the lags that the modes allow and the one that the fits without a lag tell. A solution at such a lag is
+    taken where it predicts frames that are left out clearly better than that without; else the fits may tell that there
+    is no lag. Where the frames' own modes agree at no lag, such a solution must also predict well: the best of wrong
+    ones predicts better than the others by chance.
+    """
+    start = with_pieces_if_lost(with_lag_of_modes(with_readings(start, places)))
     lags = lags_to_try(start.lag.curve) if start.lag.can_be_tried else []
     try:
         session = solved(initialised(start))

@@ -265,6 +265,30 @@ def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, 
     )
 
 
+def along(model: SessionModel, fits: FrameFits, solution: Solution, effect: Float64) -> tuple[Float64, float]:
+    """Return what frames tell of a further unknown that changes their predictions, where the calibration follows it.
+
+    Parameters
+    ----------
+    model, fits, solution
+        As in `solve`, without further constants, and its result.
+    effect : (N, D)
+        Changes of the predictions by the unknown, as those by the calibration.
+
+    Returns
+    -------
+    ((N,), float)
+        The slopes of half the frames' sums of squares by the unknown, and the sum of their curvatures.
+    """
+    frames, jacobian = marginalise(model, fits, solution.calibration), model.jacobian(solution.calibration)
+    shares = np.broadcast_to(fits.shares, len(effect))[:, None, None]
+    told = solution.weights[:, None, None] * frames.left.information
+    cross = (np.swapaxes(jacobian, 1, 2) @ (shares * told) @ effect[:, :, None]).sum(axis=0)[:, 0]
+    whole = effect - jacobian @ np.linalg.solve(solution.information, cross)
+    slopes = solution.weights * (whole * frames.left.slope).sum(axis=1)
+    return slopes, float((whole * times(told, whole)).sum())
+
+
 def _of_calibration(fits: FrameFits, frames: Eliminated, weighted: Float64) -> LastingSlopes:
     """Return what lasting errors do to the slopes by the calibration, (N, K), of frames whose own unknowns are gone.
 

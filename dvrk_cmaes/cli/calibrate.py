@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -32,8 +33,13 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.document import SessionCalibration
+    from dvrk_cmaes.calibration.endoscope import Place
+    from dvrk_cmaes.calibration.together import Solving
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
@@ -135,7 +141,9 @@ def calibrate(
         if every > 1:
             raise InputError("--keyframes: expected either this or --every, got both")
     from dvrk_cmaes.calibration.instrument_test import fitting_instruments
+    from dvrk_cmaes.calibration.together import solved_together
     from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, session_tools
+    from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.results.folder import ALONE
@@ -148,8 +156,8 @@ def calibrate(
             from dvrk_cmaes.track.keyframes import solved_with
 
             settings = solved_with(settings)
+        setup = read_setup_joints(session / SETUP)
         arms: dict[str, ArmInSession] = {}
-        solved: dict[str, SolvedSession] = {}
         for name, tool in session_tools(session, instrument, only, follow_links=follow_links).items():
             arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), frames, every, keyframes)
             if results is not None and (results / name).resolve() == (target / name).resolve():
@@ -158,11 +166,13 @@ def calibrate(
                 )
             check_output_folder(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,))
             check_same_session(target / name, arms[name].session)
-        for name, read in arms.items():
+
+        def solving(name: str, places: Sequence[Place]) -> Solving[SolvedSession | None]:
             others: dict[str, Predictions | str] = {}
-            arm = read if results is not None else _with_found_camera(read, workers=workers, settings=settings)
-            if arm is None:
-                return _INTERRUPTED
+            arm = arms[name]
+            found_camera = arm if results is not None else _with_found_camera(arm, workers=workers, settings=settings)
+            if found_camera is None:
+                return None
             for path in _candidates(instrument_candidates):
                 tool = session_tools(
                     session, replace(instrument, instrument=str(path)), only, follow_links=follow_links
@@ -172,25 +182,30 @@ def calibrate(
                     with_other = _share(other, frames, every, keyframes)
                     found = _predicted_with(with_other, refine_camera=refine_camera, workers=workers, settings=settings)
                     if found is None:
-                        return _INTERRUPTED
+                        return None
                     others[other.body.instrument.name] = found
             try:
-                solution = _calibrate_arm(
-                    arm,
-                    target / name,
-                    None if results is None else results / name,
-                    refine_camera=refine_camera,
-                    workers=workers,
-                    settings=settings,
-                    others=others,
+                return (
+                    yield from _solving_arm(
+                        found_camera,
+                        target / name,
+                        None if results is None else results / name,
+                        refine_camera=refine_camera,
+                        workers=workers,
+                        settings=settings,
+                        others=others,
+                        places=places,
+                    )
                 )
             except InputError as error:
                 if text := fitting_instruments(others):
                     raise InputError(f"{error}; {text}") from None
                 raise
-            if solution is None:
-                return _INTERRUPTED
-            solved[name] = solution
+
+        found = solved_together({name: partial(solving, name) for name in arms})
+        solved = {name: solution for name, solution in found.items() if solution is not None}
+        if len(solved) < len(arms):
+            return _INTERRUPTED
         for name, solution in solved.items():
             for text in solution.calibration.remarks if not json else solution.calibration.warnings:
                 warn(f"{name}: {text}" if name else text)
@@ -200,13 +215,15 @@ def calibrate(
         else:
             for name, solution in solved.items():
                 show([*([Line(name, "bold")] if name else []), *_lines(solution, target / name)])
+        agree = True
         if len(solved) > 1:
+            calibrations = {name: solution.calibration for name, solution in solved.items()}
             with output(target, "calibrate"):
-                _write_bases({name: solution.calibration for name, solution in solved.items()}, target, quiet=json)
+                agree = _write_bases(calibrations, setup, target, quiet=json)
                 page = write_arms(target, arms)
             if not json:
                 show([Line(f"all arms: {page}")])
-        return _DOUBTFUL if any(_is_doubtful(solution) for solution in solved.values()) else 0
+        return _DOUBTFUL if not agree or any(map(_is_doubtful, solved.values())) else 0
 
 
 def _share(arm: ArmInSession, frames: str | None, every: int, keyframes: int | None) -> ArmInSession:
@@ -238,6 +255,7 @@ def _with_found_camera(arm: ArmInSession, *, workers: int | None, settings: Esti
     """
     from tempfile import TemporaryDirectory
 
+    from dvrk_cmaes.calibration.together import solved_alone
     from dvrk_cmaes.camera import Rig
 
     if not arm.session.guessed:
@@ -247,7 +265,8 @@ def _with_found_camera(arm: ArmInSession, *, workers: int | None, settings: Esti
     print(f"dvrk-cmaes: finding the camera with {len(few.session.frames)} frames", file=sys.stderr, flush=True)
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
         out = Path(folder) / "session"
-        solved = _calibrate_arm(few, out, None, refine_camera=True, workers=workers, settings=settings, others={})
+        solving = _solving_arm(few, out, None, refine_camera=True, workers=workers, settings=settings, others={})
+        solved = solved_alone(solving)
     if solved is None:
         return None
     rig = Rig(tuple(view.restored() for view in solved.calibration.views))
@@ -263,13 +282,16 @@ def _predicted_with(
     """
     from tempfile import TemporaryDirectory
 
+    from dvrk_cmaes.calibration.together import solved_alone
+
     print(f"dvrk-cmaes: trying instrument {arm.body.instrument.name}", file=sys.stderr, flush=True)
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
         out = Path(folder) / "session"
         try:
-            solved = _calibrate_arm(
+            solving = _solving_arm(
                 arm, out, None, refine_camera=refine_camera, workers=workers, settings=settings, others={}
             )
+            solved = solved_alone(solving)
         except InputError as error:
             if not str(error).startswith(_REFUSED):
                 raise
@@ -277,7 +299,7 @@ def _predicted_with(
     return None if solved is None else solved.calibration.leave_one_out
 
 
-def _calibrate_arm(
+def _solving_arm(
     arm: ArmInSession,
     target: Path,
     results: Path | None,
@@ -286,7 +308,8 @@ def _calibrate_arm(
     workers: int | None,
     settings: EstimateConfig,
     others: Mapping[str, Predictions | str],
-) -> SolvedSession | None:
+    places: Sequence[Place] = (),
+) -> Solving[SolvedSession | None]:
     """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE, read_results
@@ -322,23 +345,28 @@ def _calibrate_arm(
                 return None
             alone = done.results
             segment = done.setup.segment
-        from dvrk_cmaes.runs.calibrate_folder import calibrate_folder
+        from dvrk_cmaes.runs.calibrate_folder import solving_folder
 
-        return calibrate_folder(
-            session,
-            alone,
-            model,
-            target,
-            alone=results,
-            arm=arm.kinematics,
-            refine_camera=refine_camera or session.guessed,
-            config=settings,
-            segment=segment,
-            workers=count,
-            processes=processes,
-            opened=own,
-            others=others,
-            progress=lambda stage, count: print(f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True),
+        return (
+            yield from solving_folder(
+                session,
+                alone,
+                model,
+                target,
+                alone=results,
+                arm=arm.kinematics,
+                refine_camera=refine_camera or session.guessed,
+                config=settings,
+                segment=segment,
+                workers=count,
+                processes=processes,
+                opened=own,
+                others=others,
+                places=places,
+                progress=lambda stage, count: print(
+                    f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True
+                ),
+            )
         )
 
 
@@ -348,19 +376,26 @@ def _is_doubtful(solved: SolvedSession) -> bool:
     return solved.calibration.status != "ok" or any(result.status != "ok" for result in together)
 
 
-def _write_bases(calibrations: Mapping[str, SessionCalibration], out: Path, *, quiet: bool) -> None:
-    """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``."""
-    from dvrk_cmaes.calibration.arms_together import ArmsTogether
-    from dvrk_cmaes.calibration.relative_base import relative_bases
+def _write_bases(
+    calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, NDArray[np.float64]], out: Path, *, quiet: bool
+) -> bool:
+    """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``.
+
+    Returns whether they are where the set-up joints have them, whose poses of the arms ``setup`` are by name.
+    """
+    from dvrk_cmaes.calibration.together import against_setup, arms_document, relative_bases
     from dvrk_cmaes.io.atomic import write_json
     from dvrk_cmaes.results.folder import ARMS
 
-    reference, together = next(iter(calibrations)), ArmsTogether.of(calibrations)
-    bases = relative_bases(calibrations) if together is None else together.relative()
-    document = {"reference": reference, "arms": {arm: base.to_dict() for arm, base in bases.items()}}
-    write_json(out / ARMS, {**document, "endoscope": None if together is None else together.to_dict()})
+    bases, reference = relative_bases(calibrations), next(iter(calibrations))
+    compared = against_setup(bases, reference, setup)
+    write_json(out / ARMS, arms_document(calibrations, bases, compared))
     if not quiet:
         show(Line(f"base of {arm} from that of {reference}: {base.describe()}") for arm, base in bases.items())
+    wrong = {arm: own for arm, own in compared.items() if not own.agrees}
+    for arm, own in wrong.items():
+        warn(own.describe(arm, reference))
+    return not wrong
 
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:

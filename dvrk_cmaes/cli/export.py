@@ -151,9 +151,9 @@ def export(
         raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {to}")
     from dvrk_cmaes.cli.session_tools import output_folder
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
-    from dvrk_cmaes.export.formats import export as exported_files
     from dvrk_cmaes.export.frames import FrameNames
     from dvrk_cmaes.export.request import ExportRequest, FormatOptions
+    from dvrk_cmaes.export.request import export as exported_files
     from dvrk_cmaes.export.source import read_source
     from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import LONG, output, write_bytes
@@ -182,13 +182,13 @@ def export(
         direction, paths = FORMATS[to].direction, [str(path) for path in written]
         document: dict[str, Any] = {"to": to, "direction": direction, "written": paths}
         if to == "tf":
-            document["command"] = _publisher_line(exported)
+            document["command"] = _publisher_lines(exported)
         if exported.base is not None:
             document["base"] = exported.base.to_dict()
         print(json_text({**document, "left_out": list(exported.left_out)}), end="")
     elif to == "tf":
         note(_origin(exported))
-        print(_publisher_line(exported))
+        print(_publisher_lines(exported))
     else:
         show(_lines(exported, FORMATS[to].direction, written))
     return 0
@@ -206,10 +206,9 @@ def _results_folder(results: Path) -> Path:
     return results.parent.parent if results.parent.name == "frames" else results.parent
 
 
-def _publisher_line(exported: Exported) -> str:
-    """Return the single line of the only file."""
-    (data,) = exported.files.values()
-    return data.decode().rstrip("\n")
+def _publisher_lines(exported: Exported) -> str:
+    """Return the lines of the files, one of each."""
+    return "".join(data.decode() for data in exported.files.values()).rstrip("\n")
 
 
 def _origin(exported: Exported) -> str:

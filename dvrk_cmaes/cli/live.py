@@ -223,8 +223,7 @@ def live(
     from dvrk_cmaes.live.repeated_lines import RepeatedLines
     from dvrk_cmaes.live.rosbridge import RosbridgeConnection
     from dvrk_cmaes.results.folder import SESSION
-    from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
-    from dvrk_cmaes.runs.long_run import prepare_long_run
+    from dvrk_cmaes.runs.live_session import earlier_calibration, prepare_long_run, save_calibration
     from dvrk_cmaes.runs.solver_process import SolverProcess
     from dvrk_cmaes.runs.worker_process import WorkerProcess
 

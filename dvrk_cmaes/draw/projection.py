@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import apply, project_cylinder
 from dvrk_cmaes.instrument import Instrument
 
 Float64 = NDArray[np.float64]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera.critical import known_mistakes
 from dvrk_cmaes.camera.rig import remarks_on_cameras
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
@@ -168,10 +169,12 @@ def estimate_views(
         found, source = _in_camera(find_pose(views, decimated, readings, settings, modes), shown[0]), "frame"
         base = find_camera_from_base(found.at.pose, given, arm, roll_offset=model.roll_offset)
     tips, tips_px = locate_tips(model, reference.camera, found.at)
+    remarks = remarks_on_cameras(seen)
+    reasons = (*(known_mistakes(remarks) if session is None else ()), *found.reasons)
     result = Result(
         frame=frame,
-        status="doubtful" if found.reasons else "ok",
-        reasons=found.reasons,
+        status="doubtful" if reasons else "ok",
+        reasons=reasons,
         instrument=model.name,
         root_link=model.root_link,
         shaft_radius=model.shaft_radius,
@@ -179,7 +182,7 @@ def estimate_views(
         joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,
         warnings=(*warnings, *outside, *([predicted] if isinstance(predicted, str) else ()), *found.notes),
-        remarks=remarks_on_cameras(seen),
+        remarks=remarks,
         unused=(*(left_out_views(seen) if named else ()), *_unused_evidence(views), *unused),
         camera_from_base=base,
         source=source,

@@ -12,7 +12,7 @@ calibration is corrected for their offsets.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import rotation_angle, transform
+from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.typed_document import Texts, Transform, convert_document
 from dvrk_cmaes.results.result import Result
 
@@ -32,9 +33,28 @@ _ITERATIONS = 200  # more than are needed for convergence
 _NEAR = 1e-9  # m and rad; least distance in a weight, so that weights are finite
 
 
+class _Stand(Struct):
+    first: str
+    last: str
+    camera_from_base: Transform
+
+
 class _Endoscope(Struct):
+    bases: tuple[_Stand, ...] = ()
     tip_from_camera: Transform | None = None
     ecm_from_base: Transform | None = None
+
+
+class _Arm(Struct):
+    ecm_from_base: Transform
+
+
+class _EndoscopeOfArms(Struct):
+    arms: dict[str, _Arm]
+
+
+class _Arms(Struct):
+    endoscope: _EndoscopeOfArms | None = None
 
 
 class _SessionBase(Struct):
@@ -62,6 +82,10 @@ class ChosenBase:
         Warnings about its reliability.
     tip_from_camera, ecm_from_base : (4, 4)
         The camera in the endoscope's tip, and the arm's base in that of the endoscope's arm; None where not known.
+    others
+        The bases (4, 4) of the session's other arms in that of the endoscope's arm, by name.
+    stands
+        First and last frame, and ``camera_from_base``, of each time that the endoscope stood.
     """
 
     camera_from_base: Float64
@@ -72,6 +96,16 @@ class ChosenBase:
     warnings: tuple[str, ...] = ()
     tip_from_camera: Float64 | None = None
     ecm_from_base: Float64 | None = None
+    others: Mapping[str, Float64] = field(default_factory=dict)
+    stands: Sequence[tuple[str, str, Float64]] = ()
+
+    def in_frame(self, result: Result) -> Float64:
+        """Return ``camera_from_base`` (4, 4) in a frame; its own one where the endoscope was moving."""
+        for first, last, base in self.stands:
+            if natural(first) <= natural(result.frame) <= natural(last):
+                return base
+        own = result.camera_from_base
+        return self.camera_from_base if own is None or not self.stands else own
 
     def to_dict(self) -> dict[str, Any]:
         """Return the choice as plain values for JSON."""
@@ -85,8 +119,11 @@ class ChosenBase:
         }
 
 
-def base_of_session(where: str, document: Mapping[str, Any]) -> ChosenBase:
-    """Take the ``camera_from_base`` of a session calibration; InputError, which begins with ``where``, without one."""
+def base_of_session(where: str, document: Mapping[str, Any], others: Mapping[str, Float64]) -> ChosenBase:
+    """Take the ``camera_from_base`` of a session calibration; InputError, which begins with ``where``, without one.
+
+    ``others`` are those of the session's other arms, as in `ChosenBase`.
+    """
     session = convert_document(where, document, _SessionBase)
     frames = session.frames or ()
     origin, moves = f"the session calibration {where} of {len(frames)} frames", session.endoscope or _Endoscope()
@@ -100,7 +137,15 @@ def base_of_session(where: str, document: Mapping[str, Any]) -> ChosenBase:
         warnings=warnings,
         tip_from_camera=moves.tip_from_camera,
         ecm_from_base=moves.ecm_from_base,
+        others=others,
+        stands=[(one.first, one.last, one.camera_from_base) for one in moves.bases],
     )
+
+
+def bases_of_arms(where: str, document: Mapping[str, Any]) -> dict[str, Float64]:
+    """Take the bases of all arms in that of the endoscope's arm, by name, of ``arms.json``; none where not known."""
+    moves = convert_document(where, document, _Arms).endoscope
+    return {} if moves is None else {name: own.ecm_from_base for name, own in moves.arms.items()}
 
 
 def base_of_frame(where: str, result: Result) -> ChosenBase:

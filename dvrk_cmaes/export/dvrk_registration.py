@@ -15,6 +15,7 @@ All transforms are in m.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -22,12 +23,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import DvrkVersion, Exported, ExportRequest
+from dvrk_cmaes.instrument.setup_joints import SETUP, setup_text
 from dvrk_cmaes.io.atomic import json_text
 
 DVRK_FROM_OPEN_CV: Final = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Transform from OpenCV's camera axes to the dVRK's, which have x and y reversed."""
 
-SUJ_FIXED: Final = "suj-fixed.json"
 
 _KEYS: Final[dict[DvrkVersion, tuple[str, str]]] = {
     "2.4": ("base_frame", "reference_frame"),
@@ -43,6 +44,7 @@ def registration_files(
     version: DvrkVersion = "2.4",
     ecm_pose: NDArray[np.float64] | None = None,
     ecm_from_base: NDArray[np.float64] | None = None,
+    others: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> dict[str, str]:
     """Return the texts of both files by file name.
 
@@ -58,32 +60,27 @@ def registration_files(
         ``local/measured_cp`` of the ECM that holds the camera, while the frames were recorded; None without an ECM.
     ecm_from_base : (4, 4)
         The arm's base in that of the ECM, if a session with an endoscope that moved tells it.
+    others
+        The same (4, 4) of the session's other arms, by name.
     """
     stated = "OpenCV: camera_from_base, m; camera x right, y down, z forward"
     open_cv = {**_entry(camera_from_base, names.camera, _OPEN_CV_KEYS), "convention": stated}
     files = {f"{names.arm}-registration-open-cv.json": json_text(open_cv)}
     in_dvrk_axes = DVRK_FROM_OPEN_CV @ camera_from_base
     if ecm_pose is not None:
-        ecm_from_base = ecm_pose @ in_dvrk_axes
+        ecm_from_base, others = ecm_pose @ in_dvrk_axes, None
     if ecm_from_base is None:
         files[f"{names.arm}-registration-dVRK.json"] = json_text(_entry(in_dvrk_axes, names.camera, _KEYS[version]))
     else:
-        poses = {"ECM": np.eye(4), names.arm: ecm_from_base}
-        arms = [{"name": name, "measured_cp": _rows(pose)} for name, pose in poses.items()]
-        files[SUJ_FIXED] = json_text({"arms": arms})
+        poses = {"ECM": np.eye(4), names.arm: ecm_from_base, **(others or {})}
+        files[SETUP] = setup_text(poses)
     return files
 
 
 def _entry(transform: NDArray[np.float64], camera: str, keys: tuple[str, str]) -> dict[str, Any]:
     """Return the entry of an arm's base frame."""
     base_frame, reference_frame = keys
-    return {base_frame: {reference_frame: camera, "transform": _rows(transform)}}
-
-
-def _rows(transform: NDArray[np.float64]) -> list[list[float]]:
-    """Return the rows of a transform, with 0.0 for -0.0."""
-    rows: list[list[float]] = (transform + 0.0).tolist()
-    return rows
+    return {base_frame: {reference_frame: camera, "transform": (transform + 0.0).tolist()}}  # 0.0 for -0.0
 
 
 def exported(request: ExportRequest) -> Exported:
@@ -95,5 +92,6 @@ def exported(request: ExportRequest) -> Exported:
         version=options.dvrk_version,
         ecm_pose=options.ecm_pose,
         ecm_from_base=base.ecm_from_base,
+        others=base.others,
     )
     return Exported.of_texts(texts, base=base)

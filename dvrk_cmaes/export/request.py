@@ -1,10 +1,11 @@
-"""What is asked of an export format, and what it returns."""
+"""What is asked of an export format, and what it returns, which the module of the format makes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from importlib import import_module
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from dvrk_cmaes.export.base_choice import ChosenBase
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_topics import ToolTip
 from dvrk_cmaes.export.source import ExportSource
+from dvrk_cmaes.export.table import FORMATS
 
 DvrkVersion = Literal["2.4", "2.3"]
 
@@ -72,3 +74,15 @@ class Exported:
     ) -> Exported:
         """Return the export of texts by file name."""
         return Exported({name: text.encode() for name, text in texts.items()}, base, left_out)
+
+
+def export(request: ExportRequest) -> Exported:
+    """Make the files of a format.
+
+    Raises
+    ------
+    InputError
+        The source has no ``camera_from_base`` or no frames and the format requires them, or a name is not valid in it.
+    """
+    module = import_module(f"dvrk_cmaes.export.{FORMATS[request.to].module}")
+    return cast(Exported, module.exported(request))

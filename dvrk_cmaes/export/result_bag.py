@@ -30,6 +30,5 @@ def exported(request: ExportRequest) -> Exported:
         notes.append("camera_from_base is not known: no measured_cp by the readings, and no base in tf")
     times, unknown = times_or_rows(results, request.options.times)
     notes += unknown
-    camera_from_base = None if base is None else base.camera_from_base
-    messages = result_messages(posed, times, names, camera_from_base, request.options.tip)
+    messages = result_messages(posed, times, names, base, request.options.tip)
     return Exported(bag_files(messages, cast(BagKind, request.to), names.arm), base, source.without_pose, tuple(notes))

@@ -43,10 +43,10 @@ def pose_message(topic: str, time: int, frame_id: str, pose: NDArray[np.float64]
     return RosMessage(topic, POSE_STAMPED, time, fields)
 
 
-def tf_message(time: int, parent: str, children: Mapping[str, NDArray[np.float64]]) -> RosMessage:
-    """Return the message on ``/tf`` of the poses (4, 4) of child frames, by name, in one parent frame."""
+def tf_message(time: int, poses: Mapping[tuple[str, str], NDArray[np.float64]]) -> RosMessage:
+    """Return the message on ``/tf`` of poses (4, 4), by the names of the parent and the child frame."""
     transforms = []
-    for child, pose in children.items():
+    for (parent, child), pose in poses.items():
         translation, rotation = _vector_and_quaternion(pose)
         transforms.append(
             {

@@ -8,7 +8,8 @@ What the readings say has the names of the arm's own topics; what was found has 
 - ``/dvrk_cmaes/ARM/measured_cp`` (PoseStamped): the tool tip by the pose and the joints found;
 - ``/dvrk_cmaes/ARM/camera_from_root`` (PoseStamped): the pose of the root link;
 - ``/dvrk_cmaes/ARM/measured_js`` (JointState): the joints found;
-- ``/tf``: the root link, and the arm's base where it is known, in the camera.
+- ``/tf``: the root link, and the arm's base where it is known, in the camera. Of an endoscope that moved and whose arm
+  is read, the camera in ``ECM_tip``, and in ``ECM_base`` that and the bases of all arms.
 
 A pose or joints that are not known have no message.
 """
@@ -22,8 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.export.base_choice import ChosenBase
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import RosMessage, joint_message, pose_message, tf_message
+from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import (
     ROLL_OFFSET,
     TOOLTIP_OFFSET,
@@ -65,16 +68,21 @@ def result_messages(
     results: Sequence[Result],
     times: Mapping[str, int],
     names: FrameNames,
-    camera_from_base: NDArray[np.float64] | None,
+    base: ChosenBase | None,
     tip: ToolTip,
 ) -> list[RosMessage]:
-    """Return the messages of all results with a pose, by time; ``times`` are those of the frames, ns."""
+    """Return the messages of all results with a pose, by time; ``times`` are those of the frames, ns.
+
+    ``base`` is None where no base is known.
+    """
     arm, roll_offset = stated_kinematics(result.config for result in results) or ("classic", ROLL_OFFSET)
     messages: list[RosMessage] = []
     for result in sorted(results, key=lambda result: times[result.frame]):
         time = times[result.frame]
-        messages += _read(result, time, names, camera_from_base, tip, arm, roll_offset)
-        messages += _found(result, time, names, camera_from_base, tip)
+        own = None if base is None else base.in_frame(result)
+        messages += _read(result, time, names, own, tip, arm, roll_offset)
+        messages += _found(result, time, names, tip)
+        messages += _transforms(result, time, names, base)
     return messages
 
 
@@ -124,9 +132,7 @@ def _read(
         yield joint_message(f"/{names.arm}/jaw/measured_js", time, {"jaw": readings["jaw"]})
 
 
-def _found(
-    result: Result, time: int, names: FrameNames, camera_from_base: NDArray[np.float64] | None, tip: ToolTip
-) -> Iterator[RosMessage]:
+def _found(result: Result, time: int, names: FrameNames, tip: ToolTip) -> Iterator[RosMessage]:
     """Yield the messages of what was found in a frame."""
     pose = result.camera_from_root
     if pose is None:
@@ -138,7 +144,21 @@ def _found(
         yield pose_message(f"{found}/measured_cp", time, names.camera, pose @ root_from_found_tip)
     if result.joints:
         yield joint_message(f"{found}/measured_js", time, result.joints)
-    children = {f"{names.arm}_{result.root_link}": pose}
-    if camera_from_base is not None:
-        children[names.base] = camera_from_base
-    yield tf_message(time, names.camera, children)
+
+
+def _transforms(result: Result, time: int, names: FrameNames, base: ChosenBase | None) -> Iterator[RosMessage]:
+    """Yield the message of the transforms of a frame."""
+    if result.camera_from_root is None:
+        return
+    poses = {(names.camera, f"{names.arm}_{result.root_link}"): result.camera_from_root}
+    if base is not None:
+        camera_from_base = base.in_frame(result)
+        if base.tip_from_camera is None or base.ecm_from_base is None:
+            poses[names.camera, names.base] = camera_from_base
+        else:
+            ecm_from_camera = base.ecm_from_base @ inverse(camera_from_base)
+            poses["ECM_base", "ECM_tip"] = ecm_from_camera @ inverse(base.tip_from_camera)
+            poses["ECM_tip", names.camera] = base.tip_from_camera
+            poses["ECM_base", names.base] = base.ecm_from_base
+            poses |= {("ECM_base", f"{arm}_base"): other for arm, other in base.others.items()}
+    yield tf_message(time, poses)

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.export.base_choice import ChosenBase, base_of_frame, base_of_frames, base_of_session
+from dvrk_cmaes.export.base_choice import ChosenBase, base_of_frame, base_of_frames, base_of_session, bases_of_arms
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.results.folder import SESSION, is_followed, read_results, result_paths
+from dvrk_cmaes.results.folder import ARMS, SESSION, is_followed, read_results, result_paths
 from dvrk_cmaes.results.paths import check_frame_name
 from dvrk_cmaes.results.result import Result
 
@@ -66,10 +69,19 @@ class ExportSource:
     def base(self) -> ChosenBase:
         """Choose ``camera_from_base`` by the rules of ``base_choice``; InputError if there is none."""
         if self.session is not None:
-            return base_of_session(*self.calibration())
+            return base_of_session(*self.calibration(), self._other_arms())
         if self.single:
             return base_of_frame(str(self.path), self.results[0])
         return base_of_frames(str(self.path), self.results)
+
+    def _other_arms(self) -> dict[str, NDArray[np.float64]]:
+        """Return the bases of the session's other arms in that of the endoscope's arm, where arms.json has them."""
+        folder = self.path if self.path.is_dir() else self.path.parent
+        path = folder.parent / ARMS
+        if not path.is_file():
+            return {}
+        bases = bases_of_arms(str(path), read_json_object(path, expected="the bases of several arms"))
+        return {name: base for name, base in bases.items() if name != folder.name} if folder.name in bases else {}
 
 
 def read_source(path: Path, frame: str | None = None) -> ExportSource:

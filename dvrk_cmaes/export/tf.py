@@ -38,7 +38,7 @@ def exported(request: ExportRequest) -> Exported:
     """Export ``camera_from_base``; InputError if the source has none.
 
     Of an endoscope that moved and whose arm is read, the transforms that stay are exported in its place: the camera in
-    the endoscope's tip, and the arm's base in that of the endoscope's arm.
+    the endoscope's tip, and the bases of the session's arms in that of the endoscope's arm.
     """
     base = request.source.base()
     if base.tip_from_camera is None or base.ecm_from_base is None:
@@ -48,4 +48,6 @@ def exported(request: ExportRequest) -> Exported:
         **publisher_file(base.tip_from_camera, replace(names, camera="ECM_tip", base=names.camera), "ECM-tip"),
         **publisher_file(base.ecm_from_base, replace(names, camera="ECM_base")),
     }
+    for arm, other in base.others.items():
+        texts |= publisher_file(other, FrameNames(arm, "ECM_base", f"{arm}_base"))
     return Exported.of_texts(texts, base=base)

@@ -13,7 +13,7 @@ from pathlib import Path
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.own_files import OwnFiles
-from dvrk_cmaes.io.natural_order import natural
+from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.joints.reading import frame_readings, read_joint_file
 
 _IMAGE = re.compile(r"frame(\d+)\.(png|jpe?g)", re.IGNORECASE)

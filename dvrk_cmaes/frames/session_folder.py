@@ -37,8 +37,7 @@ from dvrk_cmaes.frames.published_layout import find_published_frames, is_publish
 from dvrk_cmaes.frames.session_video import SessionVideo
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.io.arguments import PATH, check_type
-from dvrk_cmaes.io.natural_order import natural
-from dvrk_cmaes.io.short_text import listed, no_folder
+from dvrk_cmaes.io.short_text import listed, natural, no_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.reading import (

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import inverse, skew
 from dvrk_cmaes.io.arguments import described
 
 Arm = Literal["classic", "si"]
@@ -130,7 +130,7 @@ def base_from_root_and_jacobian(
             jacobian[..., :3, k] = axis
         else:
             from_joint = np.swapaxes(link_from_root[..., :3, :3], -1, -2) @ link_from_root[..., :3, 3:]
-            jacobian[..., :3, k] = np.cross(axis, from_joint[..., 0])
+            jacobian[..., :3, k] = (skew(axis) @ from_joint)[..., 0]
             jacobian[..., 3:, k] = axis
         link_from_root = steps[k] @ link_from_root
     return np.asarray(link_from_root), jacobian

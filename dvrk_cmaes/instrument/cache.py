@@ -1,7 +1,7 @@
 """Disk cache of loaded instruments; reading and measuring their meshes takes longer than estimating a pose.
 
-Each instrument is one file of arrays and JSON values (`io.array_file`) in the folder of `io.cache_folder`. A cached
-file is used only if the same version of the package wrote it and the URDF and mesh files still have the digests
+Each instrument is one file of arrays and JSON values (`io.array_file`) in the folder of `io.bundled.cache_folder`. A
+cached file is used only if the same version of the package wrote it and the URDF and mesh files still have the digests
 recorded in it, and would be found where they were.
 """
 
@@ -22,7 +22,7 @@ from dvrk_cmaes.instrument.kinematics import Chain, Joint
 from dvrk_cmaes.instrument.locate import find_mesh
 from dvrk_cmaes.instrument.model import Instrument, JawTip, Link, Shaft
 from dvrk_cmaes.io.array_file import UNUSABLE, read_arrays, write_arrays
-from dvrk_cmaes.io.cache_folder import cache_folder
+from dvrk_cmaes.io.bundled import cache_folder
 from dvrk_cmaes.io.files import file_digest
 
 _FORMAT = 4

@@ -1,10 +1,11 @@
-"""Format values for messages: on one line and short."""
+"""Format values for messages, on one line and short, and order names by the numbers in them: 10 after 9."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 _LONGEST = 60
 
@@ -30,3 +31,19 @@ def listed(names: Iterable[str], most: int = 5) -> str:
 def no_folder(path: str | Path) -> str:
     """Say what is at a path where a folder was expected: nothing, or a file."""
     return "a file" if Path(path).exists() else "no such folder"
+
+
+T = TypeVar("T")
+
+_NUMBER = re.compile(r"([0-9]+)")
+
+
+def natural(name: str) -> tuple[list[str | int], str]:
+    """Return the key that sorts names by the numbers in them, and those of equal numbers as texts."""
+    parts = _NUMBER.split(name)
+    return [int(part) if k % 2 else part for k, part in enumerate(parts)], name
+
+
+def in_order(values: Mapping[str, T]) -> dict[str, T]:
+    """Return values in the order of their names, as by `natural`."""
+    return {name: values[name] for name in sorted(values, key=natural)}

@@ -129,10 +129,10 @@ class Outputs:
         if pose is None or result.status == "lost":
             return
         yield pose_message(f"{self._namespace}/camera_from_root", time, self._names.camera, pose)
-        children = {self._child: pose}
+        children = {(self._names.camera, self._child): pose}
         if status == "ok" and result.camera_from_base is not None:
-            children[self._names.base] = result.camera_from_base
-        yield tf_message(time, self._names.camera, children)
+            children[self._names.camera, self._names.base] = result.camera_from_base
+        yield tf_message(time, children)
         if result.joints:
             yield joint_message(f"{self._namespace}/measured_js", time, result.joints)
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.frames.session_folder import is_session_layout
+from dvrk_cmaes.instrument.setup_joints import SETUP, setup_text
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.io.yaml_file import check_yaml
@@ -23,11 +24,11 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import ECM_JOINTS, IN_ORDER, without_positions
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
-from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp
+from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp, stamped_pose
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import RecordedImage, Recording
-from dvrk_cmaes.recording.topics import IMAGES, NONE, TopicRequest, Topics, choose_topics, ecm_topic
+from dvrk_cmaes.recording.topics import IMAGES, NONE, TopicRequest, Topics, choose_topics, ecm_topic, setup_topics
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -127,7 +128,12 @@ def _recording(
         of_ecm = _Readings.of_ecm(reader, path, ecm)
         read = {arm: [*own, of_ecm] for arm, own in read.items()}
     stamps = {own.topic: own.stamps for of_arm in read.values() for own in of_arm}
-    notes: list[str] = []
+    setup = {
+        arm: stamped_pose(message)
+        for arm, topic in setup_topics(types).items()
+        for _, message in islice(_messages(reader, path, topic), 1)
+    }
+    notes: list[str] = [f"set-up joints: of {' '.join(setup)}, as {SETUP}"] if setup else []
     lens = b""
     if topics.image is None:
         notes.append("images: none, readings only")
@@ -161,6 +167,7 @@ def _recording(
         lens,
         tuple(own for of_arm in series.values() for own in of_arm),
         tuple(notes),
+        kept={SETUP: setup_text(setup).encode()} if setup else {},
         arms={arm: tuple(own) for arm, own in series.items()} if len(series) > 1 else {},
         has_images=has_images,
     )

@@ -131,14 +131,19 @@ def joint_places(message: Any, where: str, arm: str | None = None) -> dict[str, 
     return places
 
 
+def stamped_pose(message: Any) -> NDArray[np.float64]:
+    """Return the pose (4, 4) of a PoseStamped, m."""
+    place, turn = message.pose.position, message.pose.orientation
+    axis = np.array([turn.x, turn.y, turn.z], dtype=np.float64)
+    length = float(np.linalg.norm(axis))
+    rotation = exp_rotation(2 * np.arctan2(length, turn.w) / max(length, 1e-12) * axis)
+    return transform(rotation, [place.x, place.y, place.z])
+
+
 def ecm_values(message: Any, where: str) -> list[float] | None:
     """Return the ECM's joints, rad and m, of a JointState or of its tip's PoseStamped; None without positions."""
     if hasattr(message, "pose"):
-        place, turn = message.pose.position, message.pose.orientation
-        axis = np.array([turn.x, turn.y, turn.z], dtype=np.float64)
-        length = float(np.linalg.norm(axis))
-        rotation = exp_rotation(2 * np.arctan2(length, turn.w) / max(length, 1e-12) * axis)
-        found: list[float] = joints_of_ecm_tip(transform(rotation, [place.x, place.y, place.z])).tolist()
+        found: list[float] = joints_of_ecm_tip(stamped_pose(message)).tolist()
         return found
     position = [float(value) for value in message.position]
     if not position:

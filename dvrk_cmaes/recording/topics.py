@@ -134,6 +134,12 @@ def ecm_topic(types: Mapping[str, str], chosen: str | None) -> str | None:
     return None
 
 
+def setup_topics(types: Mapping[str, str]) -> dict[str, str]:
+    """Return the topics of the poses at which the set-up joints hold the arms, such as SUJ/PSM1/measured_cp, by arm."""
+    parts = {name: name.strip("/").split("/") for name, kind in sorted(types.items()) if kind == POSE}
+    return {own[-2]: name for name, own in parts.items() if own[-1] == "measured_cp" and own[-3:-2] == ["SUJ"]}
+
+
 def _is_ecm(name: str) -> bool:
     """Whether a topic is of the arm that holds the endoscope."""
     return "ecm" in name.lower().split("/")

@@ -189,6 +189,8 @@ def _write_readings(recording: Recording, out: Path, tolerance: float, *, overwr
     """Write the readings of a recording without images, as joints.csv with the times of the arm's own."""
     summaries: list[InterpolationSummary] = []
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
+        for name, data in recording.kept.items():
+            write_bytes(folder / name, data)
         for name, readings in recording.by_arm.items():
             times = [] if not readings else readings[0].times.tolist()
             if not times:

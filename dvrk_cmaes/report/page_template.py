@@ -13,7 +13,7 @@ from typing import Any
 import jinja2
 import jinja2.bccache
 
-from dvrk_cmaes.io.cache_folder import cache_folder
+from dvrk_cmaes.io.bundled import cache_folder
 from dvrk_cmaes.report.page_frames import NOTHING, anchor, fixed, signed
 from dvrk_cmaes.report.page_session import reason_kind
 from dvrk_cmaes.report.plots.panels import mark_path, short

@@ -10,9 +10,9 @@ worklist : selection of the frames of a batch by pattern and shard.
 digests : digests of the inputs of results.
 manifest : ``run.json``, which states the inputs of a folder's results.
 output : the output folder of a batch: lock, removal of files, complete results.
-summary : ``summary.json``.
-base_agreement, rig_check, exchanged_tools : what all frames of a session tell together: frames whose base differs, rigs
-that are calibrated wrongly, arms with each other's masks or readings.
+summary : ``summary.json``, and rigs that are calibrated wrongly.
+base_agreement, exchanged_tools : what all frames of a session tell together: frames whose base differs, arms with each
+other's masks or readings.
 batch : `run_batch`, which estimates the frames of a session that have no result, and `finish`, which writes tables and
 page.
 merge : merging of the shards of a session.

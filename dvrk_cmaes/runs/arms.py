@@ -14,8 +14,8 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of
 from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.io.atomic import encoded_image
-from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.output import write_bytes
+from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.report.arms_page import write_arms_page
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import overlay_path, result_path

@@ -8,7 +8,7 @@ OUT/summary.json, OUT/report.html, OUT/masks/FRAME.png (masks that were found ag
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +16,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_with_evidence
+from dvrk_cmaes.calibration.calibrate import SolvedSession, solving_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.masks_again import FindMasks
+from dvrk_cmaes.calibration.together import Solving
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.camera.view_document import ViewDocument
@@ -56,7 +58,7 @@ CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
 
 
-def calibrate_folder(
+def solving_folder(
     session: Session,
     results: Mapping[str, Result],
     instrument: Instrument,
@@ -72,14 +74,17 @@ def calibrate_folder(
     progress: Callable[[str, int], None] = lambda stage, count: None,
     others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
     opened: Output | None = None,
-) -> SolvedSession:
-    """Calibrate a session folder from its frames' own results, and write everything to a folder.
+    places: Sequence[Place] = (),
+) -> Solving[SolvedSession]:
+    """Calibrate a session folder of an arm from its frames' own results, and write everything to a folder.
+
+    Run it by `solved_together` or `solved_alone`.
 
     ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
     are taken from there; with ``segment``, how they were found there, they are found again around the silhouettes that
     the session expects. ``processes`` are those of `instrument_processes` or `worker_processes`, to use instead of
-    new ones, up to ``workers``; ``opened`` is the folder, if it is open already; ``others`` is as in
-    `calibrate_with_evidence`. All files are written to a folder beside, which takes the place of an earlier one when
+    new ones, up to ``workers``; ``opened`` is the folder, if it is open already; ``others`` and ``places`` are as in
+    `solving_arm`. All files are written to a folder beside, which takes the place of an earlier one when
     it is whole.
 
     Raises
@@ -107,7 +112,7 @@ def calibrate_folder(
         if processes is None:
             processes = stack.enter_context(instrument_processes(instrument, workers, frames))
         run = functools.partial(run_with_body, processes, instrument_digest(instrument), config)
-        solved, evidence = calibrate_with_evidence(
+        solved, evidence = yield from solving_arm(
             frames,
             instrument,
             series=session.reading_series(),
@@ -118,6 +123,7 @@ def calibrate_folder(
             run=run,
             progress=progress,
             others=others,
+            places=places,
         )
         progress("drawing", len(solved.leave_one_out))
         masks = Path(stack.enter_context(TemporaryDirectory(prefix="dvrk-cmaes-")))

@@ -21,8 +21,8 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.tool_frames import with_start
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.output import output
+from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Place, Result

@@ -22,12 +22,12 @@ _PAYS = 4
 
 
 def worker_processes(instrument: Instrument, workers: int) -> Processes:
-    """Return worker processes for `run_batch` and then `calibrate_folder`."""
+    """Return worker processes for `run_batch` and then `solving_folder`."""
     return Processes(functools.partial(_start, instrument), workers)
 
 
 def instrument_processes(instrument: Instrument, workers: int, frames: Sized) -> Processes:
-    """Return processes for `calibrate_folder`: this one and up to ``workers`` - 1 others, none for few frames."""
+    """Return processes for `solving_folder`: this one and up to ``workers`` - 1 others, none for few frames."""
     return Processes(functools.partial(_start, instrument), processes_beside(workers, len(frames)), here=True)
 
 

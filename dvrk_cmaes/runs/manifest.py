@@ -20,8 +20,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.natural_order import natural
-from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.short_text import listed, natural
 from dvrk_cmaes.io.typed_document import PositiveNumber, convert_document
 from dvrk_cmaes.results.folder import MANIFEST
 from dvrk_cmaes.runs.digests import background_digests, calibration_digest, frame_digests, instrument_digest

@@ -9,9 +9,8 @@ from typing import Any
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.handles import not_written
-from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.output import Output, output
-from dvrk_cmaes.io.short_text import no_folder
+from dvrk_cmaes.io.short_text import natural, no_folder
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import MANIFEST, read_results
 from dvrk_cmaes.results.paths import found_masks, layers_path, overlay_path

@@ -8,9 +8,8 @@ from typing import Final
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.natural_order import natural
 from dvrk_cmaes.io.output import Output, output, remove, write_bytes
-from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.short_text import natural, shown
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import MANIFEST, SESSION, SUMMARY
 from dvrk_cmaes.results.paths import layers_path, mask_path, overlay_path, result_path

@@ -24,6 +24,7 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.prediction import Prediction
+from dvrk_cmaes.track.reading_buffer import describe_frozen
 from dvrk_cmaes.track.recorded_frames import (
     NO_READINGS,
     BlockTask,
@@ -33,7 +34,6 @@ from dvrk_cmaes.track.recorded_frames import (
     fit_block,
     judge_frame,
 )
-from dvrk_cmaes.track.still_readings import describe_frozen
 from dvrk_cmaes.track.window import Told, WindowImage, result_of, solve_window, status_of
 
 Float64 = NDArray[np.float64]

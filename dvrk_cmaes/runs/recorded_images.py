@@ -38,7 +38,7 @@ from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_frames import (
     AroundTask,
     ImageBlockTask,

@@ -31,7 +31,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.track_clock import series_of
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_masks import colours_document, read_colours
 from dvrk_cmaes.track.keyframes import (
     LEAST_KEYFRAMES,
@@ -42,7 +42,7 @@ from dvrk_cmaes.track.keyframes import (
     solved_with,
     well_in_view,
 )
-from dvrk_cmaes.track.still_readings import frozen_frames
+from dvrk_cmaes.track.reading_buffer import frozen_frames
 
 Float64 = NDArray[np.float64]
 

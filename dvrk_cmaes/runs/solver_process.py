@@ -15,7 +15,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.digests import instrument_digest
-from dvrk_cmaes.runs.long_run import give_back_memory
+from dvrk_cmaes.runs.live_session import give_back_memory
 from dvrk_cmaes.runs.worker_process import ProcessDiedError, WorkerProcess
 from dvrk_cmaes.silhouette.prepare import body_by
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution

@@ -38,7 +38,7 @@ from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.prediction import Prediction
 from dvrk_cmaes.track.recorded_frames import FittedFrame
 

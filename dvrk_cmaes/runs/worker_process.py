@@ -24,7 +24,7 @@ import cv2
 from threadpoolctl import threadpool_limits
 
 from dvrk_cmaes.errors import DvrkCmaesError, one_line
-from dvrk_cmaes.runs.long_run import prepare_long_run
+from dvrk_cmaes.runs.live_session import prepare_long_run
 
 R = TypeVar("R")
 

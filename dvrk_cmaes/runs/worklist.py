@@ -11,8 +11,7 @@ from pathlib import Path
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.io.natural_order import natural
-from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.io.short_text import listed, natural, shown
 from dvrk_cmaes.results.paths import check_output, result_path
 
 _LONGEST_NAME = 255  # bytes, the limit of nearly all file systems

@@ -20,9 +20,8 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE
-from dvrk_cmaes.track.colour_model import ColourModel, bins_of
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
-from dvrk_cmaes.track.edge_model import REACH, EdgeModel, changes_along
+from dvrk_cmaes.track.histogram_ratio import REACH, ColourModel, EdgeModel, bins_of, changes_along
 from dvrk_cmaes.track.outline_model import OutlineModel
 
 Bool = NDArray[np.bool_]

@@ -23,7 +23,7 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_masks import learned_colours, mask_around
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame, fit_followed
 

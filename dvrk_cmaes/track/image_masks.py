@@ -23,7 +23,7 @@ from dvrk_cmaes.segment.moving_colours import moving_pixels
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Segmentation
-from dvrk_cmaes.track.colour_model import ColourModel, bins_of
+from dvrk_cmaes.track.histogram_ratio import ColourModel, bins_of
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]

@@ -25,9 +25,8 @@ from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.calibration_lag import lag_and_std
 from dvrk_cmaes.track.keyframes import solved_with
-from dvrk_cmaes.track.prediction import Prediction, endoscope_in
+from dvrk_cmaes.track.prediction import Prediction, endoscope_in, lag_and_std
 from dvrk_cmaes.track.quick_fit import LINES_PER_PIXEL
 
 Bool = NDArray[np.bool_]

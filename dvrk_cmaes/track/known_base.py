@@ -16,12 +16,11 @@ from dvrk_cmaes.pose.doubts import TIPS_NOT_ACCURATE
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.calibration_lag import FoundLag, lag_and_std, lag_of
 from dvrk_cmaes.track.confirmed_image import confirmed_by
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeStore
-from dvrk_cmaes.track.prediction import calibration_covariance
+from dvrk_cmaes.track.prediction import FoundLag, calibration_covariance, lag_and_std, lag_of
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.sight import Seen, Sight
 

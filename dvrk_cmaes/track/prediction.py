@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.sparse import LEAST_ERROR
 
 Bool = NDArray[np.bool_]
@@ -59,6 +58,15 @@ def endoscope_in(
         return None
     found = calibration.endoscope.in_frames(calibration.camera_from_base, ecm, times, names)
     return None if isinstance(found, str) else found
+
+
+def _changes(late: Float64 | None, errors: Float64 | None, joints: int) -> Float64:
+    """Return the changes (C, N, 4 + J) of N images' readings that follow from a lag's error, and one outer joint's."""
+    changes = [] if late is None else [late]
+    if errors is not None:
+        counted = np.where(errors > LEAST_ERROR, errors, 0.0)
+        changes += list(counted.T[:, :, None] * np.eye(counted.shape[1] + joints)[: counted.shape[1], None])
+    return np.array(changes) if changes else np.zeros((0, 0, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,23 +133,15 @@ class Prediction:
         jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, len(covariance) - jacobian.shape[2])))
         wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
         prior[~(told if moving is None else told & moving)] += wide
-        readings = np.concatenate([outer, joints], axis=1)
-
-        def widen(change: Float64) -> None:
-            some = np.flatnonzero(change.any(axis=1))
-            if len(some):
-                moved_outer, moved_joints = np.split(readings[some] + _STEP * change[some], [outer.shape[1]], axis=1)
-                there = None if endoscope is None else (endoscope[0].subset(some), endoscope[1])
-                moved_model, same = calibration.model(moved_outer, moved_joints, joint_names, there)
-                off = moved_model.predict(same).minus(at[some]) / _STEP
-                prior[some] += off[:, :, None] * off[:, None, :]
-
-        if late is not None:
-            widen(late)
-        if errors is not None:
-            counted = np.where(errors > LEAST_ERROR, errors, 0.0)
-            for joint in range(len(OUTER_JOINTS)):
-                widen(counted[:, [joint]] * np.eye(readings.shape[1])[joint])
+        changes = _changes(late, errors, len(joint_names))
+        which, image = np.nonzero(changes.any(axis=2))
+        if len(image):
+            readings = np.concatenate([outer, joints], axis=1)[image] + _STEP * changes[which, image]
+            there = None if endoscope is None else (endoscope[0].subset(image), endoscope[1])
+            moved_outer, moved_joints = np.split(readings, [outer.shape[1]], axis=1)
+            moved_model, same = calibration.model(moved_outer, moved_joints, joint_names, there)
+            off = moved_model.predict(same).minus(at[image]) / _STEP
+            np.add.at(prior, image, off[:, :, None] * off[:, None, :])
         factor = np.ones(prior.shape[-1])
         factor[ROLL:] = wrist
         shared = jacobian @ covariance @ jacobian.swapaxes(1, 2)
@@ -179,3 +179,42 @@ class Prediction:
             if not np.isnan(read):
                 found[name] = value - read
         return found
+
+
+@dataclass(frozen=True)
+class FoundLag:
+    """A lag and its standard deviation, s."""
+
+    seconds: float
+    std: float
+
+
+def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
+    """Return the lag that is taken out of the readings, and its standard deviation; None if nothing tells one.
+
+    Where it is not determined, none is taken out, and the curve of disagreement tells how large it may be;
+    ``unknown`` is the standard deviation, s, beforehand. Where the curve is flat, as with few keyframes, the standard
+    deviation is larger than that of the least disagreement: errors that keyframes share displace that, or make a lag
+    where none is told.
+    """
+    found, curve = calibration.lag, calibration.lag_curve
+    curve = curve if curve is not None and curve.unit == "s" and len(curve.lags) > 1 else None
+    if found is None or found.seconds is None:
+        return None if curve is None else FoundLag(0.0, curve.root_mean_square(len(calibration.frames), unknown))
+    interval = found.seconds / found.frames if found.frames else 0.0
+    std = found.std_seconds if found.std_seconds is not None else (found.std_frames or 0.0) * interval
+    value = found.seconds if found.applied else 0.0
+    if not found.applied:
+        std = max(std, abs(found.seconds))
+    if curve is not None:
+        std = max(std, curve.least_std(len(calibration.frames), unknown, value, applied=found.applied))
+    return FoundLag(value, std)
+
+
+def lag_and_std(calibration: SessionCalibration, unknown: float) -> tuple[float, float]:
+    """Return the lag that is taken out of the readings and its standard deviation, s, as in `lag_of`.
+
+    They are 0 and ``unknown`` where nothing tells one.
+    """
+    found = lag_of(calibration, unknown)
+    return (0.0, unknown) if found is None else (found.seconds, found.std)

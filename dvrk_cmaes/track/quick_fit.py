@@ -13,9 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit, stepped
+from dvrk_cmaes.calibration.frame_fit import FrameFit, OwnEstimate, stepped
 from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, without_lasting
-from dvrk_cmaes.calibration.own_estimate import OwnEstimate
 from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.frames.seen_view import SeenView

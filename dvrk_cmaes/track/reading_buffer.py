@@ -1,15 +1,18 @@
-"""The latest joint readings, interpolated at the times of images less their lag."""
+"""The latest joint readings, interpolated at the times of images less their lag, and readings that are frozen."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
 from dvrk_cmaes.joints.gaps import Times, extrapolated
@@ -17,6 +20,7 @@ from dvrk_cmaes.joints.interpolation import TimedReadings, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, check_readings
 from dvrk_cmaes.joints.sparse import Sparseness
 
+Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
 
 _KEPT = 3.0  # s; older readings are dropped
@@ -25,6 +29,9 @@ _RATE_SPACINGS, _GAP_SPACINGS, _STILL_SPACINGS = 3.0, 2.0, 4.0  # usual spacings
 _LATEST = 20  # readings whose spacing is the usual one
 _MOST = 6000  # readings; at higher rates than 2 kHz a shorter time is kept
 _BLOCK = 256  # readings that are dropped at once, or more
+_LEAST_FRAMES: Final = 5  # without any change of a reading, from which on it stands still
+_LEAST_SHIFT: Final = 0.04  # of the image's width, by which a mask's centre moves where the instrument moves
+_SAME = 1e-9  # rad and m
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,10 +163,12 @@ class ReadingBuffer(ReadingRows):
         super().__init__(joint_names)
         self._gap = gap
         self._still = still
+        self._found: dict[float, ReadingAt] = {}  # what `at` returned, by time, since readings were added
 
     def add(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, and drop old ones, in blocks, because the others are moved."""
         super().add(time, joints)
+        self._found.clear()
         for rows in filter(None, (self if self._count else None, self.ecm)):
             times = rows.series.times
             first = max(int(times.searchsorted(times[-1] - _KEPT)), len(times) - _MOST)
@@ -173,6 +182,11 @@ class ReadingBuffer(ReadingRows):
 
     def at(self, time: float) -> ReadingAt:
         """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
+        if time not in self._found:
+            self._found[time] = self._interpolated(time)
+        return self._found[time]
+
+    def _interpolated(self, time: float) -> ReadingAt:
         outer = len(OUTER_JOINTS)
         row, rate = np.full(len(self._names), np.nan), np.zeros(len(self._names))
         for columns, series in self._read_together():
@@ -213,7 +227,7 @@ class ReadingBuffer(ReadingRows):
 
 def _usual_spacing(stamps: Times) -> float:
     """Return the median time, s, between the latest readings, at times (N,); 0 for fewer than three."""
-    return float(np.median(np.diff(stamps[-_LATEST:]))) if len(stamps) > 2 else 0.0
+    return float(median(np.diff(stamps[-_LATEST:]))) if len(stamps) > 2 else 0.0
 
 
 def _rate(series: TimedReadings, time: float, half_width: float) -> Float64:
@@ -241,3 +255,37 @@ def _is_still(series: TimedReadings, time: float, seconds: float) -> bool:
     if last - first < 3 or series.times[last] - series.times[first] < 0.8 * seconds:
         return False
     return bool(np.ptp(series.values[first : last + 1], axis=0).max() == 0)
+
+
+def frozen_frames(outer: Float64, centres: Float64, width: float) -> Bool:
+    """Return at which of N frames (N,) the readings of the outer joints stand still while the mask moves.
+
+    Parameters
+    ----------
+    outer : (N, 4)
+        Readings of the outer joints, rad and m; NaN where there is none.
+    centres : (N, 2)
+        Centres of the masks, px; NaN without one.
+    width
+        Width of the images, px.
+    """
+    still = np.zeros(len(outer), np.bool_)
+    change = np.abs(np.diff(outer, axis=0)).max(axis=1, initial=0.0) > _SAME
+    starts = [0, *(np.flatnonzero(change | np.isnan(change)) + 1).tolist(), len(outer)]
+    for first, last in pairwise(starts):
+        seen = centres[first:last][~np.isnan(centres[first:last]).any(axis=1)]
+        if last - first >= _LEAST_FRAMES and len(seen) >= _LEAST_FRAMES and not np.isnan(outer[first]).any():
+            low, high = np.percentile(seen, [10, 90], axis=0)
+            still[first:last] = bool((high - low).max() > _LEAST_SHIFT * width)
+    return still
+
+
+def describe_frozen(frozen: Bool, names: Sequence[str]) -> list[str | None]:
+    """Return for each frame the reason that its readings are frozen; None where they are not."""
+    texts: list[str | None] = []
+    since = ""
+    for i, name in enumerate(names):
+        if frozen[i] and (i == 0 or not frozen[i - 1]):
+            since = name
+        texts.append(f"readings frozen since frame {since}: the mask moves, and they do not" if frozen[i] else None)
+    return texts

@@ -21,7 +21,7 @@ from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Box, Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_edges import Appearance, EdgeFit, ImageEvidence, fit_edges, learned
-from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_frames import UNSUPPORTED, silhouette_of
 from dvrk_cmaes.track.image_masks import learned_colours, mask_around
 from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask

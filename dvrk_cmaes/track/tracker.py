@@ -23,9 +23,9 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
-from dvrk_cmaes.track.calibration_lag import FoundLag
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.known_base import KnownBase
+from dvrk_cmaes.track.prediction import FoundLag
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.sight import EvidenceKind, Images, Masks, Seen, Sight
 from dvrk_cmaes.track.unknown_base import UnknownBase

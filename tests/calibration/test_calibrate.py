@@ -18,7 +18,7 @@ from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import change_between, rotation_angle
+from dvrk_cmaes.geometry import apply, change_between, moved, rotation_angle
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth
@@ -310,6 +310,24 @@ def test_moved_base_gives_warning_and_each_part_has_its_base(bundled_body: Body,
     assert solved.calibration.endoscope is not None
     for stand, base in zip(solved.calibration.endoscope.bases, (made.base, there), strict=True):
         assert 1e3 * np.linalg.norm(stand.camera_from_base[:3, 3] - base[:3, 3]) < 6
+
+
+def test_frames_that_are_wrong_alike_are_no_move_of_the_base(bundled_body: Body) -> None:
+    """Consecutive frames whose own poses are wrong by one motion agree on a base; their masks show another one."""
+    _, truths, frames = make_frames_in_memory(bundled_body, 12, level="clean")
+    wrong = moved(np.eye(4), [0.004, 0.0, -0.022, 0.0, 0.05, 0.0])
+    for i in range(4, 8):
+        pose = frames[i].result.camera_from_root
+        assert pose is not None
+        frames[i] = with_result(frames[i], camera_from_root=wrong @ pose, alternatives=())
+    solved = rough(bundled_body, frames)
+    assert solved.calibration.endoscope is None
+    assert solved.calibration.remarks == ()
+    ok = [(truth, one) for truth, one in zip(truths, solved.results.values(), strict=True) if one.status == "ok"]
+    assert len(ok) > 5
+    for truth, result in ok:
+        tips = apply(truth.camera_from_root, bundled_body.instrument.tips(truth.values))
+        assert np.linalg.norm(np.array(result.tips) - tips, axis=1).mean() < 3e-3
 
 
 @pytest.mark.parametrize("timed", [True, False])

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from helpers.session_worlds import BASE, EXPECTED_OFFSETS, NAMES, PRIOR, SEEN, make_world
 
-from dvrk_cmaes.calibration.arms_together import ArmsTogether
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import (
@@ -17,7 +16,6 @@ from dvrk_cmaes.calibration.endoscope import (
     EndoscopeValues,
     Pieces,
     Steered,
-    SteeredValues,
     find_places,
     in_tip,
 )
@@ -112,7 +110,6 @@ def test_camera_in_the_tip_is_found_within_its_deviation(
 ) -> None:
     model, solution = found
     values = solution.calibration.endoscope
-    assert isinstance(values, SteeredValues)
     true = world.steering
     std = np.sqrt(np.diag(np.linalg.inv(solution.information)))[11:]
     off = in_tip(values.tip_from_camera) @ change_between(values.tip_from_camera, true.tip_from_camera)
@@ -228,22 +225,3 @@ def test_wrong_documents_are_refused(
     document["endoscope"] |= change
     with pytest.raises(InputError, match=message):
         SessionCalibration.from_dict(document)
-
-
-def test_two_arms_tell_the_endoscope_better_than_one(world: Steered40, found: tuple[SessionModel, Solution]) -> None:
-    """Arms that tell the same twice halve the variance, but not that of what is known beforehand."""
-    one = as_document(*found)
-    other = replace(one, camera_from_base=moved(one.camera_from_base, [0.1, 0.0, 0.0, 0.0, 0.3, 0.0]))
-    together = ArmsTogether.of({"PSM1": one, "PSM2": other})
-    assert together is not None
-    document = together.to_dict()
-    assert one.endoscope is not None
-    single = np.array(one.endoscope.std_tip_from_camera)
-    both = np.array(document["std_tip_from_camera"])
-    assert (both < single).all()
-    assert (both > 0.7 * single * 0.99).all()
-    relative = together.relative()["PSM2"]
-    np.testing.assert_allclose(
-        change_between(np.eye(4), relative.reference_from_base), [0.1, 0, 0, 0, 0.3, 0], atol=2e-3
-    )
-    assert ArmsTogether.of({"PSM1": one, "PSM2": replace(other, endoscope=None)}) is None

@@ -290,6 +290,24 @@ def test_fits_do_not_tell_that_there_is_no_lag_where_the_modes_agree_on_another(
     assert np.linalg.norm(before) > 1.3 * np.linalg.norm(without)  # the base is expected to err by more
 
 
+def test_arms_that_agree_share_their_lag_and_others_do_not() -> None:
+    _, clock, _ = moving_world(2.0, 1)
+    frame = clock.series.interval
+    own, near, far = (
+        LagEstimate(clock, Lag.of(value * frame, std * frame, clock.series.unit, frame, applied=True))
+        for value, std in ((2.0, 0.2), (2.3, 0.1), (4.0, 0.1))
+    )
+    both = own.with_others([near])
+    assert both.lag is not None
+    assert both.lag.frames == pytest.approx((2.0 / 0.04 + 2.3 / 0.01) / (1 / 0.04 + 1 / 0.01))
+    assert both.lag.std_frames == pytest.approx((1 / 0.04 + 1 / 0.01) ** -0.5)
+    assert both.shared
+    assert own.with_others([far]) is own
+    unknown = replace(own, lag=None, undetermined="the arm hardly moves").with_others([near])
+    assert unknown.lag is not None
+    assert unknown.lag.frames == pytest.approx(2.3)
+
+
 def test_curve_tells_how_large_the_lag_may_be() -> None:
     lags = 0.1 * np.arange(-3.0, 6.0)
     sharp = LagCurve("s", lags, 50.0 * (lags - 0.0) ** 2)

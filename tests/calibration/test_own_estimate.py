@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.session_worlds import SMALL
 
-from dvrk_cmaes.calibration.own_estimate import OwnEstimate
+from dvrk_cmaes.calibration.frame_fit import OwnEstimate
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.pose.search.starts import lookat_pose

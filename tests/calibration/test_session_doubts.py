@@ -13,6 +13,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_doubts import DISAGREES, bad_predictions, doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_masks import SessionMasks
+from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.results.tracked import TrackResult
 
@@ -101,6 +102,13 @@ def test_masks_that_are_far_too_wide_are_a_doubt() -> None:
     (text,) = doubts_of(session(masks=SessionMasks(2.74, 0.1, applied=True)))
     assert text.startswith("masks are 2.7 px (std 0.1) too wide all round: more than segmenters err")
     assert doubts_of(session(masks=SessionMasks(1.2, 0.1, applied=True))) == ()
+
+
+def test_known_mistake_of_the_camera_file_is_a_doubt_unless_another_camera_is_used() -> None:
+    remarks = (f"{WRONG}fx 800 and fy 920 are 13 % apart", "camera file: focal lengths 200 and 200 px")
+    assert doubts_of(session(remarks=remarks)) == remarks[:1]
+    refined = replace(LONGER, applied=True)
+    assert doubts_of(session(remarks=remarks, camera=refined)) == ()
 
 
 def test_results_that_rest_on_a_doubtful_session_are_doubtful_for_its_reasons() -> None:

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
+
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, near_the_truth, with_result
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session, solving_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.endoscope import in_tip
+from dvrk_cmaes.calibration.endoscope import Place, in_tip
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.together import (
+    RelativeBase,
+    Solving,
+    arms_document,
+    relative_bases,
+    solved_together,
+)
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.joints.names import ECM_JOINTS
@@ -58,13 +69,18 @@ def base_errors(solved: SolvedSession, arm: RecordedArm, frames: list[SessionFra
     return np.array(out)
 
 
+@pytest.fixture(scope="module")
+def alone(bundled_body: Body, world: tuple[RecordedArm, list[SessionFrame]]) -> SolvedSession:
+    """The session of one arm."""
+    return calibrate_session(world[1], bundled_body, config=QUICK)
+
+
 def test_camera_in_the_tip_and_bases_are_found(
-    bundled_body: Body, world: tuple[RecordedArm, list[SessionFrame]]
+    world: tuple[RecordedArm, list[SessionFrame]], alone: SolvedSession
 ) -> None:
     arm, frames = world
     assert arm.steering is not None
-    solved = calibrate_session(frames, bundled_body, config=QUICK)
-    found = solved.calibration.endoscope
+    solved, found = alone, alone.calibration.endoscope
     assert found is not None
     assert found.tip_from_camera is not None
     assert found.ecm_from_base is not None
@@ -75,6 +91,52 @@ def test_camera_in_the_tip_and_bases_are_found(
     assert (np.abs(off) < 3 * np.array(found.std_ecm_from_base)).all()
     assert np.median(base_errors(solved, arm, frames)) < 1.5
     assert sum(result.status == "ok" for result in solved.results.values()) >= FRAMES - 3
+
+
+def test_arms_in_one_solution_share_the_endoscope(
+    bundled_body: Body, world: tuple[RecordedArm, list[SessionFrame]], alone: SolvedSession
+) -> None:
+    """Half of the frames as those of another arm: both tell the endoscope better than one, and how the bases lie."""
+    _, frames = world
+
+    def solving(own: list[SessionFrame], places: Sequence[Place]) -> Solving[SolvedSession]:
+        return (yield from solving_arm(own, bundled_body, config=QUICK, places=places))[0]
+
+    both = solved_together({"PSM1": partial(solving, frames), "PSM2": partial(solving, frames[1::2])})
+    found = {name: solved.calibration for name, solved in both.items()}
+    first, second, single = (own.endoscope for own in (found["PSM1"], found["PSM2"], alone.calibration))
+    assert first is not None
+    assert second is not None
+    assert single is not None
+    assert second.places[0].readings == first.places[0].readings
+    for both_tell in (first, second):
+        assert np.mean(both_tell.std_tip_from_camera) < 0.95 * np.mean(single.std_tip_from_camera)
+    bases = relative_bases(found)
+    document = arms_document(found, bases, {})
+    off = change_between(np.eye(4), bases["PSM2"].reference_from_base)  # in truth, they are one arm
+    std = np.sqrt(np.diag(bases["PSM2"].covariance))
+    assert (np.abs(off) < 3 * std).all()
+    without = RelativeBase.between(found["PSM1"], found["PSM2"], np.zeros((6, 6)))
+    assert (std <= np.sqrt(np.diag(without.covariance))).all()
+    assert list(document["endoscope"]["arms"]) == ["PSM1", "PSM2"]
+
+
+def test_an_arm_that_fails_leaves_the_first_one_solved(
+    bundled_body: Body, world: tuple[RecordedArm, list[SessionFrame]]
+) -> None:
+    _, frames = world
+    done = []
+
+    def first(_: Sequence[Place]) -> Solving[SolvedSession]:
+        done.append((yield from solving_arm(frames[:4], bundled_body, config=QUICK))[0])
+        return done[0]
+
+    def second(_: Sequence[Place]) -> Solving[SolvedSession]:
+        return (yield from solving_arm(frames[:2], bundled_body, config=QUICK))[0]
+
+    with pytest.raises(InputError, match="at least 3 usable frames"):
+        solved_together({"PSM1": first, "PSM2": second})
+    assert len(done) == 1
 
 
 def test_without_readings_each_piece_has_its_base(

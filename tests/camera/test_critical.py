@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dvrk_cmaes.camera.critical import remarks_on
+from dvrk_cmaes.camera.critical import known_mistakes, remarks_on
 from dvrk_cmaes.camera.files import read_camera
 
 CAMERA = """image_width: 640
@@ -40,12 +40,9 @@ def test_usual_camera_has_no_remark(values: tuple[int, int, float, float, float,
 @pytest.mark.parametrize(
     ("values", "expected"),
     [
-        ((640, 480, 800.0, 920.0, 320.0, 240.0), "fx 800 and fy 920 are 13 % apart"),
+        ((640, 480, 800.0, 400.0, 320.0, 240.0), "fx 800 and fy 400 are 100 % apart"),
         ((640, 480, 937.5, 1000.0, 320.0, 240.0), "fx 937.5 and fy 1000 are 6 % apart"),
-        (
-            (640, 480, 800.0, 800.0, 240.0, 320.0),
-            "principal point 240, 320 is nearer to 240, 320 than to the ",
-        ),
+        ((640, 480, 1026.0, 1026.0, 168.0, 234.0), "principal point 168, 234 is nearer to 240, 320 than to the "),
         ((640, 480, 800.0, 800.0, 420.0, 240.0), "principal point 420, 240: 16 % of the width right and 0 % of the "),
         ((640, 480, 200.0, 200.0, 320.0, 240.0), "focal lengths 200 and 200 px are 0.31 image widths"),
         ((640, 480, 2700.0, 2700.0, 320.0, 240.0), "focal lengths 2700 and 2700 px are 4.2 image widths"),
@@ -54,6 +51,22 @@ def test_usual_camera_has_no_remark(values: tuple[int, int, float, float, float,
 def test_unusual_value_is_remarked(values: tuple[int, int, float, float, float, float], expected: str) -> None:
     (text,) = remarks_on(*values)
     assert text.startswith(f"camera file: {expected}")
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ((640, 480, 800.0, 920.0, 320.0, 240.0), "fx 800 and fy 920 are 13 % apart"),
+        ((640, 480, 800.0, 800.0, 250.0, 310.0), "principal point 250, 310 is nearer to 240, 320 than to the "),
+        (
+            (1280, 1024, 800.0, 800.0, 325.0, 250.0),
+            "principal point 325, 250 is a quarter of 1280 x 1024 px: the file ",
+        ),
+    ],
+)
+def test_known_mistake_is_most_likely_wrong(values: tuple[int, int, float, float, float, float], expected: str) -> None:
+    (text,) = known_mistakes(remarks_on(*values))
+    assert text.startswith(f"camera file: most likely wrong: {expected}")
 
 
 def test_uneven_scale_that_the_file_states_is_not_remarked(tmp_path: Path) -> None:

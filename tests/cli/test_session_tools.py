@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import cv2
@@ -19,7 +20,8 @@ from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.cli.options import InstrumentOptions
 from dvrk_cmaes.cli.session_tools import session_tools
 from dvrk_cmaes.draw.arms_overlay import COLOURS
-from dvrk_cmaes.geometry import change_between, transform
+from dvrk_cmaes.geometry import change_between, moved, transform
+from dvrk_cmaes.instrument.setup_joints import setup_text
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.silhouette import Body
@@ -160,6 +162,27 @@ def two_arms(bundled_body: Body, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return place
 
 
+@pytest.mark.parametrize(("away", "agrees"), [(0.02, True), (0.3, False)])
+def test_bases_are_tested_against_the_set_up_joints(
+    two_arms: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path, away: float, agrees: bool
+) -> None:
+    """Both arms have one base in truth; the set-up joints say that the second one's is some way off."""
+    session = shutil.copytree(two_arms / "session", tmp_path / "session")
+    poses = {"PSM1": moved(np.eye(4), [0.1, 0.2, 0.3, 0.4, 0.5, 0.6])}
+    poses["PSM2"] = moved(poses["PSM1"], [away, 0.0, 0.0, 0.0, 0.0, 0.0])
+    (session / "suj-fixed.json").write_text("// fixed\n" + setup_text(poses))
+    arguments = ("--results", two_arms / "results", "--config", two_arms / "settings.toml", "--workers", 1)
+    ran = run_command(capsys, "calibrate", session, "--out", tmp_path / "out", *arguments)
+    found = json.loads((tmp_path / "out" / "arms.json").read_text(encoding="utf-8"))["arms"]["PSM2"]["setup_joints"]
+    assert found["agrees"] is agrees
+    assert found["off_mm"] == pytest.approx(1e3 * away, abs=5)
+    assert ("from where suj-fixed.json has it: exchanged arms" in ran.err) is not agrees
+    assert ran.code in ((0, 3) if agrees else (3,))
+    (session / "suj-fixed.json").write_text('{"arms": [{"name": "PSM1"}]}')
+    refused = run_command(capsys, "calibrate", session, "--out", tmp_path / "again", *arguments).refusal
+    assert "suj-fixed.json: arms[0]" in refused
+
+
 def test_all_arms_are_calibrated_and_their_bases_related(
     two_arms: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -176,6 +199,7 @@ def test_all_arms_are_calibrated_and_their_bases_related(
     assert np.linalg.norm(off[:3]) < 4e-3
     for arm, number in (("PSM1", 0), ("PSM2", 4)):
         assert read_calibration(tmp_path / arm / "session.json").frames == tuple(f"{number + k:04d}" for k in range(4))
+    assert document["arms"]["PSM2"]["setup_joints"] is None
     again = ("batch", two_arms / "session", "--config", two_arms / "settings.toml", "--workers", 1, "--json")
     ran = run_command(capsys, *again, "--session", tmp_path, "--out", tmp_path / "out", "--frames", "000[04]")
     for arm, name in (("PSM1", "0000"), ("PSM2", "0004")):

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.shaft_edges import shaft_axis
+from dvrk_cmaes.geometry import project_cylinder
 
 
 @given(

@@ -8,11 +8,11 @@ import pytest
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.distance_field import FIELDS, distance_field
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, find_contour, shaft_axis
+from dvrk_cmaes.geometry import project_cylinder
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.silhouette import Body, Renderer
 

@@ -194,11 +194,11 @@ def test_moving_endoscope_is_exported_by_what_stays() -> None:
         "camera_from_base": BASE.tolist(),
         "endoscope": {"tip_from_camera": tip.tolist(), "ecm_from_base": ecm.tolist()},
     }
-    base = base_of_session("session.json", document)
+    base = base_of_session("session.json", document, {})
     assert base.tip_from_camera is not None
     files = registration_files(base.camera_from_base, NAMES, ecm_from_base=base.ecm_from_base)
     arms = {one["name"]: np.array(one["measured_cp"]) for one in json.loads(files["suj-fixed.json"])["arms"]}
     np.testing.assert_allclose(arms[NAMES.arm], ecm, atol=1e-9)
-    pieces = base_of_session("session.json", {**document, "endoscope": {"tip_from_camera": None}})
+    pieces = base_of_session("session.json", {**document, "endoscope": {"tip_from_camera": None}}, {})
     assert pieces.warnings
     assert not base.warnings

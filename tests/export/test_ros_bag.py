@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,9 @@ TIMES = {"0000": 1_795_000_000_123_456_789, "0001": 1_795_000_000_156_789_012, "
 JOINT_TOPICS = ("/PSM1/measured_js", "/PSM1/jaw/measured_js")
 FOUND = "/dvrk_cmaes/PSM1"
 SESSION_BASE = moved(BASE, [0.002, -0.001, 0.001, 0.01, 0.02, -0.03])
+PLACES = [moved(BASE, [0.01 * k, 0.0, 0.02 * k, 0.1 * k, 0.0, 0.2 * k]).tolist() for k in range(2)]
+IN_TIP = moved(np.eye(4), [0.001, 0.002, 0.01, 0.0, 0.5, 3.0]).tolist()
+IN_ECM = {name: moved(np.eye(4), [x, 0.2, 0.0, 0.3, 0.0, 0.4]).tolist() for name, x in (("PSM1", -0.1), ("PSM2", 0.1))}
 
 Run = Callable[..., Ran]
 Messages = dict[str, list[Any]]
@@ -102,6 +106,50 @@ def test_tf_has_root_and_base_in_camera(kind: str, run: Run, results: Path) -> N
         assert [one.header.stamp.nanosec for one in (root, base)] == [list(TIMES.values())[k] % 10**9] * 2
         found = [matrix(one.transform.translation, one.transform.rotation) for one in (root, base)]
         np.testing.assert_allclose(found, [roots[k], SESSION_BASE], atol=1e-9)
+
+
+@pytest.fixture
+def steered(results: Path) -> Path:
+    """Put the results below PSM1 of two arms; the endoscope stood in the first two frames, and moved in the third."""
+    folder = results.rename(results.parent / "PSM1").parent
+    stands = [
+        {"first": name, "last": name, "camera_from_base": base} for name, base in zip(TIMES, PLACES, strict=False)
+    ]
+    moves = {"bases": stands, "tip_from_camera": IN_TIP, "ecm_from_base": IN_ECM["PSM1"]}
+    session = {"camera_from_base": PLACES[0], "frames": list(TIMES), "endoscope": moves}
+    write_json(folder / "PSM1" / "session.json", session)
+    arms = {name: {"ecm_from_base": base, "std": [0.001] * 6} for name, base in IN_ECM.items()}
+    write_json(folder / "arms.json", {"reference": "PSM1", "arms": {}, "endoscope": {"arms": arms}})
+    return folder / "PSM1"
+
+
+def test_moving_endoscope_is_in_tf_by_its_places(run: Run, steered: Path) -> None:
+    """The chain from the ECM's base to the tool gives each frame's base; both arms' bases stay where they are."""
+    messages = exported(run, steered, "ros2-bag")
+    roots = poses(messages, f"{FOUND}/camera_from_root")
+    frames = list(zip(PLACES, roots[:2], messages["/tf"], strict=False))
+    assert len(frames) == 2
+    for base, root, (_, message) in frames:
+        found = {
+            (one.header.frame_id, one.child_frame_id): matrix(one.transform.translation, one.transform.rotation)
+            for one in message.transforms
+        }
+        np.testing.assert_allclose(found["ECM_base", "PSM1_base"], IN_ECM["PSM1"], atol=1e-9)
+        np.testing.assert_allclose(found["ECM_base", "PSM2_base"], IN_ECM["PSM2"], atol=1e-9)
+        np.testing.assert_allclose(found["camera", "PSM1_roll_link"], root, atol=1e-9)
+        ecm_from_camera = found["ECM_base", "ECM_tip"] @ found["ECM_tip", "camera"]
+        np.testing.assert_allclose(ecm_from_camera @ base, IN_ECM["PSM1"], atol=1e-9)
+    assert len({child for _, child in found}) == len(found)  # tf allows one parent of each
+
+
+def test_moving_endoscope_has_both_bases_in_other_formats(run: Run, steered: Path) -> None:
+    assert run(steered, "--to", "dvrk").code == 0
+    arms = json.loads((steered / "exports" / "suj-fixed.json").read_text())["arms"]
+    assert [one["name"] for one in arms] == ["ECM", "PSM1", "PSM2"]
+    np.testing.assert_allclose(arms[2]["measured_cp"], IN_ECM["PSM2"], atol=1e-9)
+    lines = run(steered, "--to", "tf").out.splitlines()
+    children = [line.split("--child-frame-id ")[1] for line in lines]
+    assert children == ["camera", "PSM1_base", "PSM2_base"]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -125,9 +125,9 @@ def write_bag(path: Path, kind: str, messages: Iterable[Message]) -> Path:
             connections = {}
             for m in ordered:
                 if m.topic not in connections:
-                    name = f"sensor_msgs/msg/{m.kind}"
+                    name = _type(m)
                     connections[m.topic] = writer1.add_connection(m.topic, name, typestore=store)
-                data = store.serialize_ros1(_message(store, m, ros1=True), f"sensor_msgs/msg/{m.kind}")
+                data = store.serialize_ros1(_message(store, m, ros1=True), _type(m))
                 writer1.write(connections[m.topic], m.time, data)
         return path
     store = _typestore(Stores.ROS2_HUMBLE)
@@ -135,11 +135,15 @@ def write_bag(path: Path, kind: str, messages: Iterable[Message]) -> Path:
     with Writer2(path, version=9, storage_plugin=plugin) as writer2:
         topics = {}
         for m in ordered:
-            name = f"sensor_msgs/msg/{m.kind}"
+            name = _type(m)
             if m.topic not in topics:
                 topics[m.topic] = writer2.add_connection(m.topic, name, typestore=store)
             writer2.write(topics[m.topic], m.time, store.serialize_cdr(_message(store, m, ros1=False), name))
     return path
+
+
+def _type(m: Message) -> str:
+    return f"{'geometry' if m.kind == 'PoseStamped' else 'sensor'}_msgs/msg/{m.kind}"
 
 
 def _message(store: Any, m: Message, *, ros1: bool) -> Any:
@@ -150,11 +154,16 @@ def _message(store: Any, m: Message, *, ros1: bool) -> Any:
     if ros1:
         header["seq"] = 0
     fields = dict(m.fields)
+    if m.kind == "PoseStamped":
+        x, y, z, *turn = fields["pose"]
+        point = types["geometry_msgs/msg/Point"](x=x, y=y, z=z)
+        quaternion = types["geometry_msgs/msg/Quaternion"](**dict(zip("xyzw", turn, strict=True)))
+        fields["pose"] = types["geometry_msgs/msg/Pose"](position=point, orientation=quaternion)
     if m.kind == "CameraInfo":
         fields["roi"] = types["sensor_msgs/msg/RegionOfInterest"](**fields["roi"])
         if ros1:
             fields = {key.upper() if key in "dkrp" else key: value for key, value in fields.items()}
-    return types[f"sensor_msgs/msg/{m.kind}"](header=types["std_msgs/msg/Header"](**header), **fields)
+    return types[_type(m)](header=types["std_msgs/msg/Header"](**header), **fields)
 
 
 def write_video(path: Path, frames: int = 10, rate: float = 25.0, code: str = "FFV1") -> Path:

@@ -20,7 +20,7 @@ from dvrk_cmaes.live.rclpy_node import RclpyConnection, filled_message, plain_fi
 POSE = moved(np.eye(4), [0.01, 0.02, 0.1, 0.3, -0.4, 0.5])
 MESSAGES = [
     pose_message("/p", BEGIN, "camera", POSE),
-    tf_message(BEGIN, "camera", {"PSM1_roll_link": POSE}),
+    tf_message(BEGIN, {("camera", "PSM1_roll_link"): POSE}),
     joint_message("/j", BEGIN, {"wrist_pitch": 0.1, "jaw": 0.2}),
 ]
 

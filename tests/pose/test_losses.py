@@ -13,8 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import LossWeights
-from dvrk_cmaes.evidence.cylinder_view import project_cylinder
-from dvrk_cmaes.geometry import exp_rotation, transform
+from dvrk_cmaes.geometry import exp_rotation, project_cylinder, transform
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import (
     Terms,

@@ -40,8 +40,9 @@ from dvrk_cmaes.cli import main
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
-from dvrk_cmaes.geometry import quaternion_xyzw
+from dvrk_cmaes.geometry import moved, quaternion_xyzw
 from dvrk_cmaes.instrument.endoscope import ecm_from_tip_and_jacobian
+from dvrk_cmaes.instrument.setup_joints import read_setup_joints
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
@@ -473,3 +474,18 @@ def test_joints_follow_from_the_pose_of_the_endoscopes_tip() -> None:
     place = SimpleNamespace(x=pose[0, 3], y=pose[1, 3], z=pose[2, 3])
     message = SimpleNamespace(pose=SimpleNamespace(position=place, orientation=SimpleNamespace(x=x, y=y, z=z, w=w)))
     assert ecm_values(message, "bag") == pytest.approx(values, abs=1e-9)
+
+
+def test_set_up_joints_of_a_recording_are_kept(imported: Import, tmp_path: Path) -> None:
+    """They are what `calibrate` of several arms compares the arms' bases with."""
+    poses = {arm: moved(np.eye(4), [x, 0.2, 0.3, 0.4, 0.5, 0.6]) for arm, x in (("PSM1", -0.1), ("PSM2", 0.1))}
+    of_setup = [
+        Message(f"/SUJ/{arm}/{kind}measured_cp", "PoseStamped", BEGIN, {"pose": [*pose[:3, 3], *quaternion_xyzw(pose)]})
+        for arm, pose in poses.items()
+        for kind in ("", "local/")
+    ]
+    summary = imported(write_bag(tmp_path / "bag", "mcap", [*good(), *of_setup]))
+    assert "set-up joints: of PSM1 PSM2, as suj-fixed.json" in summary["notes"]
+    found = read_setup_joints(Path("session/suj-fixed.json"))
+    for arm, pose in poses.items():
+        np.testing.assert_allclose(found[arm], pose, atol=1e-12)

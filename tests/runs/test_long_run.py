@@ -10,7 +10,7 @@ import pytest
 
 CODE = """
 import gc, threading
-from dvrk_cmaes.runs.long_run import prepare_long_run
+from dvrk_cmaes.runs.live_session import prepare_long_run
 import numpy as np
 prepare = {prepare}
 if prepare:
@@ -41,7 +41,7 @@ def test_threads_share_one_arena(*, prepare: bool) -> None:
 
 GIVES_BACK = """
 import psutil
-from dvrk_cmaes.runs.long_run import give_back_memory, prepare_long_run
+from dvrk_cmaes.runs.live_session import give_back_memory, prepare_long_run
 prepare_long_run()
 both = [(b"x" * 100_000, bytearray(30_000)) for _ in range(500)]
 kept = [small for _, small in both]

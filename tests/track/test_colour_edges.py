@@ -18,9 +18,8 @@ from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE, Clearance
 from dvrk_cmaes.track.colour_edges import Appearance, ColourEdges, EdgeFit, ImageEvidence, fit_edges, learned
-from dvrk_cmaes.track.colour_model import ColourModel, bins_of
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
-from dvrk_cmaes.track.edge_model import REACH, EdgeModel, changes_along
+from dvrk_cmaes.track.histogram_ratio import REACH, ColourModel, EdgeModel, bins_of, changes_along
 from dvrk_cmaes.track.outline_model import OutlineModel
 from dvrk_cmaes.track.sight import Sight
 

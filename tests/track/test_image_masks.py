@@ -8,7 +8,7 @@ from helpers.moving_worlds import MovingWorld, moving_world
 
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.synth.images import draw_image
-from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_masks import (
     colours_document,
     learned_colours,

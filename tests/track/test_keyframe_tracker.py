@@ -17,13 +17,12 @@ from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track import Tracker
-from dvrk_cmaes.track.calibration_lag import lag_of
 from dvrk_cmaes.track.confirmed_image import confirmed_by
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES
 from dvrk_cmaes.track.known_base import KnownBase
-from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction
+from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction, lag_of
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 
 CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))

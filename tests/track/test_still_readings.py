@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dvrk_cmaes.track.still_readings import describe_frozen, frozen_frames
+from dvrk_cmaes.track.reading_buffer import describe_frozen, frozen_frames
 
 FRAMES = 30
 

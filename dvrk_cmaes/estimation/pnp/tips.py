@@ -15,9 +15,8 @@ from scipy.optimize import least_squares
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.estimation.pnp.points import PointPose, undistort
-from dvrk_cmaes.evidence.cylinder_view import project_cylinder
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, shaft_axis
-from dvrk_cmaes.geometry import Posed, frame_along, moved, rotation_about_z, transform
+from dvrk_cmaes.geometry import Posed, frame_along, moved, project_cylinder, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.search.losses import keypoint_loss
 from dvrk_cmaes.pose.search.objective import project_tips

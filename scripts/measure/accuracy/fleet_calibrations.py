@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import change_between, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
@@ -102,7 +103,7 @@ def wrong_focal_length(
 def calibrate_share(session: Session, body: Body, config: EstimateConfig, workers: int, every: int) -> SolvedSession:
     """Estimate every N-th frame that shows something, and solve these together, as `calibrate --every` does."""
     series = session.reading_series()
-    files = [own for own in session.frames[::every] if read_shown(own, session.rig) is not None]
+    files = [own for own in session.frames[::every] if _shows_something(own, session.rig)]
     with instrument_processes(body.instrument, workers, files) as processes:
         run = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         keyframes = [
@@ -115,6 +116,12 @@ def calibrate_share(session: Session, body: Body, config: EstimateConfig, worker
             for one, result in zip(keyframes, results, strict=True)
         ]
         return calibrate_session(frames, body, series=series, config=config, run=run)
+
+
+def _shows_something(files: FrameFiles, rig: Rig) -> bool:
+    """Whether any mask of a frame shows something; an instrument that leaves the view has an empty one."""
+    data = read_shown(files, rig)
+    return data is not None and any(view.shows for view in data.views)
 
 
 def true_lag(truths: Mapping[str, Any], camera_from_base: Float64, series: ReadingSeries) -> float | None:

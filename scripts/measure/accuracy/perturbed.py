@@ -23,7 +23,7 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
-from dvrk_cmaes.track.colour_model import ColourModel
+from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_frames import ImageBlockTask, fit_image_block, silhouette_of
 from dvrk_cmaes.track.image_masks import learned_colours, pooled_colours
 from dvrk_cmaes.track.recorded_frames import PredictedFrame

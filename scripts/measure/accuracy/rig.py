@@ -18,7 +18,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import exp_rotation, transform
-from dvrk_cmaes.runs.rig_check import rig_doubts
+from dvrk_cmaes.runs.summary import rig_doubts
 from measure.accuracy.errors import Compared, compared
 from measure.accuracy.figures import percentiles
 from measure.cases import Case, Measurement, grouped

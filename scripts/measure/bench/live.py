@@ -55,7 +55,7 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup, follow
 from dvrk_cmaes.live.inputs import EyeTopics, InputTopics
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
-from dvrk_cmaes.runs.long_run import prepare_long_run
+from dvrk_cmaes.runs.live_session import prepare_long_run
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.worker_process import WorkerProcess
 from measure.accuracy.figures import RIGHT_MODE_DEG

@@ -22,12 +22,13 @@ from typing import Any
 
 from dvrk_cmaes.calibration.calibrate import find_lag
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.together import solved_alone
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.runs.calibrate_folder import calibrate_folder
+from dvrk_cmaes.runs.calibrate_folder import solving_folder
 from measure.bench.many_frames import repeated_results, repeated_session
 from measure.tables import Report
 
@@ -67,7 +68,7 @@ def _measure(source: Path, results: Path, instrument: Instrument, frames: int, w
         began, processor = time.perf_counter(), _processor()
         stages = {"reading, lag and consensus": began}
         out = Path(place, "out")
-        solved = calibrate_folder(
+        solving = solving_folder(
             session,
             read_results(alone).frames,
             instrument,
@@ -77,6 +78,7 @@ def _measure(source: Path, results: Path, instrument: Instrument, frames: int, w
             workers=workers,
             progress=lambda stage, _: stages.__setitem__(stage, time.perf_counter()),
         )
+        solved = solved_alone(solving)
         ended, used = time.perf_counter(), _processor()
         ends = [*list(stages.values())[1:], ended]
         return {
