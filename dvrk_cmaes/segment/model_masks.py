@@ -43,6 +43,7 @@ _PASSES: Final = 2
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
 _SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
+_ASIDE: Final = 0.3  # confidence that an instrument yields to another one that is half a diagonal nearer the middle
 _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
 
 
@@ -97,7 +98,7 @@ def segment_by_model(
     body, camera, joints
         The instrument, the camera (one as of most endoscopes is assumed without), and readings by name, rad.
     hints
-        Prompts: the best instrument that fits them is taken.
+        Prompts: of the instruments that fit them, one that is sure and near the middle of the image is taken.
     otherwise
         A function that finds a mask by other means, where no instrument is found. The mask is a guess there, unless it
         has some likeness of an instrument.
@@ -114,6 +115,7 @@ def segment_by_model(
             return other
         return replace(other, confidence=_UNLIKE, notes=("a guess", *other.notes, "its shape is not the instrument's"))
     masks: list[Segmentation] = []
+    values = []
     for each in found if not prompts.given else found[:1]:
         mask = _segmentation(image, each, body, camera, prompts)
         if mask is None:
@@ -121,10 +123,12 @@ def segment_by_model(
         before = np.any([former.mask for former in masks], axis=0) if masks else np.zeros_like(mask.mask)
         if (mask.mask & before).sum() <= _SHARED * mask.mask.sum():
             masks.append(replace(mask, mask=mask.mask & ~before))
+            values.append(mask.confidence - _ASIDE * _from_middle(each, camera))
     if not masks:
         return otherwise()
-    masks.sort(key=lambda mask: -mask.confidence)
-    first, others = masks[0], tuple(each for each in masks[1:] if each.confidence >= GUESS)
+    first = masks[int(np.argmax(values))]
+    others = tuple(sorted((each for each in masks if each is not first), key=lambda each: -each.confidence))
+    others = tuple(each for each in others if each.confidence >= GUESS)
     notes = (*first.notes, _taken(first.mask, [each.mask for each in others])) if others else first.notes
     return replace(first, notes=notes, others=others)
 
@@ -174,6 +178,12 @@ def _fits(found: Candidate, prompts: Prompts, image: Image) -> bool:
     common *= max(min(box[3], top + down - 1) - max(box[1], top) + 1, 0.0)
     both = (box[2] - box[0] + 1) * (box[3] - box[1] + 1) + across * down - common
     return common > _FITS_BOX * both
+
+
+def _from_middle(found: Candidate, camera: Camera) -> float:
+    """Return how far a candidate's wrist is from the middle of the image, in half diagonals."""
+    size = np.array([camera.width, camera.height])
+    return float(np.linalg.norm(camera.project(found.at.pose[:3, 3]) - (size - 1) / 2) / np.linalg.norm(size / 2))
 
 
 def _taken(mask: Bool, others: Sequence[Bool]) -> str:
