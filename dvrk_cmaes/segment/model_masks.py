@@ -42,6 +42,7 @@ _UNSEEN: Final = 0.05  # share of the instrument whose colours the silhouette do
 _PASSES: Final = 2
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
+_AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
 _SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
 _ASIDE: Final = 0.3  # confidence that an instrument yields to another one that is half a diagonal nearer the middle
 _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
@@ -160,7 +161,8 @@ def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, pr
     across = 2 * instrument.shaft.radius * float(np.sqrt(own.fx * own.fy)) / found.at.pose[2, 3]
     rough = _rough_mask(shrunk(image, size), shaft, whole, across, prompts.resized(*size, scale))
     mask = segmentation_around(image, resized(rough, (image.shape[1], image.shape[0])), prompts, ROUGH, straight=True)
-    return replace(mask, confidence=min(mask.confidence, found.confidence), before=None)
+    agreed = min(_overlap(found, mask.mask) / _AGREES, 1.0)
+    return replace(mask, confidence=agreed * min(mask.confidence, found.confidence), before=None)
 
 
 def _fits(found: Candidate, prompts: Prompts, image: Image) -> bool:
