@@ -149,6 +149,13 @@ def fit_lines(
     iterations: int,
     least: int,
 ) -> list[tuple[NDArray[numpy.float64], NDArray[numpy.int64], float]]: ...
+def line_support(
+    points: NDArray[numpy.float64],
+    normals: NDArray[numpy.float64],
+    lines: NDArray[numpy.float64],
+    sigma: float,
+    facing: float,
+) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]: ...
 def minimise(
     compared: Sequence[Comparison],
     factors: Sequence[float],

@@ -39,7 +39,7 @@ NAMED: Final = {
         calibration/frame_fit.py:fit_frame
         track/recorded_frames.py:fit_followed           track/quick_fit.py:quick_fit""",
     "predictions from readings": """
-        calibration/prediction.py:fit_session_pose      track/prediction.py:Prediction""",
+        calibration/prediction.py:Prediction""",
     "followers": """
         track/window.py:solve_window""",
 }

@@ -1,14 +1,17 @@
-"""Pose of a new frame of a calibrated session, by refinement of the pose that the calibration predicts."""
+"""What a calibration and readings make expect of images, and the pose of a new frame by refinement of that."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.mask_growth import covariance_of_growth
 from dvrk_cmaes.calibration.model import outer_readings
@@ -19,6 +22,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.prior import Readings
+from dvrk_cmaes.joints.sparse import LEAST_ERROR
 from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
@@ -27,7 +31,213 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView
 
+Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
+
+ROLL: Final = 5
+"""Index, among the changes of pose and joints, of the first that is an error of the wrist: roll."""
+WRIST_ERROR: Final = 2.0
+"""Factor on the errors of roll and joints that a calibration expects of later images.
+
+In 12 recordings with known truth the wrist was 1.5 to 2.5 standard deviations (root mean square) off what the
+keyframes before an image expect; the arm was 0.5 to 1.
+"""
+_CALIBRATION_ERROR = 1.3  # factor on the calibration's covariance, for errors that all masks of a recording share
+_UNTOLD_M, _UNTOLD_RAD = 0.01, 0.2  # standard deviations of the arm's motion where its readings are missing or frozen
+_STEP = 1e-3  # of a change of the readings, of the difference by which the change of the pose is found
+
+
+def calibration_covariance(calibration: SessionCalibration, widened: float = _CALIBRATION_ERROR) -> Float64:
+    """Return the covariance (K + M, K + M) of a calibration, widened for errors that all masks of a recording share."""
+    return np.asarray(widened * calibration.whole_covariance)
+
+
+def endoscope_at(calibration: SessionCalibration, time: float | None, ecm: Float64 | None) -> InFrames | None:
+    """Return where an endoscope is in one image; None where it stands still, or its place is not known.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    time
+        Time of the image, s, by which the place of an endoscope that is not read is found.
+    ecm : (4,)
+        Readings of the endoscope's arm, rad and m; None without.
+    """
+    return endoscope_in(calibration, [time], [""], None if ecm is None else ecm[None])
+
+
+def endoscope_in(
+    calibration: SessionCalibration, times: Sequence[float | None], names: Sequence[str], ecm: Float64 | None
+) -> InFrames | None:
+    """Return where an endoscope is in N images, as `endoscope_at`; ``ecm`` (N, 4) are readings, None without."""
+    if calibration.endoscope is None:
+        return None
+    found = calibration.endoscope.in_frames(calibration.camera_from_base, ecm, times, names)
+    return None if isinstance(found, str) else found
+
+
+def _changes(late: Float64 | None, errors: Float64 | None, joints: int) -> Float64:
+    """Return the changes (C, N, 4 + J) of N images' readings that follow from a lag's error, and one outer joint's."""
+    changes = [] if late is None else [late]
+    if errors is not None:
+        counted = np.where(errors > LEAST_ERROR, errors, 0.0)
+        changes += list(counted.T[:, :, None] * np.eye(counted.shape[1] + joints)[: counted.shape[1], None])
+    return np.array(changes) if changes else np.zeros((0, 0, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What is expected of N images.
+
+    ``at`` is where the calibration expects the instrument. ``prior`` (N, D, D) is the covariance of the images' own
+    deviations from there, ``shared`` (N, D, D) that by the calibration's errors, and ``jacobian`` (N, D, K) the change
+    of ``at`` with the calibration. ``base_from_root`` (N, 4, 4), m, are those of the readings, ``read`` (N, J) the
+    joints' readings, rad, NaN without one, and ``roll_offset`` (N,), rad, what the calibration adds to that of roll.
+    ``told`` (N,) is whether the outer joints were read.
+    """
+
+    at: Posed
+    prior: Float64
+    shared: Float64
+    jacobian: Float64
+    base_from_root: Float64
+    read: Float64
+    roll_offset: Float64
+    told: Bool
+
+    @classmethod
+    def of(
+        cls,
+        calibration: SessionCalibration,
+        outer: Float64,
+        joints: Float64,
+        joint_names: tuple[str, ...],
+        *,
+        told: Bool | None = None,
+        moving: Bool | None = None,
+        errors: Float64 | None = None,
+        late: Float64 | None = None,
+        wrist: float = 1.0,
+        widened: float = _CALIBRATION_ERROR,
+        endoscope: InFrames | None = None,
+    ) -> Prediction:
+        """Predict N images.
+
+        Parameters
+        ----------
+        calibration, joint_names
+            The calibration, and the instrument's J joints.
+        outer : (N, 4)
+            Readings of the outer joints at the times of the images less the lag, rad and m.
+        joints : (N, J)
+            Those of the instrument's joints, rad; NaN where there is none.
+        told, moving : (N,)
+            Whether the outer joints were read then, and whether their readings are those of a moving arm; by default
+            both. Otherwise the arm may be elsewhere.
+        errors : (N, 4)
+            How far the readings of the outer joints may be off between those that were taken, rad and m.
+        late : (N, 4 + J)
+            Change of the readings within a standard deviation of the lag.
+        wrist
+            Factor on the errors of roll and joints that the calibration expects.
+        widened
+            Factor on the calibration's covariance.
+        endoscope
+            Where an endoscope that moves is in the images, as of `SessionEndoscope.in_frames`.
+        """
+        model, own = calibration.model(outer, joints, joint_names, endoscope)
+        at, prior, jacobian = model.predict(own), model.covariance(own), model.jacobian(own)
+        told = np.ones(len(outer), np.bool_) if told is None else told
+        covariance = calibration_covariance(calibration, widened)
+        jacobian = np.pad(jacobian, ((0, 0), (0, 0), (0, len(covariance) - jacobian.shape[2])))
+        wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
+        prior[~(told if moving is None else told & moving)] += wide
+        changes = _changes(late, errors, len(joint_names))
+        which, image = np.nonzero(changes.any(axis=2))
+        if len(image):
+            readings = np.concatenate([outer, joints], axis=1)[image] + _STEP * changes[which, image]
+            there = None if endoscope is None else (endoscope[0].subset(image), endoscope[1])
+            moved_outer, moved_joints = np.split(readings, [outer.shape[1]], axis=1)
+            moved_model, same = calibration.model(moved_outer, moved_joints, joint_names, there)
+            off = moved_model.predict(same).minus(at[image]) / _STEP
+            np.add.at(prior, image, off[:, :, None] * off[:, None, :])
+        factor = np.ones(prior.shape[-1])
+        factor[ROLL:] = wrist
+        shared = jacobian @ covariance @ jacobian.swapaxes(1, 2)
+        return cls(
+            at,
+            prior * np.outer(factor, factor),
+            shared * np.outer(factor, factor),
+            jacobian,
+            model.base_from_root(own.offsets),
+            joints,
+            own.offsets[1] + model.correction.values[:, 0],
+            told,
+        )
+
+    def without_calibration(self) -> Prediction:
+        """Return the same with the calibration's errors among the images' own deviations."""
+        return replace(
+            self,
+            prior=self.prior + self.shared,
+            shared=np.zeros_like(self.shared),
+            jacobian=np.zeros_like(self.jacobian),
+        )
+
+    @property
+    def spread(self) -> Float64:
+        """Covariance (N, D, D) of the images about what is expected."""
+        return self.prior + self.shared
+
+    def offsets(self, number: int, at: Posed, joint_names: Sequence[str]) -> dict[str, float]:
+        """Return the offsets, rad, of roll and of the joints that were read, of one image: true = reading + offset."""
+        found = {}
+        if self.told[number]:
+            found["roll"] = float(self.roll_offset[number] + at.minus(self.at[number])[ROLL])
+        for name, value, read in zip(joint_names, at.joints.tolist(), self.read[number].tolist(), strict=True):
+            if not np.isnan(read):
+                found[name] = value - read
+        return found
+
+
+@dataclass(frozen=True)
+class FoundLag:
+    """A lag and its standard deviation, s."""
+
+    seconds: float
+    std: float
+
+
+def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
+    """Return the lag that is taken out of the readings, and its standard deviation; None if nothing tells one.
+
+    Where it is not determined, none is taken out, and the curve of disagreement tells how large it may be;
+    ``unknown`` is the standard deviation, s, beforehand. Where the curve is flat, as with few keyframes, the standard
+    deviation is larger than that of the least disagreement: errors that keyframes share displace that, or make a lag
+    where none is told.
+    """
+    found, curve = calibration.lag, calibration.lag_curve
+    curve = curve if curve is not None and curve.unit == "s" and len(curve.lags) > 1 else None
+    if found is None or found.seconds is None:
+        return None if curve is None else FoundLag(0.0, curve.root_mean_square(len(calibration.frames), unknown))
+    interval = found.seconds / found.frames if found.frames else 0.0
+    std = found.std_seconds if found.std_seconds is not None else (found.std_frames or 0.0) * interval
+    value = found.seconds if found.applied else 0.0
+    if not found.applied:
+        std = max(std, abs(found.seconds))
+    if curve is not None:
+        std = max(std, curve.least_std(len(calibration.frames), unknown, value, applied=found.applied))
+    return FoundLag(value, std)
+
+
+def lag_and_std(calibration: SessionCalibration, unknown: float) -> tuple[float, float]:
+    """Return the lag that is taken out of the readings and its standard deviation, s, as in `lag_of`.
+
+    They are 0 and ``unknown`` where nothing tells one.
+    """
+    found = lag_of(calibration, unknown)
+    return (0.0, unknown) if found is None else (found.seconds, found.std)
 
 
 def fit_session_pose(
@@ -73,17 +283,14 @@ def fit_session_pose(
         return f"session: {placed}: searched without it"
     session, instrument = placed, views[0].renderer.body.instrument
     outer = outer_readings([given])
-    model, calibration = session.model(outer, readings.values[None], instrument.joint_names)
     missing = [name for name, value in zip(OUTER_JOINTS, outer[0], strict=True) if np.isnan(value)]
     if missing:
         return f"session: no reading of {', '.join(missing)}: searched without it"
-    start = model.predict(calibration)[0]
-    jacobian = model.jacobian(calibration)[0]
-    covariance = model.covariance(calibration)[0] + jacobian @ session.covariance_given_camera @ jacobian.T
-    expected = Expected(start, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
+    predicted = Prediction.of(session, outer, readings.values[None], instrument.joint_names, widened=1.0)
+    expected = Expected(predicted.at[0], np.asarray(np.linalg.inv(predicted.spread[0]), dtype=np.float64))
     margins = margins_of(session.masks, [view.name for view in views])
     refined = partial(fit_frame, views, readings, config, expected, margins=margins, preset=OF_NEW_FRAME)
-    first, _ = refined((start,), None)
+    first, _ = refined((predicted.at[0],), None)
     fit, _ = refined((first.at,), OwnEstimate.of(views, first.at))
     of_views, rays = measure_views(views, readings, Posed.stacked([fit.at]), config)
     qualities = [of_view[0] for of_view in of_views]
@@ -99,7 +306,6 @@ def fit_session_pose(
         fitted += covariance_of_growth(session.masks.rms_growth_px, fit.at, camera, instrument)
     error = expected_error(instrument, fit.at, fitted)
     doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust)
-    base_from_root = model.base_from_root(calibration.offsets)[0]
     return FoundPose(
         at=fit.at,
         covariance=fitted,
@@ -109,6 +315,6 @@ def fit_session_pose(
         reasons=tuple(doubts),
         evaluations=first.evaluations + fit.evaluations + sum(view.renderer.poses for view in views),
         rays=rays + sum(view.renderer.rays for view in views),
-        camera_from_base=np.asarray(fit.at.pose @ inverse(base_from_root)),
+        camera_from_base=np.asarray(fit.at.pose @ inverse(predicted.base_from_root[0])),
         notes=tuple(remarks),
     )

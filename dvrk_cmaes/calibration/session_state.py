@@ -93,10 +93,34 @@ class Imaging:
     lasting: LastingEstimate | None = None
     growth: GrowthTold | None = None
 
+    def with_others(self, others: Sequence[Imaging]) -> Imaging:
+        """Return the same with the margins, and the change of the camera where it is used, that several arms tell.
+
+        Each is the mean by the covariances of what the arms tell by themselves.
+        """
+        margins = []
+        for view, own in self.margins:
+            told = [own, *(margin for other in others for name, margin in other.margins if name == view)]
+            value, square = _mean([np.array([one.px]) for one in told], [np.array([[one.std_px**2]]) for one in told])
+            margins.append((view, Margin.of(float(value[0]), float(np.sqrt(square[0, 0])))))
+        pairs = [(one.change, one.of_change) for one in (self, *others)]
+        known = [(change, square) for change, square in pairs if change is not None and square is not None]
+        if len(known) < len(pairs):
+            return replace(self, margins=tuple(margins))
+        change, square = _mean([change for change, _ in known], [square for _, square in known])
+        return replace(self, margins=tuple(margins), change=change, of_change=square)
+
     @property
     def masks(self) -> SessionMasks | None:
         """What is stated of errors that the masks share; None if their margin was not estimated."""
         return SessionMasks.of(self.margins, self.lasting, self.growth) if self.margins else None
+
+
+def _mean(values: Sequence[Float64], squares: Sequence[Float64]) -> tuple[Float64, Float64]:
+    """Return the mean (K,) of values by their covariances (K, K), and its covariance."""
+    informations = np.linalg.inv(np.array(squares))
+    covariance = np.linalg.inv(informations.sum(axis=0))
+    return covariance @ np.einsum("nij,nj->i", informations, np.array(values)), covariance
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.alternation import fitted_again
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place, Steered
-from dvrk_cmaes.calibration.session_masks import Margin
 from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.geometry import adjoint, change_between, inverse, log_rotation
 from dvrk_cmaes.instrument.setup_joints import SETUP
@@ -81,8 +80,8 @@ def with_others(state: SessionState, others: Sequence[SessionState]) -> SessionS
     """Return an arm's session solved with what the frames of the other arms tell, which are solved by themselves."""
     if not others:
         return state
-    change, of_change = _camera(state, others)
-    imaging = replace(state.imaging, margins=_margins(state, others), change=change, of_change=of_change)
+    camera = state.stored[0].camera
+    imaging = state.imaging.with_others([other.imaging for other in others if other.stored[0].camera == camera])
     told = replace(_with_endoscope(state, others), imaging=imaging)
     told = replace(told, lag=told.lag.with_others([other.lag for other in others]))
     if told.problem is state.problem and told.lag is state.lag and not _differs(told, state):
@@ -130,34 +129,6 @@ def _of_endoscope(state: SessionState) -> Float64:
     solution = state.solution
     count = solution.calibration.own - len(state.problem.endoscope_prior)
     return solution.covariance[count : solution.calibration.own, count : solution.calibration.own]
-
-
-def _margins(state: SessionState, others: Sequence[SessionState]) -> tuple[tuple[str, Margin], ...]:
-    """Return the margins of the masks by view that all arms tell, in the order of an arm's own."""
-    found = []
-    for view, own in state.imaging.margins:
-        told = [margin for other in others for name, margin in other.imaging.margins if name == view]
-        value, square = _weighted([np.array([one.px]) for one in (own, *told)], [one.std_px**2 for one in (own, *told)])
-        found.append((view, Margin.of(float(value[0]), float(np.sqrt(square[0, 0])))))
-    return tuple(found)
-
-
-def _camera(state: SessionState, others: Sequence[SessionState]) -> tuple[Float64 | None, Float64 | None]:
-    """Return the change (3,) of the camera that all arms tell, and its covariance, where it is used."""
-    camera = state.stored[0].camera
-    told = [one.imaging for one in (state, *others) if one.stored[0].camera == camera]
-    known = [(one.change, one.of_change) for one in told if one.change is not None and one.of_change is not None]
-    if len(known) < 2:
-        return state.imaging.change, state.imaging.of_change
-    return _weighted([change for change, _ in known], [square for _, square in known])
-
-
-def _weighted(values: Sequence[Float64], squares: Sequence[Float64 | float]) -> tuple[Float64, Float64]:
-    """Return the mean (K,) of values by their covariances (K, K), and its covariance."""
-    informations = [np.linalg.inv(np.atleast_2d(square)) for square in squares]
-    covariance = np.linalg.inv(np.sum(informations, axis=0))
-    pairs = zip(informations, values, strict=True)
-    return covariance @ np.sum([told @ value for told, value in pairs], axis=0), covariance
 
 
 def _differs(one: SessionState, other: SessionState) -> bool:

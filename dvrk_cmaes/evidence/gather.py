@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.jaw_tips import find_tips
-from dvrk_cmaes.evidence.shaft_edges import Contour, ShaftEdges, find_contour, find_shaft_edges
+from dvrk_cmaes.evidence.shaft_edges import Contour, ShaftEdges, find_contour, find_shaft_edges, half_width
 from dvrk_cmaes.instrument import Instrument
 
 Float32 = NDArray[np.float32]
@@ -49,7 +49,7 @@ class Evidence:
         """Return mask (h, w), 0 to 1, and weight (h, w) at another image size, px; ignored pixels do not count."""
         known = self._at_sizes
         if (width, height) not in known:
-            mask, weight = self.mask.astype(np.float32), self.weight
+            mask, weight = self.share, self.weight
             if mask.shape != (height, width):
                 weight = self.weight_at(width, height)
                 mask = shrunk(mask * self.weight if self.ignores else mask, width, height)
@@ -68,6 +68,16 @@ class Evidence:
         """Return whether some pixel is instrument, and another one background, at an image size, px."""
         mask, _ = self.at_size(width, height)
         return 0 < int(np.count_nonzero(mask > 0.5)) < mask.size
+
+    @cached_property
+    def share(self) -> Float32:
+        """The mask as numbers (H, W), 0 or 1."""
+        return self.mask.astype(np.float32)
+
+    @cached_property
+    def half_width(self) -> float:
+        """Half the width, px, of the mask at its widest place."""
+        return half_width(self.mask)
 
     @cached_property
     def ignores(self) -> bool:
@@ -155,7 +165,9 @@ def _gathered(
     if instrument.shaft is None:
         unused.append("shaft edges: the instrument has no straight shaft below its root link")
     else:
-        found = find_shaft_edges(mask, contour, camera, instrument.shaft.radius, ignore=ignore, seed=seed)
+        found = find_shaft_edges(
+            mask, contour, camera, instrument.shaft.radius, ignore=ignore, seed=seed, widest=bare.half_width
+        )
         if isinstance(found, str):
             unused.append(f"shaft edges: {found}")
         else:
@@ -170,7 +182,9 @@ def _gathered(
             unused.append(f"jaw tips: {located}")
         else:
             tips = located
-    return replace(bare, shaft_edges=edges, tips=tips, unused=tuple(unused))
+    gathered = replace(bare, shaft_edges=edges, tips=tips, unused=tuple(unused))
+    gathered.__dict__.update({name: bare.__dict__[name] for name in ("half_width", "share") if name in bare.__dict__})
+    return gathered
 
 
 def _without_features(

@@ -104,9 +104,7 @@ def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
     index = np.flatnonzero(needed)
     of_part = np.zeros(part.shape, dtype=np.float32)
     of_part.ravel()[index] = _signed_at(part, index)
-    distance = np.zeros(silhouette.shape, dtype=np.float32)
-    distance[top:bottom, left:right] = of_part
-    return sampled(distance, pixels)
+    return sampled(of_part, pixels.astype(np.float32) - np.array([left, top], dtype=np.float32))  # exact
 
 
 def _signed_at(mask: NDArray[np.bool_], index: NDArray[np.intp]) -> NDArray[np.float32]:
@@ -115,7 +113,7 @@ def _signed_at(mask: NDArray[np.bool_], index: NDArray[np.intp]) -> NDArray[np.f
     return np.where(mask.take(index), np.float32(0.5) - distance, distance - np.float32(0.5))
 
 
-def sampled(image: NDArray[np.float32], at: Float64) -> Float64:
+def sampled(image: NDArray[np.float32], at: NDArray[np.floating]) -> Float64:
     """Sample an image (H, W) at pixels (N, 2) with bilinear interpolation, (N,)."""
     rows = -(-len(at) // _REMAP_WIDTH)
     if rows == 0:

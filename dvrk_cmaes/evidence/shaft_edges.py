@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -99,10 +100,8 @@ def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.boo
     blurred = cv2.GaussianBlur(mask[window].astype(np.float32), (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
     softer = cv2.GaussianBlur(blurred, (0, 0), _NORMAL_BLUR, borderType=cv2.BORDER_REPLICATE)
     u, v = column - low[0], row - low[1]
-    gx = cv2.Sobel(blurred, cv2.CV_32F, 1, 0, scale=0.125)[v, u].astype(np.float64)
-    gy = cv2.Sobel(blurred, cv2.CV_32F, 0, 1, scale=0.125)[v, u].astype(np.float64)
-    nx = cv2.Sobel(softer, cv2.CV_32F, 1, 0)[v, u].astype(np.float64)
-    ny = cv2.Sobel(softer, cv2.CV_32F, 0, 1)[v, u].astype(np.float64)
+    gx, gy = _sobel(blurred, u, v)
+    nx, ny = _sobel(softer, u, v)
     grey = blurred[v, u]
     steep = np.hypot(gx, gy)
     keep = steep > 0.02
@@ -124,6 +123,20 @@ def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.boo
     return Contour(pixels, xy * focal + centre, across)
 
 
+def _sobel(
+    image: NDArray[np.integer[Any] | np.floating[Any]], u: NDArray[np.intp], v: NDArray[np.intp]
+) -> tuple[Float64, Float64]:
+    """Return the derivatives (N,) of an image along u and v at N of its pixels, by Sobel's filter."""
+    rows, columns = (
+        {step: np.clip(at + step, 0, length - 1) for step in (-1, 0, 1)}
+        for at, length in zip((v, u), image.shape, strict=True)
+    )
+    around = {(i, j): image[rows[i], columns[j]].astype(np.float64) for i in rows for j in columns if i or j}
+    along_u = around[-1, 1] - around[-1, -1] + 2 * (around[0, 1] - around[0, -1]) + around[1, 1] - around[1, -1]
+    along_v = around[1, -1] - around[-1, -1] + 2 * (around[1, 0] - around[-1, 0]) + around[1, 1] - around[-1, 1]
+    return along_u / 8, along_v / 8
+
+
 def _votes(contour: Contour, line: Float64, index: NDArray[np.intp]) -> float:
     """Compute the support of a line by contour points: the sum of their weights, 1 for a point on the line."""
     return float(np.exp(-0.5 * ((contour.ideal[index] @ line[:2] + line[2]) / _NEAR_LINE) ** 2).sum())
@@ -132,7 +145,7 @@ def _votes(contour: Contour, line: Float64, index: NDArray[np.intp]) -> float:
 def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
     """Find distinct lines (n, 3) through pairs of contour points with matching normals, best supported first."""
     every = max(1, len(contour.ideal) // _VOTERS)
-    points, normals = contour.ideal[::every], contour.normals[::every]
+    points, normals = (np.ascontiguousarray(part[::every]) for part in (contour.ideal, contour.normals))
     count = len(points)
     first = rng.integers(count, size=_HYPOTHESES * 4)
     second = rng.integers(count, size=_HYPOTHESES * 4)
@@ -143,12 +156,7 @@ def _candidate_lines(contour: Contour, rng: np.random.Generator) -> Float64:
     agree = np.minimum((normal * normals[first]).sum(axis=1), (normal * normals[second]).sum(axis=1))
     good = np.flatnonzero((length > 15) & (agree > _FACING))[:_HYPOTHESES]
     lines = np.c_[normal[good], -(normal[good] * points[first[good]]).sum(axis=1)]
-    away = points @ lines[:, :2].T + lines[:, 2]
-    votes = np.zeros_like(away)
-    facing = np.nonzero(normals @ lines[:, :2].T >= _FACING)
-    votes[facing] = np.exp(-0.5 * (away[facing] / _NEAR_LINE) ** 2)
-    support = votes.sum(axis=0)
-    middle = (votes.T @ points) / np.maximum(support, 1e-9)[:, None]
+    support, middle = _kernel.line_support(points, normals, lines, _NEAR_LINE, _FACING)
     kept: list[int] = []
     left = np.argsort(-support, kind="stable")
     while len(left) and len(kept) < _KEPT_LINES:
@@ -224,15 +232,17 @@ def find_shaft_edges(
     ignore: NDArray[np.bool_] | None = None,
     seed: int = 0,
     most: int = 3,
+    widest: float | None = None,
 ) -> tuple[ShaftEdges, ...] | str:
     """Find the shaft's two edges in a mask; returns the reason, in words, if they cannot be found.
 
     Candidates are pairs of straight pieces of the contour whose normals point away from each other, with mask between
     them, that would bound a cylinder of ``radius`` (m) at a plausible depth for an endoscope. Returns up to ``most``
     pairs, best supported first; each differs from every better one in at least one edge. A wide shaft in a large image
-    is looked for in a smaller one, as its edges are rougher by as much.
+    is looked for in a smaller one, as its edges are rougher by as much. ``widest`` is `half_width` of the mask, if that
+    is known.
     """
-    widest = half_width(mask)
+    widest = half_width(mask) if widest is None else widest
     by = min(round(camera.width / _USUAL_WIDTH), int(widest / _USUAL_HALF_WIDTH))
     if by < 2:
         return _find_edges(mask, contour, camera, radius, widest, seed, most)
@@ -337,10 +347,10 @@ def shaft_axis(planes: Float64, radius: float) -> tuple[Float64, Float64]:
     direction (of either sign) and its point nearest to the camera centre, m, both (3,) in the camera's frame. The
     direction lies in both planes, and the axis is at distance ``radius`` from both, on the inner side.
     """
-    direction = cross(planes[0], planes[1])
-    direction /= np.linalg.norm(direction)
-    point = np.linalg.solve(np.stack([planes[0], planes[1], direction]), np.array([-radius, -radius, 0.0]))
-    return direction, point
+    across = cross(planes[0], planes[1])
+    length = np.linalg.norm(across)
+    direction = across / length
+    return direction, -radius / length * cross(planes[1] - planes[0], direction)
 
 
 def axis_tilt_error(edges: ShaftEdges, camera: Camera, radius: float) -> float:

@@ -45,15 +45,15 @@ class _Endoscope(Struct):
     ecm_from_base: Transform | None = None
 
 
-class _Arm(Struct):
+class _ArmOfEndoscope(Struct):
     ecm_from_base: Transform
 
 
 class _EndoscopeOfArms(Struct):
-    arms: dict[str, _Arm]
+    arms: dict[str, _ArmOfEndoscope]
 
 
-class _Arms(Struct):
+class _BasesOfArms(Struct):
     endoscope: _EndoscopeOfArms | None = None
 
 
@@ -144,7 +144,7 @@ def base_of_session(where: str, document: Mapping[str, Any], others: Mapping[str
 
 def bases_of_arms(where: str, document: Mapping[str, Any]) -> dict[str, Float64]:
     """Take the bases of all arms in that of the endoscope's arm, by name, of ``arms.json``; none where not known."""
-    moves = convert_document(where, document, _Arms).endoscope
+    moves = convert_document(where, document, _BasesOfArms).endoscope
     return {} if moves is None else {name: own.ecm_from_base for name, own in moves.arms.items()}
 
 

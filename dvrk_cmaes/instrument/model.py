@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -281,7 +282,7 @@ class Instrument:
         """Radius of the shaft, m; None without a straight shaft."""
         return None if self.shaft is None else self.shaft.radius
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """Largest distance of a vertex below the root link from the root link's origin, all joints at zero, m."""
         poses = self.forward(np.zeros(len(self.joint_names)))

@@ -18,13 +18,13 @@ SETUP: Final = "suj-fixed.json"
 """Name of the file."""
 
 
-class _Arm(Struct):
+class _HeldArm(Struct):
     name: str
     measured_cp: Transform
 
 
 class _SetupJoints(Struct):
-    arms: tuple[_Arm, ...]
+    arms: tuple[_HeldArm, ...]
 
 
 def read_setup_joints(path: Path) -> dict[str, NDArray[np.float64]]:

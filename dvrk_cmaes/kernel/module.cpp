@@ -606,6 +606,23 @@ std::vector<std::tuple<Made<double>, Made<std::int64_t>, double>> fit_lines(
   return found;
 }
 
+std::tuple<Made<double>, Made<double>> line_support(const Given<double>& points, const Given<double>& normals,
+                                                    const Given<double>& lines, double sigma, double facing) {
+  check_shape("points", points, {kAny, 2}), check_shape("normals", normals, {static_cast<long>(points.shape(0)), 2});
+  check_shape("lines", lines, {kAny, 3});
+  for (const Given<double>* one : {&points, &normals, &lines}) check_finite("contour and lines", one->data(), one->size());
+  if (!(sigma > 0.0)) throw std::invalid_argument("sigma: expected a positive number");
+  const ContourPoints contour{points.data(), normals.data(), points.shape(0)};
+  Made<double> sums = zeros<double>({lines.shape(0)}), middles = zeros<double>({lines.shape(0), 2});
+  for (std::size_t i = 0; i < lines.shape(0); ++i) {
+    const double* line = lines.data() + 3 * i;
+    const Support found = support_of(contour, {line[0], line[1], line[2]}, sigma, facing);
+    sums.data()[i] = found.sum;
+    std::copy(found.middle.begin(), found.middle.end(), middles.data() + 2 * i);
+  }
+  return {sums, middles};
+}
+
 Made<float> squares_to_other(const Given<bool>& mask, const Given<std::int64_t>& pixels, std::int64_t most) {
   check_shape("mask", mask, {kAny, kAny}), check_shape("pixels", pixels, {kAny});
   for (std::size_t i = 0; i < pixels.size(); ++i) {
@@ -725,6 +742,9 @@ NB_MODULE(_kernel, module) {
              "least_sigma"_a, "reach"_a, "least_reach"_a, "normal_median"_a, "iterations"_a, "least"_a,
              "Fit lines (M, 3) to the contour points (N, 2) near them, robustly: each line (3,), the numbers of its points "
              "in their order along it, and their standard deviation, px.");
+  module.def("line_support", &line_support, "points"_a, "normals"_a, "lines"_a, "sigma"_a, "facing"_a,
+             "Compute the support (M,) of lines (M, 3) by contour points (N, 2), normally distributed about them with sigma "
+             "px, and the weighted means (M, 2), px, of their points.");
   module.def("minimise", &minimise_all, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "weight"_a, "information"_a,
              "slope"_a, "damping"_a.none(), "iterations"_a, "solved"_a, "least"_a, "farthest"_a,
              "Find the changes (C, D) that minimise weights (C,) times half the robust losses plus quadratic terms, by at "

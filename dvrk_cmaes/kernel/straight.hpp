@@ -23,6 +23,39 @@ struct ContourPoints {
   double facing(std::size_t i, const Line& line) const { return normals[2 * i] * line[0] + normals[2 * i + 1] * line[1]; }
 };
 
+// e^x for x <= 0: with x = r + k log 2 and |r| <= log(2) / 2, the series of e^r times 2^k.
+inline double exponential(double x) {
+  const double k = std::floor(x * 1.4426950408889634 + 0.5);
+  const double r = (x - k * 0.693147180369123816490) - k * 1.90821492927058770002e-10;
+  constexpr double kInverse[] = {1.0 / 13, 1.0 / 12, 1.0 / 11, 1.0 / 10, 1.0 / 9, 1.0 / 8, 1.0 / 7,
+                                 1.0 / 6,  1.0 / 5,  1.0 / 4,  1.0 / 3,  1.0 / 2, 1.0};
+  double sum = 1.0;
+  for (const double inverse : kInverse) sum = 1.0 + r * inverse * sum;
+  return std::ldexp(sum, static_cast<int>(k));
+}
+
+// The support of a line: the sum of the weights exp(-z^2 / 2) of points whose distance is z standard deviations of `sigma`
+// px and whose normals have at least the cosine `facing` with the line's; and the weighted mean of these points, px.
+struct Support {
+  double sum;
+  std::array<double, 2> middle;
+};
+
+inline Support support_of(const ContourPoints& contour, const Line& line, double sigma, double facing) {
+  constexpr double kFarthest = 9.0;  // standard deviations, beyond which a weight is lost in rounding
+  Support found{0.0, {0.0, 0.0}};
+  const double farthest = kFarthest * sigma;
+  for (std::size_t i = 0; i < contour.count; ++i) {
+    const double away = contour.away(i, line);
+    if (!(std::abs(away) < farthest) || contour.facing(i, line) < facing) continue;
+    const double z = away / sigma, weight = exponential(-0.5 * z * z);
+    found.sum += weight;
+    for (int k = 0; k < 2; ++k) found.middle[k] += weight * contour.points[2 * i + k];
+  }
+  for (double& part : found.middle) part /= std::max(found.sum, 1e-9);
+  return found;
+}
+
 // How lines are fitted: points count up to `near` standard deviations of `sigma` px, whose normals have at least the
 // cosine `facing` with the line's, on the longest stretch without a larger gap than `gap` px. Each of the `iterations`
 // needs `least` points; then sigma is that of the points, between `least_sigma` and `sigma`, and points count up to

@@ -131,9 +131,15 @@ def _losses(
     cylinder, keypoints, deviations = pose_terms(evidence, view.renderer.body.instrument, readings, weights, seen)
     of_poses = []
     for i, silhouette in enumerate(drawn):
-        shown = silhouette * weight
-        total, overlap = (np.array([part.sum(dtype=np.float64)]) for part in (shown, shown[mask]))
-        outside = shrunk(np.where(mask, np.float32(0), shown), far.shape[1], far.shape[0])
+        if evidence.ignores:
+            shown = silhouette * weight
+            sums = [part.sum(dtype=np.float64) for part in (shown, shown[mask])]
+            beyond = np.where(mask, np.float32(0), shown)
+        else:
+            sums = [np.float64(np.count_nonzero(part)) for part in (silhouette, silhouette & mask)]
+            beyond = (silhouette & ~mask).astype(np.float32)
+        total, overlap = (np.array([part]) for part in sums)
+        outside = shrunk(beyond, far.shape[1], far.shape[0])
         away = np.vdot(outside, far) * (mask.size / far.size)
         of_poses.append(
             Terms(

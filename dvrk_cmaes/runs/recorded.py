@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import ecm_readings, outer_readings
+from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -23,7 +24,6 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.prediction import Prediction
 from dvrk_cmaes.track.reading_buffer import describe_frozen
 from dvrk_cmaes.track.recorded_frames import (
     NO_READINGS,

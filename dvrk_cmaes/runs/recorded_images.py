@@ -20,6 +20,7 @@ from dvrk_cmaes.calibration.calibrate import SolvedSession
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.masks_again import PackedMask
+from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -50,7 +51,6 @@ from dvrk_cmaes.track.image_frames import (
 )
 from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, MaskShape, choose_keyframes
-from dvrk_cmaes.track.prediction import Prediction
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame
 
 Float64 = NDArray[np.float64]

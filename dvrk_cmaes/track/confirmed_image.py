@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope_at
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed
@@ -16,7 +17,6 @@ from dvrk_cmaes.pose.doubts import doubts_of_tips
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction, endoscope_at
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.window import covariance_of_masks, mean_of_tips_mm
 

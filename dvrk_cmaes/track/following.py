@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_growth import change_by_margin
+from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope_at
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.seen_view import seen_views
@@ -27,7 +28,6 @@ from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus, without_pose
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.images import Mask
-from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction, endoscope_at
 from dvrk_cmaes.track.quick_fit import quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, judged

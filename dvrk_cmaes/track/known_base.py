@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.prediction import FoundLag, calibration_covariance, lag_and_std, lag_of
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, change_between
@@ -20,7 +21,6 @@ from dvrk_cmaes.track.confirmed_image import confirmed_by
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeStore
-from dvrk_cmaes.track.prediction import FoundLag, calibration_covariance, lag_and_std, lag_of
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.sight import Seen, Sight
 

@@ -26,6 +26,7 @@ from dvrk_cmaes.calibration.model import (
     SessionModel,
     offset_deviations,
 )
+from dvrk_cmaes.calibration.prediction import Prediction, endoscope_at
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
@@ -40,7 +41,6 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.images import Mask
-from dvrk_cmaes.track.prediction import Prediction, endoscope_at
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.sight import Seen, Sight
 from dvrk_cmaes.track.window import CORRELATED_FRAMES

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.mask_growth import covariance_of_growth
+from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
 from dvrk_cmaes.calibration.session_masks import SessionMasks
@@ -28,7 +29,6 @@ from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit
 from dvrk_cmaes.track.deviations import FrameDeviations
-from dvrk_cmaes.track.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
 
 Float64 = NDArray[np.float64]

@@ -16,7 +16,8 @@ from dvrk_cmaes.calibration.constants import Constant, SessionOutlines
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.session_camera import CameraChange, file_deviations
-from dvrk_cmaes.calibration.session_masks import MARGIN, MaskMargin, SessionMasks, estimate_margin
+from dvrk_cmaes.calibration.session_masks import MARGIN, Margin, MaskMargin, SessionMasks, estimate_margin
+from dvrk_cmaes.calibration.session_state import Imaging
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.frames.frame import FrameData
@@ -106,3 +107,20 @@ def test_poses_with_a_margin_are_those_with_the_camera_of_the_file() -> None:
     with_file = FarCamera(world).near(at, constants).at_constants()
     off = 1e3 * np.abs(with_file.optimum(np.zeros(0))[:, 2])
     assert np.quantile(off, 0.9) < 1.5
+
+
+def test_arms_share_the_margins_of_their_masks_and_the_camera() -> None:
+    """Each is the mean by the standard deviations; a margin that two arms tell together is taken off."""
+    one = Imaging(np.array([0.01, 2.0, 0.0]), np.diag([1e-4, 4.0, 4.0]), margins=(("left", Margin.of(0.3, 0.15)),))
+    other = Imaging(np.array([0.03, 4.0, 0.0]), np.diag([1e-4, 1.0, 4.0]), margins=(("left", Margin.of(0.36, 0.12)),))
+    assert not one.margins[0][1].applied
+    both = one.with_others([other])
+    ((view, margin),) = both.margins
+    assert view == "left"
+    assert margin.px == pytest.approx((0.3 / 0.15**2 + 0.36 / 0.12**2) / (0.15**-2 + 0.12**-2))
+    assert margin.applied
+    assert both.change is not None
+    assert both.of_change is not None
+    np.testing.assert_allclose(both.change, [0.02, 3.6, 0.0])
+    np.testing.assert_allclose(np.diag(both.of_change), [0.5e-4, 0.8, 2.0])
+    assert one.with_others([Imaging()]).change is one.change

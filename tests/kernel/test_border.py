@@ -81,6 +81,11 @@ def straight(**changed: Any) -> list[tuple[np.ndarray, np.ndarray, float]]:
     return _kernel.fit_lines(**(given | {"iterations": 3, "least": 12} | changed))
 
 
+def support(**changed: Any) -> tuple[np.ndarray, np.ndarray]:
+    given = {"points": PIXELS, "normals": PIXELS, "lines": np.array([[0.0, 1.0, -5.0]]), "sigma": 1.2, "facing": 0.9}
+    return _kernel.line_support(**(given | changed))
+
+
 def chain(**changed: Any) -> _kernel.Chain:
     given = {"parents": [-1, 0], "drivers": [0, 1], "sliding": [False, True], "multipliers": [1.0, 1.0]}
     return _kernel.Chain(**(given | {"offsets": [0.0, 0.0], "terms": np.zeros((2, 3, 4, 4))} | changed))
@@ -127,6 +132,12 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: _kernel.Camera(8, 6, 10.0, 10.0, 3.5, 2.5, "plumb_bob", (0.1, 0.2), 1.0),
         "coefficients: expected 4, 5 or 8",
     ),
+    "normals of other points than support": (
+        lambda: support(normals=PIXELS[:1]),
+        r"normals: expected an array \(2, 2\)",
+    ),
+    "lines that are not finite": (lambda: support(lines=np.full((1, 3), np.nan)), "contour and lines: expected finite"),
+    "points without a spread": (lambda: support(sigma=0.0), "sigma: expected a positive number"),
     "a parent after its child": (lambda: chain(parents=[1, -1]), "parents: expected every parent before its children"),
     "a parent too few": (lambda: chain(parents=[-1]), r"terms: expected an array \(1, 3, 4, 4\)"),
     "a driver too few": (lambda: chain(drivers=[0]), "joints: expected as many drivers"),

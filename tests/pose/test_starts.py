@@ -39,8 +39,15 @@ def on_axis(count: int = 200, tilt: float = 0.0, seed: int = 3) -> np.ndarray:
 
 
 def lookat(count: int, seed: int, *, camera: Camera = CAMERA, pixels: np.ndarray | None = None) -> np.ndarray:
+    mask = None if pixels is None else mask_of(pixels, camera)
     rng = np.random.default_rng(seed)
-    return sample_lookat(sample_distances(count, LIMITS, None, rng), LIMITS, rng, camera=camera, pixels=pixels)
+    return sample_lookat(sample_distances(count, LIMITS, None, rng), LIMITS, rng, camera=camera, mask=mask)
+
+
+def mask_of(pixels: np.ndarray, camera: Camera) -> np.ndarray:
+    mask = np.zeros((camera.height, camera.width), dtype=np.bool_)
+    mask[pixels[:, 1].astype(int), pixels[:, 0].astype(int)] = True
+    return mask
 
 
 def assert_rigid(poses: np.ndarray) -> None:

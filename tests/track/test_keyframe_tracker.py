@@ -11,6 +11,7 @@ import pytest
 from helpers.moving_worlds import SMALL, MovingWorld, moving_world
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, lag_of
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.geometry import moved
@@ -22,7 +23,6 @@ from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES
 from dvrk_cmaes.track.known_base import KnownBase
-from dvrk_cmaes.track.prediction import WRIST_ERROR, Prediction, lag_of
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 
 CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))

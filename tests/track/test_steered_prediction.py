@@ -11,10 +11,10 @@ from helpers.session_worlds import BASE, NAMES, OFFSETS, make_world
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration
+from dvrk_cmaes.calibration.prediction import Prediction, endoscope_at
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.track.prediction import Prediction, endoscope_at
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 
 READ = np.repeat([[0.1, 0.05, 0.12, 0.2], [0.2, -0.05, 0.13, 0.1]], 5, axis=0)

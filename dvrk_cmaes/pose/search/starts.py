@@ -9,7 +9,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LookAtRange
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
-from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, half_width, shaft_axis
+from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, shaft_axis
 from dvrk_cmaes.geometry import Posed, cross, exp_rotation, frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
@@ -54,7 +54,7 @@ def likely_distances(evidence: Evidence, instrument: Instrument) -> Float64 | No
     if instrument.shaft is None:
         return None
     focal = np.sqrt(evidence.camera.fx * evidence.camera.fy)
-    return np.asarray(_WIDEST * focal * instrument.shaft.radius / half_width(evidence.mask))
+    return np.asarray(_WIDEST * focal * instrument.shaft.radius / evidence.half_width)
 
 
 def sample_distances(count: int, limits: LookAtRange, likely: Float64 | None, rng: np.random.Generator) -> Float64:
@@ -76,12 +76,12 @@ def sample_lookat(
     rng: np.random.Generator,
     *,
     camera: Camera,
-    pixels: Float64 | None = None,
+    mask: NDArray[np.bool_] | None = None,
 ) -> Float64:
     """Draw LookAt candidates (N, 4, 4) at some ``distances`` (N,), m, uniform in the three angles.
 
-    As in the paper, the root lies on the optical axis. With ``pixels`` (M, 2), each candidate is then rotated about the
-    camera centre so that its root projects to one of these pixels, drawn at random.
+    As in the paper, the root lies on the optical axis. With a ``mask`` (H, W), each candidate is then rotated about the
+    camera centre so that its root projects to one of the mask's pixels, drawn at random.
     """
     count = len(distances)
     pose = lookat_pose(
@@ -90,9 +90,11 @@ def sample_lookat(
         rng.uniform(-limits.tilt, limits.tilt, count),
         distances,
     )
-    if pixels is None:
+    if mask is None:
         return pose
-    ray = np.c_[camera.normalise(pixels[rng.integers(len(pixels), size=count)]), np.ones(count)]
+    shown = np.flatnonzero(mask)
+    v, u = np.divmod(shown[rng.integers(len(shown), size=count)], mask.shape[1])
+    ray = np.c_[camera.normalise(np.stack([u, v], axis=1).astype(np.float64)), np.ones(count)]
     towards = ray / np.linalg.norm(ray, axis=1, keepdims=True)
     axis = np.cross([0.0, 0.0, 1.0], towards)
     sine = np.linalg.norm(axis, axis=1, keepdims=True)
@@ -215,10 +217,8 @@ def draw_starts(
         others = (count - free - first) // (len(pairs) - 1)
         shares = [count - free - others * (len(pairs) - 1)] + [others] * (len(pairs) - 1)
     poses = [_on_edges(pair, evidence, instrument, n, rng) for pair, n in zip(pairs, shares, strict=True)]
-    v, u = np.divmod(np.flatnonzero(evidence.mask), evidence.mask.shape[1])
-    pixels = np.stack([u, v], axis=1).astype(np.float64)
     distances = sample_distances(free, config.lookat, likely_distances(evidence, instrument), rng)
-    poses.append(sample_lookat(distances, config.lookat, rng, camera=evidence.camera, pixels=pixels))
+    poses.append(sample_lookat(distances, config.lookat, rng, camera=evidence.camera, mask=evidence.mask))
     joints = sample_joints(readings.values, readings.sigma, readings.low, readings.high, count, rng)
     unknown = np.full(len(readings.values), np.nan)
     uniform = sample_joints(unknown, readings.sigma, readings.low, readings.high, count, rng)

@@ -55,7 +55,7 @@ class SizedView:
     ) -> None:
         evidence, camera = view.evidence, view.evidence.camera
         size = (camera.width, camera.height)
-        mask, weight = evidence.mask.astype(np.float32), evidence.weight
+        mask, weight = evidence.share, evidence.weight
         if margin:
             mask = less_margin(evidence.mask, margin)
         if shrink > 1:
