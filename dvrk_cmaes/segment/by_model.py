@@ -44,7 +44,7 @@ _ROLLS: Final = 8, 16  # without, and with readings of the wrist
 _JAW: Final = 0.5  # rad, where none is read
 _BENDS: Final = np.deg2rad([(0, 0), (45, 0), (-45, 0), (0, 45), (0, -45), (35, 35), (-35, 35), (0, 75), (0, -75)])
 """Wrist pitch and yaw that are tried without readings."""
-_STARTS: Final = 6  # of a group
+_STARTS: Final = 4, 2  # places of a group, and turns of each, at most
 _INSTRUMENTS: Final = 3  # that are looked at further
 _ENDS: Final = 4, 2  # of each, that are optimised further, twice
 _PASSES: Final = 2, 4, 6  # of the first, second and last optimisation
@@ -140,8 +140,7 @@ def find_instruments(
     if not groups:
         return []
     found = [turned(tried[group], every) for group in groups]
-    starts = [_distinct(each, own, coarse, _STARTS, near=8.0) for each, own in found]
-    begin = Posed.stacked([each[k] for (each, _), own in zip(found, starts, strict=True) for k in own])
+    begin = Posed.stacked([each[k] for each, own in found for k in _starts(each, own, len(every), coarse)])
     scale = np.concatenate([_SCALE, np.where(np.isnan(read), 0.35, 0.08)])
 
     def best_of_each(at: Posed, most: int, ends: int = 1) -> list[Candidate]:
@@ -321,6 +320,14 @@ def _turned(places: Posed, turns: Posed) -> Posed:
     """Return places, each at all turns about its own axis and with their joints."""
     poses = (places.pose[:, None] @ turns.pose[None]).reshape(-1, 4, 4)
     return Posed(poses, np.tile(turns.joints, (len(places.pose), 1)))
+
+
+def _starts(at: Posed, scores: Float64, turns: int, camera: Camera) -> list[int]:
+    """Return the best turns of the best places, given places each at all turns: the best one may be wrong."""
+    places, each = _STARTS
+    best = np.argsort(-scores.reshape(-1, turns).max(axis=1), kind="stable")[:places]
+    parts = [slice(turns * k, turns * (k + 1)) for k in best.tolist()]
+    return [part.start + k for part in parts for k in _distinct(at[part], scores[part], camera, each, near=8.0)]
 
 
 def _distinct(at: Posed, scores: Float64, camera: Camera, most: int, near: float = 9.0) -> list[int]:
