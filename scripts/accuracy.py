@@ -20,6 +20,7 @@
     python scripts/accuracy.py turned-rigs SESSION...  stereo sessions: rotations of the right eye that are found
     python scripts/accuracy.py disparity SESSION...    stereo images: rows of points that match, by --session, too
     python scripts/accuracy.py arms SESSION...         sessions of two arms: tools that cross against the same alone
+    python scripts/accuracy.py arm-bases SESSION...    sessions of several arms: how their bases lie to each other
     python scripts/accuracy.py image-sizes SESSION...  drawn masks of 14 sizes of images: errors, tips, times
     python scripts/accuracy.py camera SESSION...       share of right and wrong camera files that are contradicted
     python scripts/accuracy.py no-camera SESSION...    focal length and tips of sessions without a camera file
@@ -42,7 +43,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from measure.accuracy.arms import arms_report
+from measure.accuracy.arms import arms_report, bases_report
 from measure.accuracy.bound import bound_report
 from measure.accuracy.cables import cables_report
 from measure.accuracy.calibration import calibration_report
@@ -143,7 +144,11 @@ def _parser() -> argparse.ArgumentParser:
         help="for lies and worlds: seed (default: %(default)s)",
     )
     parser.add_argument(
-        "--every", type=int, default=1, metavar="N", help="for track: follow every N-th frame (default: %(default)s)"
+        "--every",
+        type=int,
+        default=1,
+        metavar="N",
+        help="for track and arm-bases: use every N-th frame (default: %(default)s)",
     )
     parser.add_argument("--session", type=Path, metavar="JSON", help="for track and disparity: session.json to use")
     parser.add_argument("--no-joints", action="store_true", help="for track and rig: estimate without readings")
@@ -282,6 +287,7 @@ COMMANDS: Final[Mapping[str, Callable[[Measurement, argparse.Namespace], Report]
     "turned-rigs": lambda given, _: rotations_report(given),
     "disparity": _disparity,
     "arms": lambda given, _: arms_report(given),
+    "arm-bases": lambda given, options: bases_report(given, options.every),
     "camera": lambda given, _: measure_camera(given),
     "no-camera": lambda given, _: measure_no_camera(given),
     "worlds": _worlds,

@@ -85,7 +85,7 @@ def with_others(state: SessionState, others: Sequence[SessionState]) -> SessionS
     told = replace(_with_endoscope(state, others), imaging=imaging)
     told = replace(told, lag=told.lag.with_others([other.lag for other in others]))
     if told.problem is state.problem and told.lag is state.lag and not _differs(told, state):
-        return replace(state, imaging=imaging)
+        return told
     again = range(len(state.frames)) if _differs(told, state) else ()
     return fitted_again(replace(told, model=told.lag.corrected(told.model)), again)
 

@@ -324,7 +324,8 @@ def _opened(
 ) -> AbstractContextManager[Recording]:
     """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.frames.session_folder import is_session_layout
-    from dvrk_cmaes.recording.bag import SUFFIXES, is_bag, open_bag
+    from dvrk_cmaes.recording.bag import open_bag
+    from dvrk_cmaes.recording.bag_paths import SUFFIXES, is_bag
     from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
     from dvrk_cmaes.recording.pose_table import PoseTable

@@ -99,7 +99,8 @@ def _recording(path: Path) -> Finding | None:
     if not (path.is_dir() or path.suffix.lower() in RECORDINGS) or not path.exists() or find_spec("rosbags") is None:
         return None
     from dvrk_cmaes.inspection import Finding
-    from dvrk_cmaes.recording.bag import is_bag, list_topics
+    from dvrk_cmaes.recording.bag import list_topics
+    from dvrk_cmaes.recording.bag_paths import is_bag
 
     if not is_bag(path):
         return None

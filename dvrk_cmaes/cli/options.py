@@ -254,9 +254,16 @@ def joint_files(given: Sequence[Path], arm: str | None = None) -> Sequence[Path 
     """Return the files that --joints names, or None for none; the readings of an arm in a ROS recording are read."""
     if not given or tuple(given) == (Path(NO_READINGS),):
         return None if given else ()
-    from dvrk_cmaes.recording.bag import is_bag, read_bag_joints
+    from dvrk_cmaes.recording.bag_paths import is_bag
 
-    return [read_bag_joints(path, arm) if path.exists() and is_bag(path) else path for path in given]
+    return [_bag_joints(path, arm) if path.exists() and is_bag(path) else path for path in given]
+
+
+def _bag_joints(path: Path, arm: str | None) -> JointFile:
+    """Return the readings of an arm in a ROS recording, whose reader is imported only for one."""
+    from dvrk_cmaes.recording.bag import read_bag_joints
+
+    return read_bag_joints(path, arm)
 
 
 @Parameter(name="*", group=INSTRUMENT)

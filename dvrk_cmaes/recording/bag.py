@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.frames.session_folder import is_session_layout
 from dvrk_cmaes.instrument.setup_joints import SETUP, setup_text
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import listed
@@ -23,6 +22,7 @@ from dvrk_cmaes.io.yaml_file import check_yaml
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import ECM_JOINTS, IN_ORDER, without_positions
 from dvrk_cmaes.joints.rows import JointFile, JointRow
+from dvrk_cmaes.recording.bag_paths import SUFFIXES_2
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp, stamped_pose
 from dvrk_cmaes.recording.pose_table import PoseTable
@@ -37,19 +37,6 @@ _LONGEST_QOS = 100_000  # characters of a value in metadata.yaml, which may hold
 _JUDGED = 50  # messages of images whose times tell whether a clock sets them
 _BLANK_STORAGE = re.compile(r"""^\s*storage_identifier:\s*(?:""|''|~|null)?\s*$""", re.MULTILINE)
 _LARGEST_MESSAGE, _LARGEST_IMAGE = 2**20, 400_000_000  # bytes
-
-SUFFIXES_2 = (".mcap", ".db3")
-SUFFIXES = (".bag", *SUFFIXES_2)
-"""Suffixes of ROS recordings; a recording may also be a folder."""
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path is a ROS recording: a file with its suffix, or a folder with such files that is no session."""
-    if not path.is_dir():
-        return path.suffix.lower() in SUFFIXES
-    if is_session_layout(path):
-        return False
-    return (path / "metadata.yaml").exists() or any(file.suffix in SUFFIXES_2 for file in path.iterdir())
 
 
 @contextmanager

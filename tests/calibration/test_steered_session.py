@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,6 +20,7 @@ from dvrk_cmaes.calibration.together import (
     arms_document,
     relative_bases,
     solved_together,
+    with_others,
 )
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
@@ -99,8 +101,16 @@ def test_arms_in_one_solution_share_the_endoscope(
     """Half of the frames as those of another arm: both tell the endoscope better than one, and how the bases lie."""
     _, frames = world
 
+    states = []
+
     def solving(own: list[SessionFrame], places: Sequence[Place]) -> Solving[SolvedSession]:
-        return (yield from solving_arm(own, bundled_body, config=QUICK, places=places))[0]
+        steps = solving_arm(own, bundled_body, config=QUICK, places=places)
+        states.append(next(steps))
+        others = yield states[-1]
+        with pytest.raises(StopIteration) as end:
+            steps.send(others)
+        solved: SolvedSession = end.value.value[0]
+        return solved
 
     both = solved_together({"PSM1": partial(solving, frames), "PSM2": partial(solving, frames[1::2])})
     found = {name: solved.calibration for name, solved in both.items()}
@@ -119,6 +129,15 @@ def test_arms_in_one_solution_share_the_endoscope(
     without = RelativeBase.between(found["PSM1"], found["PSM2"], np.zeros((6, 6)))
     assert (std <= np.sqrt(np.diag(without.covariance))).all()
     assert list(document["endoscope"]["arms"]) == ["PSM1", "PSM2"]
+    # an arm that tells the camera in the tip otherwise is not believed
+    one, other = states
+    calibration = other.solution.calibration
+    assert calibration.endoscope is not None
+    turned = calibration.endoscope.changed(0.6 * np.eye(len(calibration.endoscope.std))[3])
+    wrong = replace(other, found=replace(other.solution, calibration=replace(calibration, endoscope=turned)))
+    left = with_others(one, [wrong])
+    assert "another camera in the endoscope's tip" in left.notes.remarks[-1]
+    np.testing.assert_array_equal(left.problem.endoscope_prior, one.problem.endoscope_prior)
 
 
 def test_an_arm_that_fails_leaves_the_first_one_solved(
