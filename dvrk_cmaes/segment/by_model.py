@@ -61,7 +61,8 @@ _USUAL: Final = 95  # percentile of the scores along all axes, over which a cand
 _LOG_ODDS: Final = np.array([1.56, 1.73, 1.64, 0.95, 1.81, -7.18])
 """Of a candidate that is an instrument, for each of its measures and its margin, and in all.
 
-Fitted by ``scripts/segmentation.py fit 20 --seed 1000`` to drawn pictures.
+Fitted by ``scripts/segmentation.py fit 20 --seed 1000`` to drawn pictures, when both parts were compared with the whole
+band around the instrument, and not since: above 0.9 they promise too much.
 """
 _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of different instruments may share
 
