@@ -10,6 +10,7 @@
     python scripts/fuzz.py links                    # links in sessions, which lead out of them
     python scripts/fuzz.py cases                    # files as other laboratories have them
     python scripts/fuzz.py earlier --tries 100      # commands that are killed while they replace an earlier result
+    python scripts/fuzz.py together --tries 200     # two commands at once in one folder
 
 Prints the numbers of tries, refusals and violations by family; the exit code is 1 if there is a violation. Those are: a
 traceback or an internal error; anything but one line on stderr, or anything on stdout or written, with exit code 2; a
@@ -40,6 +41,7 @@ from measure.fuzz.lab_files import LabReport, fuzz_cases
 from measure.fuzz.links import fuzz_links
 from measure.fuzz.live_faults import LiveReport, fuzz_live
 from measure.fuzz.runs import SLOW, Outcome, Runner, in_a_process, in_this_process, stubbed
+from measure.fuzz.together import TogetherReport, fuzz_together
 from measure.fuzz.tracker import TrackerReport, fuzz_tracker
 
 LARGE = 1500.0  # MB
@@ -58,7 +60,7 @@ def main() -> int:
     parser.add_argument(
         "what",
         nargs="?",
-        choices=("inputs", "tracker", "live", "kills", "folders", "links", "earlier", "cases"),
+        choices=("inputs", "tracker", "live", "kills", "folders", "links", "earlier", "together", "cases"),
         default="inputs",
     )
     parser.add_argument("--tries", type=int, default=200, metavar="N", help="tries a family (default: %(default)s)")
@@ -71,14 +73,14 @@ def main() -> int:
     parser.add_argument("--fault", choices=FAULTS, action="append", help="of kills, only this one; may be repeated")
     arguments = parser.parse_args()
     if arguments.what != "inputs":
-        report: TrackerReport | LiveReport | KillReport | FolderReport | EarlierReport | LabReport
+        report: TrackerReport | LiveReport | KillReport | FolderReport | EarlierReport | TogetherReport | LabReport
         if arguments.what == "tracker":
             report = fuzz_tracker(arguments.steps, arguments.seed)
         elif arguments.what == "live":
             report = fuzz_live(arguments.tries, arguments.between)
         elif arguments.what == "cases":
             report = fuzz_cases(in_this_process)
-        elif arguments.what in ("folders", "links", "earlier"):
+        elif arguments.what in ("folders", "links", "earlier", "together"):
             report = _over_earlier_files(arguments.what, arguments.tries, arguments.seed)
         else:
             report = fuzz_kills(arguments.tries, arguments.seed, faults=arguments.fault or FAULTS)
@@ -103,14 +105,15 @@ def main() -> int:
     return 1 if violations else 0
 
 
-def _over_earlier_files(what: str, tries: int, seed: int) -> FolderReport | EarlierReport:
-    """Run commands on folders that have files: in this process, or, where they are killed, in processes."""
+def _over_earlier_files(what: str, tries: int, seed: int) -> FolderReport | EarlierReport | TogetherReport:
+    """Run commands on folders that have files: in this process, or, where two run or one is killed, in processes."""
     with tempfile.TemporaryDirectory() as place:
         material = Path(place, "material")
         material.mkdir()
         write_material(material)
-        if what == "earlier":
-            return fuzz_earlier(tries, seed, material, Path(place, "try"))
+        if what in ("earlier", "together"):
+            fuzz = fuzz_earlier if what == "earlier" else fuzz_together
+            return fuzz(tries, seed, material, Path(place, "try"))
         with stubbed(material):
             return (fuzz_links if what == "links" else fuzz_folders)(material, Path(place, "try"), in_this_process)
 

@@ -222,7 +222,7 @@ def _tasks(options: argparse.Namespace) -> list[TaskName]:
 
 def _numbers(options: argparse.Namespace) -> list[int]:
     """Return the numbers of the worlds."""
-    every = [world.number for world in table()]
+    every = [*table()]
     if options.numbers is None:
         return every[: options.worlds]
     _known("--numbers", options.numbers.split(","), {str(number): None for number in every})

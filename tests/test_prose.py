@@ -19,7 +19,7 @@ USE = [
     path
     for path in PAGES
     if path.stem in ("accuracy", "arms", "problems", "recordings", "segmentation", "sessions", "tracking", "live")
-    or path.stem in ("uncalibrated", "bench", "results", "exports", "testing", "formats")
+    or path.stem in ("uncalibrated", "bench", "results", "exports", "testing", "formats", "settings")
 ]
 FIRST_SCREEN = 40  # lines
 

@@ -131,7 +131,7 @@ def test_exports_are_explained_with_direction() -> None:
 
 def test_example_settings_are_valid() -> None:
     text = REFERENCE["settings"]
-    example = text[text.index("    seed = 3") : text.index("\nThe same input and the same seed")]
+    example = text[text.index("    seed = 3") : text.index("\nFlags win over the file")]
     config = updated(EstimateConfig(), tomllib.loads(textwrap.dedent(example)), where="settings.md")
     check_config(config)
     assert (config.seed, config.search.method, config.refine.method) == (3, "crs2", "bobyqa")

@@ -43,8 +43,11 @@ NOT_HERE = {
     ),
 }
 """Words of commands that cannot run here, and what they need; their options are checked."""
-WITH_OUTPUT = {"exports", "segmentation", "sessions", "testing", "tracking"}
-"""Pages whose first screen shows the output of its command."""
+WITH_OUTPUT = {"accuracy", "arms", "exports", "recordings", "results", "segmentation", "sessions"}
+WITH_OUTPUT |= {"settings", "testing"}
+"""Pages whose first screen shows the output of its command, which runs here."""
+ELSEWHERE = {"tracking": "the tutorial", "uncalibrated": "tests/cli/test_calibrate.py"}
+"""Pages whose first screen shows the output of a command that runs elsewhere."""
 OTHER_PROGRAMS = ("pip install ", "ros2 ", "rerun ", "hf download ", "make demo ", "python scripts/run_benchmark.py ")
 
 
@@ -88,7 +91,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     home = tmp_path_factory.mktemp("inputs")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
-        yield make_examples(home)
+        make_examples(home)
+        (settings,) = (each for each in TOML if each.page == "settings")
+        (home / "own.toml").write_text(settings.block.text)
+        yield home
     shutil.rmtree(home)
 
 
@@ -128,7 +134,7 @@ def test_every_block_is_known() -> None:
     assert [each.name for each in EXAMPLES if each not in [*known, *shells]] == []
     assert [len(kind) for kind in (PYTHON, TOML, LISTINGS, LINES, SHOWN)] == [3, 2, 1, 2, 1]
     assert len(COMMANDS) > 20
-    assert {each.page for each in OUTPUTS.values()} >= WITH_OUTPUT
+    assert {each.page for each in OUTPUTS.values()} >= {*WITH_OUTPUT, *ELSEWHERE}
     for each in COMMANDS:
         shell = each.block.text.startswith("$ ")  # followed by its output, which tests/test_readme.py compares
         others = [line for line in each.block.lines if line and not PROGRAM.match(line)] if not shell else []
@@ -141,8 +147,9 @@ def test_commands_run_as_printed(example: Example, request: pytest.FixtureReques
     commands = [line for line in example.block.commands if shown or line not in README]
     for command in commands:
         check_options(command)
-    if shown is not None and shown.page == "tracking":  # of the tutorial, whose test runs the command
-        assert shown.block.text in [block.text for block in blocks((PAGES / "tutorial.md").read_text(encoding="utf-8"))]
+    if shown is not None and shown.page in ELSEWHERE:
+        tutorial = [block.text for block in blocks((PAGES / "tutorial.md").read_text(encoding="utf-8"))]
+        assert shown.page != "tracking" or shown.block.text in tutorial
         shown = None
     said = ""
     if run_here := [line for line in commands if needed(line) is None]:

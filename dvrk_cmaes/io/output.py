@@ -25,6 +25,7 @@ import msgspec
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io.folder_lock import HELD, LOCK, locked
 from dvrk_cmaes.io.handles import Folder, not_written, opened_above
+from dvrk_cmaes.io.prepared_type import prepared
 
 RECORD: Final = ".written.json"
 JOURNAL: Final = ".written.new"
@@ -300,7 +301,7 @@ def _read_list(folder: Folder, path: Path) -> Written | None:
     data = folder.read(RECORD)
     if data is not None:
         try:
-            record = msgspec.json.decode(data, type=Written)
+            record = msgspec.json.decode(data, type=prepared(Written))
         except (msgspec.MsgspecError, RecursionError) as error:
             raise InputError(
                 f"{path / RECORD}: expected what an earlier run wrote, got another file ({error})"

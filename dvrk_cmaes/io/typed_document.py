@@ -17,6 +17,7 @@ from msgspec import Meta, ValidationError, convert
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.io.prepared_type import prepared
 from dvrk_cmaes.io.short_text import shown
 
 T = TypeVar("T")
@@ -85,7 +86,7 @@ def convert_document(where: str, document: object, kind: type[T], expected: Mapp
         value.
     """
     try:
-        return convert(document, kind, dec_hook=_read_array)
+        return convert(document, prepared(kind), dec_hook=_read_array)
     except _NOT_CONVERTED:
         name, value, wrong = _innermost_wrong("", document, kind)
         raise refused(where, name, _description(value, wrong, {**_EXPECTED, **(expected or {})}), value) from None

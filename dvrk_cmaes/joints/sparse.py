@@ -14,6 +14,7 @@ _LEAST_SPACING: Final = 0.03  # s, from which on readings may be too sparse; err
 _LEVER: Final = 0.01  # m, of the jaws about the shaft's axis
 _INSERTION, _ROLL = 2, 3  # places among the outer joints
 _MOST_OFF: Final = 4e-3  # m, by which readings may be off without doubt: what they are off widens the predictions
+_LARGEST_ERROR: Final = 1.0  # rad or m: readings of almost the same time tell any number, whose square spoils digits
 LEAST_ERROR: Final = 2e-4
 """Error of an interpolated reading, rad or m, from which on it counts beside the errors of readings themselves."""
 
@@ -57,7 +58,7 @@ class Sparseness:
         between = (seconds[1:] + seconds[:-1])[:, None] / 2
         bent = np.abs(np.diff(rates, axis=0) / between).max(axis=0)
         inside, beyond = (time - stamps[after - 1]) * (stamps[after] - time), max(time - stamps[after], 0.0)
-        error = bent * (max(inside, 0.0) / 2 + beyond * (beyond + 3 * spacing) / 2)
+        error = np.minimum(bent * (max(inside, 0.0) / 2 + beyond * (beyond + 3 * spacing) / 2), _LARGEST_ERROR)
         depth = abs(float(values[after, _INSERTION]))
         off = float(np.hypot(*error[:2])) * depth + float(error[_INSERTION]) + _LEVER * float(error[_ROLL])
         if off <= _MOST_OFF:

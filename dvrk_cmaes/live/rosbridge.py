@@ -19,6 +19,7 @@ from typing import Any, Final
 import msgspec
 
 from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.io.prepared_type import prepared
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Receive, Report, too_large
 
 _LONGEST_WAIT: Final = 2.0  # s, between attempts to connect
@@ -192,7 +193,7 @@ class RosbridgeConnection:
 def _read_operation(payload: bytes) -> tuple[_Operation, Callable[[], Any]]:
     """Read an operation without its message, and return a function that reads that too."""
     try:
-        operation = msgspec.json.decode(payload, type=_Operation)
+        operation = msgspec.json.decode(payload, type=prepared(_Operation))
     except msgspec.ValidationError:
         raise
     except msgspec.DecodeError:  # some servers write NaN, which is not JSON

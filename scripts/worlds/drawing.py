@@ -106,6 +106,7 @@ def _background(world: World, seed: int) -> Float32:
     return np.asarray(cv2.resize(tissue, world.size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
+@lru_cache(maxsize=1)
 def picture(world: World) -> Bool:
     """Return the pixels (H, W) inside the border."""
     width, height = world.size

@@ -6,6 +6,8 @@ Each of these depends on its arguments alone. The first call with them is the pr
 from __future__ import annotations
 
 import copy
+import hashlib
+import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,6 +17,7 @@ import pytest
 from cyclopts import App
 from cyclopts.argument import ArgumentCollection
 
+from dvrk_cmaes import segment as segmentation
 from dvrk_cmaes.instrument import Instrument, measure
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.silhouette import Body, prepare
@@ -25,11 +28,12 @@ _BODIES = 8
 
 @contextmanager
 def done_once() -> Iterator[None]:
-    """Assemble the options of a command once (10 ms), and measure and prepare instruments of one content (200 ms)."""
+    """Assemble a command's options (10 ms), measure and prepare an instrument (200 ms), segment an image (1 s) once."""
     with pytest.MonkeyPatch.context() as patch:
         _options_assembled_once(patch)
         _instruments_measured_once(patch)
         _instruments_prepared_once(patch)
+        _images_segmented_once(patch)
         yield
 
 
@@ -84,3 +88,19 @@ def _instruments_prepared_once(patch: pytest.MonkeyPatch) -> None:
         return known[key]
 
     patch.setattr(prepare, "body_of_instrument", prepared)
+
+
+def _images_segmented_once(patch: pytest.MonkeyPatch) -> None:
+    """Let commands, which import the function when they run, segment an image once; its own tests have the original."""
+    segment = segmentation.segment
+    known: dict[str, segmentation.Segmentation] = {}
+
+    def segmented(image: Any, *, instrument: Any = None, **options: Any) -> segmentation.Segmentation:
+        if instrument != "lnd" or options.get("weights") is not None:
+            return segment(image, instrument=instrument, **options)
+        key = hashlib.sha256(pickle.dumps((image, sorted(options.items())))).hexdigest()
+        if key not in known:
+            known[key] = segment(image, instrument=instrument, **options)
+        return replace(known[key], mask=known[key].mask.copy())
+
+    patch.setattr(segmentation, "segment", segmented)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -139,3 +141,33 @@ def test_every_damaged_value_is_converted_or_refused() -> None:
             document = {**good, name: value}
             text = refusal(lambda document=document: convert_document("a.json", document, Whole))
             assert not text or "expected" in text
+
+
+THREADS = """
+import sys
+from threading import Barrier, Thread
+from msgspec import defstruct
+from dvrk_cmaes.io.typed_document import convert_document
+
+sys.setswitchinterval(1e-6)
+document = {f"of{k}": {f"in{j}": {"a": 1.0} for j in range(20)} for k in range(5)}
+for number in range(100):
+    inner = defstruct(f"Inner{number}", [(f"in{k}", dict[str, float | None]) for k in range(20)])
+    outer = defstruct(f"Outer{number}", [(f"of{k}", inner) for k in range(5)])
+    together = Barrier(4)
+
+    def read():
+        together.wait()
+        convert_document("a.json", document, outer)
+
+    threads = [Thread(target=read) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+"""
+
+
+def test_threads_that_read_the_first_documents_of_a_class_do_not_crash() -> None:
+    ran = subprocess.run([sys.executable, "-c", THREADS], capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stderr) == (0, "")

@@ -70,3 +70,11 @@ def test_dense_readings_are_not_too_sparse_whatever_a_single_one_says() -> None:
 
 def test_too_few_readings_say_nothing() -> None:
     assert Sparseness.of(np.array([0.0, 0.1]), np.zeros((2, 4)), 0.05).reason == ""
+
+
+def test_two_readings_of_almost_the_same_time_state_no_boundless_error() -> None:
+    stamps = np.array([0.0, 0.1, 0.2, 0.2 + 1e-12, 0.4])
+    values = np.outer([0.0, 0.01, 0.02, 0.03, 0.04], np.ones(4))
+    found = Sparseness.of(stamps, values, 0.3)
+    assert found.error.max() == 1.0
+    assert found.reason.startswith("readings too sparse: every 200 ms")

@@ -262,6 +262,29 @@ def test_view_of_the_file_system_sees_files_that_are_changed(material: Path, tmp
 def test_killed_run_leaves_the_earlier_result_or_the_new_one(material: Path, tmp_path: Path) -> None:
     from measure.fuzz.earlier import fuzz_earlier
 
-    report = fuzz_earlier(3, 0, material, tmp_path / "try", ("segment",))
+    report = fuzz_earlier(3, 0, material, tmp_path / "try", ("import",))
     assert report.earlier + report.new == 3
     assert report.violations == []
+
+
+def test_two_commands_at_once_leave_what_each_alone_would(material: Path, tmp_path: Path) -> None:
+    from measure.fuzz.together import fuzz_together
+
+    report = fuzz_together(1, 0, material, tmp_path / "try", ("estimate of two frames",))
+    assert report.violations == []
+    assert (report.tries.total(), report.refused) == (1, 0)
+
+
+@pytest.mark.usefixtures("material")
+def test_files_that_no_list_names_or_that_differ_from_it_are_seen(tmp_path: Path) -> None:
+    from measure.fuzz.together import list_faults
+
+    from dvrk_cmaes.io.output import output, write_bytes
+
+    with output(tmp_path / "made", "estimate"):
+        write_bytes(tmp_path / "made" / "a.json", b"{}")
+    assert list_faults(tmp_path / "made") == []
+    (tmp_path / "made" / "a.json").write_bytes(b"[]")
+    (tmp_path / "made" / "b.json").write_bytes(b"{}")
+    (tmp_path / "made" / ".written.new").write_bytes(b"")
+    assert list_faults(tmp_path / "made") == ["not as the list says: a.json, b.json", ".written.new is left"]

@@ -1,4 +1,4 @@
-"""Commands that are killed or run twice at once, without disk or streams, or with their clock set back.
+"""Commands that are killed, without disk or streams, or with their clock set back.
 
 After a few faults in the same folder, the command is run to its end: it must end well, and the files must be those of a
 run without a fault. Before that, all documents and pictures must be whole, and no process may be left.
@@ -48,7 +48,7 @@ COMMANDS: Final[dict[str, tuple[list[str], str]]] = {
 """Command lines, and the file or folder that each writes, in the folder of the material."""
 
 KILLS: Final = ("kill", "kill worker", "kill both", "terminate")
-FAULTS: Final = (*KILLS, "full disk", "clock", "twice", "closed")
+FAULTS: Final = (*KILLS, "full disk", "clock", "closed")
 _OF_WORKERS: Final = ("kill worker", "kill both")
 _WITH_WORKERS: Final = ("batch", "calibrate")
 _IN_A_ROW: Final = 4  # faults, at most
@@ -169,8 +169,6 @@ def _suffer(place: Path, usual: _Undisturbed, fault: str, chance: random.Random)
         case "closed":
             ended = _run(place, name, closed=True)
             return [] if ended.code in _DONE else [f"exit code {ended.code}"]
-        case "twice":
-            return _twice(place, name, chance.uniform(0, usual.seconds))
     return _killed(place, name, fault, chance.uniform(0, usual.seconds))
 
 
@@ -243,17 +241,6 @@ def _killed(place: Path, name: str, fault: str, seconds: float) -> list[str] | N
         return [f"{len(left)} processes are left"]
     said = (place / "stderr.txt").read_text()
     return ["a traceback" + said[-_SHOWN:]] if "Traceback" in said else []
-
-
-def _twice(place: Path, name: str, seconds: float) -> list[str]:
-    """Start a command while it runs already; each ends well, or with one line about the other."""
-    first = _start(place, name)
-    time.sleep(seconds)
-    second = _run(place, name)
-    first.wait(_LONGEST)
-    if "Traceback" in second.err:
-        return ["a traceback: " + second.err[-_SHOWN:]]
-    return [] if second.code in (*_DONE, 1, 2) else [f"exit code {second.code} of the second"]
 
 
 def _group(leader: int) -> list[psutil.Process]:
