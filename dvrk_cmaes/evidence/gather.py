@@ -204,7 +204,7 @@ def shrunk(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.fl
 
 def window_around(mask: NDArray[np.bool_], margin: int) -> tuple[int, int, int, int]:
     """Return left, top, width and height, px, of the bounding box of a non-empty mask, with a margin, in the image."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    top, bottom = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, mask.shape[0])
-    left, right = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, mask.shape[1])
-    return int(left), int(top), int(right - left), int(bottom - top)
+    first, highest, wide, high = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
+    left, top = max(first - margin, 0), max(highest - margin, 0)
+    right, bottom = min(first + wide + margin, mask.shape[1]), min(highest + high + margin, mask.shape[0])
+    return left, top, right - left, bottom - top

@@ -88,9 +88,10 @@ def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
     The distance transforms are of the part of the image that has both: the nearest pixels of either kind are in it.
     """
     height, width = silhouette.shape
-    rows, columns = np.flatnonzero(silhouette.any(axis=1)), np.flatnonzero(silhouette.any(axis=0))
-    low = np.minimum([columns[0], rows[0]], np.floor(pixels.min(axis=0, initial=np.inf))) - _AROUND
-    high = np.maximum([columns[-1], rows[-1]], np.ceil(pixels.max(axis=0, initial=-np.inf))) + _AROUND + 1
+    first, highest, wide, tall = cv2.boundingRect(np.ascontiguousarray(silhouette).view(np.uint8))
+    low = np.minimum([first, highest], np.floor(pixels.min(axis=0, initial=np.inf))) - _AROUND
+    last = [first + wide - 1, highest + tall - 1]
+    high = np.maximum(last, np.ceil(pixels.max(axis=0, initial=-np.inf))) + _AROUND + 1
     left, top = np.clip(low, 0, [width, height]).astype(int)
     right, bottom = np.clip(high, 0, [width, height]).astype(int)
     part = np.ascontiguousarray(silhouette[top:bottom, left:right])

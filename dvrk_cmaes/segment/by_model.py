@@ -9,7 +9,7 @@ Nothing is drawn by chance. What a picture tells of a candidate is in `appearanc
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -61,8 +61,11 @@ _USUAL: Final = 95  # percentile of the scores along all axes, over which a cand
 _LOG_ODDS: Final = np.array([1.56, 1.73, 1.64, 0.95, 1.81, -7.18])
 """Of a candidate that is an instrument, for each of its measures and its margin, and in all.
 
-Fitted by ``scripts/segmentation.py fit 20 --seed 1000`` to drawn pictures.
+Fitted by ``scripts/segmentation.py fit 20 --seed 1000`` to drawn pictures, when both parts were compared with the whole
+band around the instrument, and not since: above 0.9 they promise too much.
 """
+_CLEARLY: Final = 0.5  # by which a score is above that of another silhouette of the instrument, to be surely right
+_UNDECIDED: Final = 0.75  # confidence, at most, of a candidate that is not
 _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of different instruments may share
 
 
@@ -71,18 +74,21 @@ class Candidate:
     """An instrument found in a picture: where it is, and its silhouette (h, w).
 
     score : what the search makes large. measures : those of `appearance.Scores.measures`, (4,), and the margin of the
-    score over that of most places, from which its confidence follows.
+    score over that of most places, from which its confidence follows. rival : score of the best other silhouette of the
+    same instrument.
     """
 
     at: Posed
     score: float
     measures: Float64
     silhouette: Bool
+    rival: float = -np.inf
 
     @property
     def confidence(self) -> float:
-        """Probability that it is an instrument."""
-        return float(1 / (1 + np.exp(-_log_odds(self.measures))))
+        """Probability that it is an instrument, and this its silhouette."""
+        chance = float(1 / (1 + np.exp(-_log_odds(self.measures))))
+        return chance if self.score - self.rival > _CLEARLY else min(chance, _UNDECIDED)
 
 
 def _log_odds(measures: Float64) -> NDArray[Any]:
@@ -139,11 +145,11 @@ def find_instruments(
     groups = _grouped(tried, scored, renderer, _TURNED // len(every.pose))
     if not groups:
         return []
-    found = [turned(tried[group], every) for group in groups]
-    begin = Posed.stacked([each[k] for each, own in found for k in _starts(each, own, len(every), coarse)])
+    tries = [turned(tried[group], every) for group in groups]
+    begin = Posed.stacked([each[k] for each, own in tries for k in _starts(each, own, len(every), coarse)])
     scale = np.concatenate([_SCALE, np.where(np.isnan(read), 0.35, 0.08)])
 
-    def best_of_each(at: Posed, most: int, ends: int = 1) -> list[Candidate]:
+    def best_of_each(at: Posed, most: int, ends: int) -> list[list[Candidate]]:
         scores, masks = appearance.scores(at), renderer.masks(at.pose, at.joints)
         measures = np.c_[scores.measures, scores.total - usual]
         kept: list[list[Candidate]] = []
@@ -154,19 +160,21 @@ def find_instruments(
                 kept.append([found])
             elif own is not None and len(own) < ends and not any(_are_alike(found, each) for each in own):
                 own.append(found)
-        return [found for own in kept for found in own]
+        return kept
 
     varied = [_varied(begin[[k]]) for k in range(len(begin))]
     begin = Posed.stacked([each[int(appearance.scores(each).total.argmax())] for each in varied])
     for passes, ends in zip(_PASSES[:2], _ENDS, strict=True):
-        first = best_of_each(_optimised(appearance, begin, scale, passes), _INSTRUMENTS, ends)
-        if not first:
+        kept = best_of_each(_optimised(appearance, begin, scale, passes), _INSTRUMENTS, ends)
+        if not kept:
             return []
+        first = [found for own in kept for found in own]
         begin = Posed.stacked([each.at for each in first])
     slid = [_slid(each.at, _ROLLS[0]) for each in first]
     begin = Posed.stacked([each[int(appearance.scores(each).total.argmax())] for each in slid])
-    last = best_of_each(_optimised(appearance, begin, scale, _PASSES[2]), most)
-    return sorted(last, key=lambda each: -each.confidence)
+    last = best_of_each(_optimised(appearance, begin, scale, _PASSES[2]), most, 2)
+    found = [replace(own[0], rival=own[1].score) if len(own) > 1 else own[0] for own in last]
+    return sorted(found, key=lambda each: -each.confidence)
 
 
 def _optimised(by: Appearance, begin: Posed, scale: Float64, passes: int) -> Posed:
