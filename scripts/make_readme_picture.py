@@ -29,10 +29,10 @@ from dvrk_cmaes.silhouette.prepare import prepare
 
 FRAME = "0001"
 WIDTH = 720  # px
-QUALITY = 50  # of the JPEG, 0 to 100
+QUALITY = 45  # of the JPEG, 0 to 100
 
 FOLLOWED_WIDTH = 480  # px
-FOLLOWED_QUALITY = 24  # of the WebP, 0 to 100
+FOLLOWED_QUALITY = 18  # of the WebP, 0 to 100
 FOLLOWED_EVERY = 3  # of the frames that were followed
 FOLLOWED_MS = 200  # between two images; 30 images a second, every sixth one
 
