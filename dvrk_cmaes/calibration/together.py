@@ -237,7 +237,7 @@ def against_setup(
     ``setup`` are the poses (4, 4) of the arms' bases in one frame, m, by name.
     """
     found = {}
-    for arm in bases.keys() & setup.keys() if reference in setup else ():
+    for arm in (arm for arm in bases if {arm, reference} <= setup.keys()):
         off = change_between(bases[arm].reference_from_base, inverse(setup[reference]) @ setup[arm])
         expected = np.hypot(np.sqrt(np.diag(bases[arm].covariance)), _SETUP_STD)
         off_mm, off_deg = 1e3 * float(np.linalg.norm(off[:3])), float(np.degrees(np.linalg.norm(off[3:])))
