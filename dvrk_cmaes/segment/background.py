@@ -17,15 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
-from dvrk_cmaes.evidence.outline_noise import signed_distance
-from dvrk_cmaes.segment.around import log_odds_beyond, shrunk, size_within
 from dvrk_cmaes.segment.colours import measure_colours
-from dvrk_cmaes.segment.confidence import assess_mask
+from dvrk_cmaes.segment.confidence import GUESS, assess_mask
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
-from dvrk_cmaes.segment.segmentation import Segmentation, noted
+from dvrk_cmaes.segment.segmentation import Segmentation
 from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
 
 Bool = NDArray[np.bool_]
@@ -60,7 +58,6 @@ _WEIGHT: Final = 4.0
 _EDGE: Final = 2.5  # px by which the outline is moved to an edge, at most
 _WINDOW: Final = 0.06  # of the longer side, about the mask, in which it is assessed
 _SMALLEST: Final = 8  # px, shorter side to which a smooth background is fitted
-_SURFACE: Final = 160  # px, longer side at which it is fitted
 _SURFACE_PASSES: Final = 8
 _NEAR_SURFACE: Final = 0.05  # logarithm of brightness
 _LEAST_SURFACE: Final = 0.4  # share of the pixels that a smooth background fits
@@ -74,7 +71,7 @@ def learn_background(images: Sequence[Image]) -> Image | None:
     """
     if len(images) < FEWEST or len({image.shape for image in images}) > 1:
         return None
-    stack = np.stack([shrunk(image, size_within(image.shape, _FINEST)[0]) for image in images])
+    stack = np.stack([_reduced(image) for image in images])
     found, spread = np.empty(stack.shape[1:], np.uint8), np.empty(stack.shape[1:3], np.float32)
     for rows in _blocks(stack.shape[1]):
         found[rows], spread[rows] = _closest_values(stack[:, rows])
@@ -90,7 +87,7 @@ def learn_background(images: Sequence[Image]) -> Image | None:
 
 def smooth_background(image: Image) -> Image | None:
     """Fit a smooth background to one image (H, W, 3) uint8 BGR; None if it does not fit 40 % of the pixels."""
-    small = shrunk(image, size_within(image.shape, _SURFACE)[0])
+    small = _reduced(image, 160)
     height, width = small.shape[:2]
     if min(height, width) < _SMALLEST:
         return None
@@ -110,7 +107,7 @@ def smooth_background(image: Image) -> Image | None:
     return np.asarray(np.clip(surface + 0.5, 0, 255), np.uint8)
 
 
-def segment_before(image: Image, background: Image, prompts: Prompts, silhouette: Bool | None = None) -> Segmentation:
+def segment_before(image: Image, background: Image, prompts: Prompts, odds: Float32 | None = None) -> Segmentation:
     """Segment what is before a background.
 
     Parameters
@@ -121,8 +118,8 @@ def segment_before(image: Image, background: Image, prompts: Prompts, silhouette
         (h, w, 3), of any size.
     prompts
         Prompts in pixels of the image.
-    silhouette
-        (H, W), neither empty nor full, around which the instrument is; by default the shaft's sides tell where.
+    odds
+        (H, W), additional log-odds of instrument, as those of a silhouette; by default those of the shaft's sides.
     """
     height, width = image.shape[:2]
     longer = max(height, width)
@@ -141,7 +138,6 @@ def segment_before(image: Image, background: Image, prompts: Prompts, silhouette
     smooth = cv2.GaussianBlur(np.stack([np.log(image.mean(axis=2) + _DARK), ratio], axis=-1)[near], (0, 0), 1.0)
     guide = np.asarray(smooth, np.float32)
     inside = prompts.within(near)
-    odds = None if silhouette is None else log_odds_beyond(signed_distance(silhouette))
     for _ in range(_CUTS):
         known = shaft_log_odds(mask) if odds is None else odds
         total = by_ratio if known is None else by_ratio + np.clip(known, -_LARGEST_PRIOR, _LARGEST_PRIOR)
@@ -162,8 +158,8 @@ def segment_before(image: Image, background: Image, prompts: Prompts, silhouette
     window = _window(mask, max(round(_WINDOW * longer), 2))
     colours = measure_colours(np.ascontiguousarray(image[window]))
     verdict = assess_mask(mask, window, by_ratio[window], colours, prompts=prompts)
-    score = np.asarray(1 / (1 + np.exp(-total)), np.float32)
-    return noted(Segmentation(mask, score, verdict.confidence, verdict.notes))
+    notes = verdict.notes if verdict.confidence >= GUESS else ("a guess", *verdict.notes)
+    return Segmentation(mask, np.asarray(1 / (1 + np.exp(-total)), np.float32), verdict.confidence, notes)
 
 
 def _closest_values(stack: Image) -> tuple[Image, Float32]:
@@ -231,6 +227,15 @@ def _most_frequent(values: NDArray[np.float64]) -> float:
     counts, edges = np.histogram(values, bins=40)
     fullest = int(counts.argmax())
     return float(edges[fullest : fullest + 2].mean())
+
+
+def _reduced(image: Image, longest: int = _FINEST) -> Image:
+    """Return an image at a size of at most some pixels."""
+    scale = longest / max(image.shape)
+    if scale >= 1:
+        return image
+    size = max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _blocks(rows: int) -> Iterator[slice]:

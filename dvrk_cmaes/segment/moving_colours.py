@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.segment.around import shrunk, size_within
 from dvrk_cmaes.segment.colours import measure_colours
 
 Bool = NDArray[np.bool_]
@@ -58,4 +57,8 @@ def moving_pixels(images: Sequence[Image]) -> list[tuple[Image, Bool]] | None:
 
 def reduced(image: Image) -> Image:
     """Return an image at the size at which images are compared."""
-    return shrunk(image, size_within(image.shape, _REDUCED)[0])
+    scale = _REDUCED / max(image.shape)
+    if scale >= 1:
+        return image
+    size = max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

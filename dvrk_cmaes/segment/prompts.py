@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -108,7 +107,7 @@ def draw_prompts(
     if box is not None:
         scaled = (*at(*box[:2]), *at(*box[2:]))
         outside = np.ones((height, width), np.bool_)
-        rows, columns = (slice(math.ceil(max(scaled[k] - 0.5, 0)), int(scaled[k + 2] + 1.5)) for k in (1, 0))
+        rows, columns = (slice(int(max(scaled[k] - 0.5, 0)), int(scaled[k + 2] + 1.5)) for k in (1, 0))
         outside[rows, columns] = False
         background = outside if background is None else background | outside
     return Prompts(background, discs(points), tuple(at(*pixel) for pixel in points), scaled)

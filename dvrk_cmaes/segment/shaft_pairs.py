@@ -28,7 +28,6 @@ _ALIGNED: Final = np.cos(np.deg2rad(3.0))  # of segments on one line
 _NEAR: Final = 0.006  # of the longer side, from a line to the ends of segments on it
 _PARALLEL: Final = np.cos(np.deg2rad(17.0))  # of the two lines of a pair
 _DEPTHS: Final = 0.035, 0.45  # m, of the axis
-_NEAREST, _FARTHEST = 0.015, 0.5  # m, between which the instrument is looked for along it
 _NARROWEST: Final = 4.0  # px, width of a shaft
 _LEAST_OVERLAP: Final = 0.7  # of the width, of the stretch that has both lines
 _AT_EDGE: Final = 3.0  # px beside what is outside the picture, whose own edge is no shaft's
@@ -201,24 +200,34 @@ def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Fl
     focals, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     base = (across(upper) + across(lower)) / 2 * normal
 
-    def places(at: Float64) -> Float64:
-        """Return coordinates (N,), m, on the axis of its points nearest to the rays of places (N,) along the pair."""
-        pixels = (base + at[:, None] * along - centre) / focals
-        rays = np.concatenate([pixels, np.ones((len(at), 1))], axis=1)
-        away = np.cross(rays, np.cross(direction, rays))
-        return np.asarray(-(away @ point) / (away @ direction))
+    def place(at: float) -> float:
+        """Return the coordinate, m, on the axis of its point nearest to the ray of a place along the pair, px."""
+        ray = np.array([*((base + at * along - centre) / focals), 1.0])
+        away = np.cross(ray, np.cross(direction, ray))
+        return float(-(away @ point) / (away @ direction))
 
     if abs(direction[2]) > np.cos(np.deg2rad(4.0)):
         return None
-    # the stretch within the picture and before the camera: beyond its vanishing point an axis is behind it
+    # the stretch within the picture
     corners = np.array([[0, 0], [limits[0], 0], [0, limits[1]], limits]) @ along
-    steps = np.append(np.linspace(corners.min(), corners.max(), 200), middle)
+    steps = np.linspace(corners.min(), corners.max(), 200)
     pixels = base + steps[:, None] * along
-    seen = places(steps)
-    depths = point[2] + seen * direction[2]
-    if not _DEPTHS[0] < depths[-1] < _DEPTHS[1]:
+    seen = steps[((pixels >= 0) & (pixels <= limits)).all(axis=1)]
+    if len(seen) < 2:
         return None
-    kept = seen[((pixels >= 0) & (pixels <= limits)).all(axis=1) & (depths > _NEAREST) & (depths < _FARTHEST)]
-    if len(kept) < 2:
+    begin, end = sorted((place(float(seen[0])), place(float(seen[-1]))))
+    depths = [(point + at * direction)[2] for at in (begin, end, place(middle))]
+    if not _DEPTHS[0] < depths[2] < _DEPTHS[1]:
         return None
-    return Pair(direction, point, float(kept.min()), float(kept.max()), overlap + 0.25 * (high - low))
+    begin, end = _before_camera(direction, point, begin, end, place(middle))
+    return Pair(direction, point, begin, end, overlap + 0.25 * (high - low))
+
+
+def _before_camera(direction: Float64, point: Float64, begin: float, end: float, middle: float) -> tuple[float, float]:
+    """Limit a stretch of an axis to what is at least 15 mm before the camera."""
+    if abs(direction[2]) < 1e-6:
+        return begin, end
+    nearest = (0.015 - point[2]) / direction[2]
+    if direction[2] > 0:
+        return max(begin, nearest), max(end, middle)
+    return min(begin, middle), min(end, nearest)
