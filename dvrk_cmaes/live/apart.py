@@ -85,9 +85,11 @@ class TrackerApart:
         return result
 
     def before_step(self, time: float) -> None:
-        """Do nothing: the process does what is due before and after a step with it."""
+        """Do nothing: the process does what is due before a step with it."""
 
-    after_step = before_step
+    def after_step(self, time: float) -> None:
+        """Begin what is due after the step to a time, s."""
+        self._ask(_after, time)
 
     def close(self) -> None:
         """End the process, whatever it is at."""
@@ -152,9 +154,12 @@ def _step(
         except InputError as error:
             _LINES.append(str(error))
     own.before_step(time)
-    result = own.tracker.step(time, mask, image, ignore)
-    own.after_step(time)
-    return _answer(result)
+    return _answer(own.tracker.step(time, mask, image, ignore))
+
+
+def _after(time: float) -> _Answer:
+    _OWN[0].after_step(time)
+    return _answer()
 
 
 def _answer(result: TrackResult | None = None) -> _Answer:

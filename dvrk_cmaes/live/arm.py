@@ -138,11 +138,10 @@ class LiveArm:
                 self._report(str(error))
         return left_out
 
-    def start(self, frame: LiveFrame, arrays: Decoded, done: Callable[[object], None]) -> None:
-        """Begin to follow a frame; calls ``done`` in some thread when that is done."""
+    def start(self, frame: LiveFrame, arrays: Decoded) -> None:
+        """Begin to follow a frame."""
         self._began = self._now()
         self._result = self._run(partial(self._step, frame, arrays))
-        self._result.add_done_callback(done)
 
     @property
     def runs(self) -> bool:

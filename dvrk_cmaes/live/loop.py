@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from threading import Event
 from typing import Final
 
@@ -80,7 +79,6 @@ class LiveLoop:
         self._late: tuple[float, float] | None = None  # since when newer frames are waited for, and how late they were
         self._held: LiveFrame | None = None  # the newest of these, which is followed if there is no newer one
         self._not_before = 0.0
-        self._started: tuple[LiveFrame, Decoded, list[LiveArm]] | None = None  # the arms whose steps go on elsewhere
         if rig is not None:
             self._use(rig)
 
@@ -94,21 +92,15 @@ class LiveLoop:
         started = self._inputs.now()
         while not stop.is_set() and (self.began or self._inputs.now() - started < begin_within):
             self.turn(_WAIT)
-        self.finish()
         return self.counts
 
     def turn(self, wait: float = 0.0) -> None:
-        """Follow the newest frame, if one comes within ``wait``, s, and state how it goes.
-
-        Steps in other processes may go on after it, while the next frame is waited for and decoded.
-        """
+        """Follow the newest frame, if one comes within ``wait``, s, and state how it goes."""
         rig = self._inputs.rigs.take(0.0)
         if rig is not None and self._given is None:
             self._use(rig)
-        frame = self._inputs.frames.take(wait, self._has_finished)
+        frame = self._inputs.frames.take(wait)
         silent = self._inputs.report_silence()
-        if self._has_finished():
-            self.finish(silent)
         if self._stated is not None:
             if frame is not None:
                 self._take(frame, self._stated, silent)
@@ -156,7 +148,6 @@ class LiveLoop:
         if judged.line:
             self._report(f"{frame.topic}: {judged.line}")
         if judged.restarts:
-            self.finish(silent)
             self._times, self._ages = ImageTimes(), Ages()
             self._restart()
         if not judged.used:
@@ -172,7 +163,6 @@ class LiveLoop:
         self._held = None
         try:
             arrays = frame.decoded(grey=not (any(arm.draws for arm in self._arms) or not frame.topics.masked))
-            self.finish(silent)
             self._fit(arrays.sizes, stated, frame.topic)
         except InputError as error:
             self._report(str(error))
@@ -182,11 +172,15 @@ class LiveLoop:
             self._times.follow(frame.time)
 
     def _follow(self, frame: LiveFrame, arrays: Decoded, silent: tuple[str, ...]) -> bool:
-        """Give readings and a frame to the trackers; returns whether the frame was or is being followed.
+        """Give readings and a frame to the trackers; returns whether the frame was followed.
 
         Where the time is too short for all arms, those are followed that have waited longest.
         """
         began, followed, running = self._inputs.now(), False, list[LiveArm]()
+
+        def age() -> float:
+            return self._ages.age(frame.time, self._inputs.now())
+
         for arm in self._arms:
             self.counts.refused += arm.add_readings(self._inputs.readings[arm.name].take_all(), frame.time)
         for arm in sorted(self._arms, key=lambda arm: arm.stepped):
@@ -195,46 +189,27 @@ class LiveLoop:
                 took = f"{1e3 * steps:.0f} ms, more than {1e3 * _BUDGET:.0f}"
                 self._report(f"arms take turns: the steps of all take {took}")
                 continue
-            arm.start(frame, arrays, self._inputs.frames.wake)
+            arm.start(frame, arrays)
             if arm.runs:
                 running.append(arm)
             else:
-                followed |= self._publish(arm, frame, arrays, silent)
-        if running:
-            self._started = frame, arrays, running
-        else:
-            self._count(frame, followed=followed)
-        return followed or bool(running)
-
-    def _has_finished(self) -> bool:
-        """Return whether there are steps that went on elsewhere, and all of them are done."""
-        return self._started is not None and not any(arm.runs for arm in self._started[2])
-
-    def finish(self, silent: tuple[str, ...] = ()) -> None:
-        """Wait for the steps that go on elsewhere, if there are any, and publish what they have found."""
-        if self._started is not None:
-            frame, arrays, running = self._started
-            self._started = None
-            published = [self._publish(arm, frame, arrays, silent) for arm in running]
-            self._count(frame, followed=any(published))
-
-    def _count(self, frame: LiveFrame, *, followed: bool) -> None:
-        """Count a frame, and note how old it is."""
+                followed |= self._finish(arm, frame, arrays, age, silent)
+        for arm in running:
+            followed |= self._finish(arm, frame, arrays, age, silent)
         self.counts.published = sum(arm.published for arm in self._arms)
         self.counts.followed += followed
         self.counts.refused += not followed
         if followed:
-            self._latest.append(self._age(frame))
+            self._latest.append(age())
             if self._latest[-1] > OLD:
                 self._report(f"images are {self._latest[-1]:.1f} s old: this computer, or the way here, is too slow")
+        return followed
 
-    def _age(self, frame: LiveFrame) -> float:
-        """Return the age of a frame's images now, s."""
-        return self._ages.age(frame.time, self._inputs.now())
-
-    def _publish(self, arm: LiveArm, frame: LiveFrame, arrays: Decoded, silent: tuple[str, ...]) -> bool:
+    def _finish(
+        self, arm: LiveArm, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: tuple[str, ...]
+    ) -> bool:
         """Publish what an arm that was started has found; returns whether the frame was followed."""
-        followed, anew = arm.finish(frame, arrays, partial(self._age, frame), silent)
+        followed, anew = arm.finish(frame, arrays, age, silent)
         if anew and self._rig is not None:
             arm.begin(self._rig)
             self.counts.restarts += 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from threading import Condition
 from typing import Generic, TypeVar
 
@@ -23,16 +22,10 @@ class Mailbox(Generic[T]):
             self._values.append(value)
             self._changed.notify()
 
-    def wake(self, *_: object) -> None:
-        """Let `take` look again whether it is to wait any longer."""
+    def take(self, timeout: float) -> T | None:
+        """Take the newest value and drop the others; None if there is none within ``timeout``, s."""
         with self._changed:
-            self._changed.notify()
-
-    def take(self, timeout: float, unless: Callable[[], bool] = lambda: False) -> T | None:
-        """Take the newest value and drop the others; None if there is none within ``timeout``, s, or ``unless``."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._values or unless(), timeout)
-            if not self._values:
+            if not self._changed.wait_for(lambda: self._values, timeout):
                 return None
             newest = self._values[-1]
             self._values.clear()

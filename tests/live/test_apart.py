@@ -63,7 +63,6 @@ def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None
             data = {arm: np.asarray(255 * world.masks[k], np.uint8).tobytes() for arm, world in ARMS.items()}
             stage.send(stamp, {MASKS[arm]: {"header": header(stamp), **size, "data": data[arm]} for arm in ARMS})
             loop.turn()
-            loop.finish()
         started = workers(others)
     _, alive = psutil.wait_procs(started, 30)  # those that solve keyframes are not killed, but end with their arm's
     assert not alive

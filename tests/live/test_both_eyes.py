@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from threading import Timer
 from typing import Any
 
 import numpy as np
@@ -69,7 +66,6 @@ class Robot:
     rig: Rig | None = None
     seconds: float = 0.0
     rectified: bool = False
-    run: Callable[[Callable[[], Any]], Future[Any]] | None = None
     clock: Clock = field(default_factory=Clock)
     wire: Wire = field(default_factory=Wire)
     lines: list[str] = field(default_factory=list)
@@ -89,7 +85,7 @@ class Robot:
             return self.trackers[arm][-1]
 
         outputs = Outputs(self.wire, FrameNames(arm, "camera", f"{arm}_base"))
-        return LiveArm(arm, make, outputs, self.lines.append, self.clock, run=self.run)
+        return LiveArm(arm, make, outputs, self.lines.append, self.clock)
 
     def send(self, topic: str, fields: Mapping[str, Any]) -> None:
         self.wire.receivers[topic](fields)
@@ -278,33 +274,6 @@ def test_camera_that_changes_begins_anew_with_a_line(change: str) -> None:
         "begins anew"
     )
     assert robot.loop.counts.restarts == 1
-
-
-def test_steps_elsewhere_go_on_while_the_next_frame_is_decoded() -> None:
-    begun = deque[tuple[Callable[[], Any], Future[Any]]]()
-
-    def begin(step: Callable[[], Any]) -> Future[Any]:
-        begun.append((step, Future()))
-        return begun[-1][1]
-
-    def end() -> None:
-        for _ in ARMS:
-            step, result = begun.popleft()
-            result.set_result(step())
-
-    robot = Robot(MASKED, pair(), run=begin)
-    for k in range(3):
-        masks_at(robot, k / 10)
-        if k > 0:
-            Timer(0.02, end).start()  # of the steps to the frame before, for which this one's wait
-        robot.loop.turn()
-        assert len(robot.published("/dvrk_cmaes/PSM1/camera_from_root")) == robot.loop.counts.followed == k
-    end()
-    robot.loop.turn(60.0)  # which waits for no frame, as the steps are done
-    assert robot.loop.counts.followed == 3
-    assert [[step[0] for step in robot.trackers[arm][0].steps] for arm in ARMS] == [
-        pytest.approx([BEGIN / SECOND + k / 10 for k in range(3)])
-    ] * 2
 
 
 def test_images_of_half_the_cameras_size_are_followed_with_a_line() -> None:
