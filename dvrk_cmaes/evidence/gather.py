@@ -183,7 +183,8 @@ def _gathered(
         else:
             tips = located
     gathered = replace(bare, shaft_edges=edges, tips=tips, unused=tuple(unused))
-    gathered.__dict__.update({name: bare.__dict__[name] for name in ("half_width", "share") if name in bare.__dict__})
+    if "half_width" in vars(bare):
+        vars(gathered)["half_width"] = bare.half_width
     return gathered
 
 

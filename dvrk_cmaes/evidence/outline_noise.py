@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.evidence.distance_field import FARTHEST, distance_within
+from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.evidence.shaft_edges import Contour
 
@@ -88,7 +89,7 @@ def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
     The distance transforms are of the part of the image that has both: the nearest pixels of either kind are in it.
     """
     height, width = silhouette.shape
-    first, highest, wide, tall = cv2.boundingRect(np.ascontiguousarray(silhouette).view(np.uint8))
+    first, highest, wide, tall = window_around(silhouette, 0)
     low = np.minimum([first, highest], np.floor(pixels.min(axis=0, initial=np.inf))) - _AROUND
     last = [first + wide - 1, highest + tall - 1]
     high = np.maximum(last, np.ceil(pixels.max(axis=0, initial=-np.inf))) + _AROUND + 1

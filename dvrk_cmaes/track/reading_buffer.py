@@ -163,7 +163,7 @@ class ReadingBuffer(ReadingRows):
         super().__init__(joint_names)
         self._gap = gap
         self._still = still
-        self._found: dict[float, ReadingAt] = {}  # what `at` returned, by time, since readings were added
+        self._found: dict[float, ReadingAt] = {}  # what `at` returned at the last two times since readings came
 
     def add(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, and drop old ones, in blocks, because the others are moved."""
@@ -183,6 +183,8 @@ class ReadingBuffer(ReadingRows):
     def at(self, time: float) -> ReadingAt:
         """Interpolate the readings linearly at a time, s; beyond them they are extrapolated by at most the gap."""
         if time not in self._found:
+            if len(self._found) > 1:  # an image's time, and that less the lag
+                del self._found[next(iter(self._found))]
             self._found[time] = self._interpolated(time)
         return self._found[time]
 
