@@ -163,11 +163,13 @@ def find_pieces(
         runs[best : best + 2] = [joined[best]]
         first = max(best - 1, 0)
         joined[first : best + 2] = [_joined(*pair, solved) for pair in pairwise(runs[first : best + 2])]
-    kept = [run.solution.calibration for run in runs]
-    if len(kept) < 2:
+    found = [agreement(model, modes, offset_std, run.solution.calibration) for run in runs]
+    if not found:
         return None
-    found = [agreement(model, modes, offset_std, one) for one in kept]
-    place = _fewest_changes(np.array([one.cost for one in found]))
+    held, place = np.unique(_fewest_changes(np.array([one.cost for one in found])), return_inverse=True)
+    if len(held) < 2:
+        return None
+    kept, found = [runs[number].solution.calibration for number in held], [found[number] for number in held]
     order = sorted(range(len(kept)), key=lambda number: -int((place == number).sum()))
     reference = kept[order[0]].camera_from_base
     cameras = np.array([kept[number].camera_from_base @ inverse(reference) for number in order[1:]])

@@ -43,14 +43,14 @@ class Steered40:
     bases: np.ndarray
 
 
-def steered_world(seed: int, *, still: bool = False) -> Steered40:
+def steered_world(seed: int, *, still: bool = False, frames: int = FRAMES) -> Steered40:
     """Move arm and endoscope; each frame has a mode near the truth and one far away."""
-    rng, world, steering = np.random.default_rng(seed), make_world(FRAMES, seed), Steering.draw(seed, FRAMES)
-    relative = np.tile(np.eye(4), (FRAMES, 1, 1)) if still else steering.camera_from_first
+    rng, world, steering = np.random.default_rng(seed), make_world(frames, seed), Steering.draw(seed, frames)
+    relative = np.tile(np.eye(4), (frames, 1, 1)) if still else steering.camera_from_first
     bases = relative @ BASE
     seen = Posed(relative @ world.at.pose, world.at.joints)
     modes = []
-    for at in (seen[k] for k in range(FRAMES)):
+    for at in (seen[k] for k in range(frames)):
         near = at.moved(SEEN * rng.standard_normal(9))
         far = at.moved(np.concatenate([rng.normal(0, 0.01, 3), rng.normal(0, 1, 3), np.zeros(3)]))
         modes.append([Mode(one, np.diag(SEEN**2)) for one in ((near, far) if rng.random() < 0.7 else (far, near))])
@@ -152,6 +152,24 @@ def test_a_session_without_readings_is_cut_where_the_camera_moved(seed: int) -> 
     model, solution = solved(world, pieces, agree)
     apart = change_between(model.camera_from_base(solution.calibration), world.bases)[[3, 14, 25, 36]]
     assert np.linalg.norm(apart[:, :3], axis=1).max() < 4e-3
+
+
+def test_every_piece_has_frames_where_neighbours_err_alike() -> None:
+    """The modes of a hundred frames err as masks do: those near each other by nearly as much."""
+    world, rng = steered_world(1, frames=100), np.random.default_rng(1)
+    error, modes = np.zeros(9), []
+    for of_frame in world.modes:
+        error = 0.9 * error + np.sqrt(1 - 0.9**2) * rng.standard_normal(9)
+        modes.append([replace(mode, at=mode.at.moved(2 * SEEN * error)) for mode in of_frame])
+    found = find_pieces(
+        world.model, modes, EXPECTED_OFFSETS, PRIOR, find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    )
+    assert found is not None
+    pieces, _ = found
+    counts = np.bincount(pieces.piece, minlength=len(pieces.start.poses) + 1)
+    assert len(counts) == len(pieces.start.poses) + 1
+    assert counts.min() > 0
+    assert counts[0] == counts.max()
 
 
 def test_a_session_whose_camera_stands_still_is_not_cut() -> None:
