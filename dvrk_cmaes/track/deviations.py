@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.silhouette.threads import single_blas_thread
+from dvrk_cmaes import _kernel
 
 Float64 = NDArray[np.float64]
 
@@ -52,7 +52,6 @@ class FrameDeviations:
     jacobian: Float64
 
     @classmethod
-    @single_blas_thread()
     def of(
         cls,
         times: Float64,
@@ -103,10 +102,9 @@ class FrameDeviations:
         right = np.concatenate([optimum[:, :, None], -information @ jacobian], axis=2)
         return cls(diagonal, beside, both.T @ right, both, jacobian)
 
-    @single_blas_thread()
     def smoothed(self, *, only_last: bool = False) -> Smoothed:
         """Find the most probable deviations of all frames, or of the last one only, N = 1, given all."""
-        pivots, sides = _eliminated(self.diagonal, self.beside, self.right)
+        pivots, sides = _kernel.eliminate_chain(self.diagonal, self.beside, self.right)
         if only_last:
             pivots, found = pivots[-1:], pivots[-1:] @ sides[-1:]
         else:
@@ -141,17 +139,3 @@ def _substituted(pivots: Float64, sides: Float64, beside: Float64) -> tuple[Floa
         solution[k] -= gain @ solution[k + 1]
         blocks[k] += gain @ blocks[k + 1] @ gain.T
     return solution, blocks
-
-
-def _eliminated(diagonal: Float64, beside: Float64, right: Float64) -> tuple[Float64, Float64]:
-    """Eliminate the frames of a system one after the other.
-
-    Returns the inverses (N, M, M) of what is left of the diagonal, and what is left of the right sides (N, M, C).
-    """
-    pivots, sides = np.empty_like(diagonal), right.copy()
-    pivots[0] = np.linalg.inv(diagonal[0])
-    for k in range(1, len(diagonal)):
-        gain = beside[k - 1].T @ pivots[k - 1]
-        pivots[k] = np.linalg.inv(diagonal[k] - gain @ beside[k - 1])
-        sides[k] = right[k] - gain @ sides[k - 1]
-    return pivots, sides

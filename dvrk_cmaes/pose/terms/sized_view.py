@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, less_margin, sampled
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, less_margin
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
 
-Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 REACH = 4
@@ -80,7 +79,6 @@ class SizedView:
         self.length = max(len(evidence.contour.pixels) / shrink, 20.0)
         self.view_from_camera = view.view_from_camera
         self._remembered: dict[tuple[object, ...], _kernel.Comparison] = {}
-        self._distance: Float32 | None = None
 
     def placed(self, view_from_camera: Float64) -> SizedView:
         """Return the same view at another place of the rig."""
@@ -148,13 +146,8 @@ class SizedView:
         return [moving.jacobian for moving in of_poses]
 
     def offsets(self, outline: OutlinePoints) -> Float64:
-        """Return by how much the mask lies outwards of an outline at its N points, px, to some hundredths."""
-        if self._distance is None:
-            inside, outside = (
-                cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) for part in (self.mask, ~self.mask)
-            )
-            self._distance = np.where(self.mask, inside - 0.5, 0.5 - outside).astype(np.float32)
-        return sampled(self._distance, np.asarray(outline.pixels, dtype=np.float64))
+        """Return by how much the mask lies outwards of an outline at its N points, px."""
+        return -distances_to(self.mask, outline.pixels)
 
     def side_offsets(self, at: Posed) -> Float64:
         """Return by how much the mask lies outwards of both sides of the shaft of a pose, (2,), px; 0 where unseen."""
