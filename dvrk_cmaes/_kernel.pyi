@@ -162,6 +162,15 @@ def fit_lines(
     iterations: int,
     least: int,
 ) -> list[tuple[NDArray[numpy.float64], NDArray[numpy.int64], float]]: ...
+def straight_stretches(
+    outline: NDArray[numpy.float64],
+    corners: NDArray[numpy.float64],
+    band: float,
+    gap: float,
+    shortest: float,
+    side: float,
+) -> list[tuple[NDArray[numpy.int64], NDArray[numpy.float64]]]: ...
+def sobel_at(image: NDArray[numpy.float32], pixels: NDArray[numpy.int64]) -> NDArray[numpy.float64]: ...
 def line_support(
     points: NDArray[numpy.float64],
     normals: NDArray[numpy.float64],

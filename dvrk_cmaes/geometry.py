@@ -12,6 +12,7 @@ from dvrk_cmaes import _kernel
 
 Float64 = NDArray[np.float64]
 
+
 def skew(v: Float64) -> Float64:
     """Return the cross-product matrices (..., 3, 3) of vectors (..., 3)."""
     out = np.zeros((*v.shape[:-1], 3, 3))

@@ -110,10 +110,10 @@ def measure_noise(contour: Contour, silhouette: NDArray[np.bool_]) -> OutlineNoi
     rms = max(float(np.sqrt(np.mean(error**2))), _LEAST_SIGMA)
     spacing = median(np.linalg.norm(np.diff(contour.pixels, axis=0), axis=1))
     most = min(int(_LENGTHS[1]), len(error) // 4)
-    variance = float(np.mean(error**2)) + 1e-12
+    variance = float(error @ error) / len(error) + 1e-12
     length = spacing
     for lag in range(1, most):
-        correlation = float(np.mean(error[lag:] * error[:-lag])) / variance
+        correlation = float(error[lag:] @ error[:-lag]) / (len(error) - lag) / variance
         if correlation < 0.1:
             break
         length += 2 * correlation * spacing

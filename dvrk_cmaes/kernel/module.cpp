@@ -89,6 +89,13 @@ Made<T> zeros(const std::vector<std::size_t>& shape) {
   return Made<T>(data, shape.size(), shape.data(), owner);
 }
 
+template <class T>
+Made<T> copied(const std::vector<T>& values) {
+  Made<T> out = zeros<T>({values.size()});
+  std::copy(values.begin(), values.end(), out.data());
+  return out;
+}
+
 struct Workspace {
   Outline outline;
   Lines rows, columns;
@@ -599,13 +606,46 @@ std::vector<std::tuple<Made<double>, Made<std::int64_t>, double>> fit_lines(
   for (std::size_t i = 0; i < lines.shape(0); ++i) {
     const double* line = lines.data() + 3 * i;
     const FittedLine fitted = fit_line(contour, {line[0], line[1], line[2]}, how);
-    Made<double> out = zeros<double>({3});
-    Made<std::int64_t> index = zeros<std::int64_t>({fitted.points.size()});
-    std::copy(fitted.line.begin(), fitted.line.end(), out.data());
-    std::copy(fitted.points.begin(), fitted.points.end(), index.data());
-    found.emplace_back(out, index, fitted.sigma);
+    const std::vector<std::int64_t> index(fitted.points.begin(), fitted.points.end());
+    found.emplace_back(copied(std::vector<double>(fitted.line.begin(), fitted.line.end())), copied(index), fitted.sigma);
   }
   return found;
+}
+
+std::vector<std::tuple<Made<std::int64_t>, Made<double>>> straight_stretches(const Given<double>& outline,
+                                                                             const Given<double>& corners, double band,
+                                                                             double gap, double shortest, double side) {
+  check_shape("outline", outline, {kAny, 2}), check_shape("corners", corners, {kAny, 2});
+  for (const Given<double>* one : {&outline, &corners}) check_finite("outline and corners", one->data(), one->size());
+  const std::size_t count = corners.shape(0);
+  std::vector<Stretch> found;
+  for (std::size_t k = 0; k < count; ++k) {
+    const double *from = corners.data() + 2 * k, *to = corners.data() + 2 * ((k + 1) % count);
+    const double u = to[0] - from[0], v = to[1] - from[1], length = std::sqrt(u * u + v * v);
+    if (!(length > 0.0) || length < side) continue;
+    add_stretches(outline.data(), outline.shape(0), {from[0], from[1]}, {u / length, v / length}, band, gap, shortest, found);
+  }
+  std::vector<std::tuple<Made<std::int64_t>, Made<double>>> out;
+  for (const Stretch& one : found) out.emplace_back(copied(one.points), copied(one.along));
+  return out;
+}
+
+Made<double> sobel_at(const Given<float>& image, const Given<std::int64_t>& pixels) {
+  check_shape("image", image, {kAny, kAny}), check_shape("pixels", pixels, {kAny, 2});
+  const std::int64_t height = image.shape(0), width = image.shape(1);
+  Made<double> out = zeros<double>({pixels.shape(0), 2});
+  for (std::size_t i = 0; i < pixels.shape(0); ++i) {
+    const std::int64_t u = pixels.data()[2 * i], v = pixels.data()[2 * i + 1];
+    if (u < 0 || u >= width || v < 0 || v >= height) throw std::invalid_argument("pixels: expected some of the image's");
+    const auto at = [&](int down, int right) {
+      const std::int64_t row = std::clamp<std::int64_t>(v + down, 0, height - 1);
+      return double(image.data()[width * row + std::clamp<std::int64_t>(u + right, 0, width - 1)]);
+    };
+    const double rising = at(1, 1) - at(-1, -1), falling = at(-1, 1) - at(1, -1);
+    out.data()[2 * i] = (rising + falling + 2.0 * (at(0, 1) - at(0, -1))) / 8.0;
+    out.data()[2 * i + 1] = (rising - falling + 2.0 * (at(1, 0) - at(-1, 0))) / 8.0;
+  }
+  return out;
 }
 
 std::tuple<Made<double>, Made<double>> line_support(const Given<double>& points, const Given<double>& normals,
@@ -883,6 +923,12 @@ NB_MODULE(_kernel, module) {
              "least_sigma"_a, "reach"_a, "least_reach"_a, "normal_median"_a, "iterations"_a, "least"_a,
              "Fit lines (M, 3) to the contour points (N, 2) near them, robustly: each line (3,), the numbers of its points "
              "in their order along it, and their standard deviation, px.");
+  module.def("straight_stretches", &straight_stretches, "outline"_a, "corners"_a, "band"_a, "gap"_a, "shortest"_a, "side"_a,
+             "Find stretches of an outline (N, 2) beside sides, of a least length, of its hull with corners (K, 2): of each the "
+             "numbers of its points in their order, and their places along it, px.");
+  module.def("sobel_at", &sobel_at, "image"_a, "pixels"_a,
+             "Compute the derivatives (N, 2) of an image (H, W) along its rows and columns at some of its pixels (N, 2), by "
+             "Sobel's filter.");
   module.def("line_support", &line_support, "points"_a, "normals"_a, "lines"_a, "sigma"_a, "facing"_a,
              "Compute the support (M,) of lines (M, 3) by contour points (N, 2), normally distributed about them with sigma "
              "px, and the weighted means (M, 2), px, of their points.");

@@ -170,8 +170,13 @@ def _far(mask: NDArray[np.bool_], where: NDArray[np.bool_], method: str) -> Floa
 
 def _window(evidence: Evidence, masks: NDArray[np.bool_]) -> tuple[slice, slice]:
     """Return the rows and columns of the window around a mask and silhouettes (C, H, W)."""
-    left, top, width, height = window_around(np.logical_or(evidence.mask, masks.any(axis=0)), 2)
-    return np.s_[top : top + height, left : left + width]
+    whole = evidence.mask.shape
+    low, high = np.array(whole), np.zeros(2, dtype=np.intp)
+    for mask in (evidence.mask, *masks):
+        if mask.any():
+            left, top, width, height = window_around(mask, 2)
+            low, high = np.minimum(low, [top, left]), np.maximum(high, [top + height, left + width])
+    return np.s_[low[0] : high[0], low[1] : high[1]]
 
 
 def _overlaps(evidence: Evidence, masks: NDArray[np.bool_]) -> list[float]:

@@ -29,6 +29,7 @@ ANY_NOISE = OutlineNoise(1.0, 19.0)
 REMEMBERED = 64  # drawings that a view keeps
 _FARTHEST_SIDE = 8.0  # px, of the mask from a side of the shaft
 _FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
+_BESIDE_MARGIN = 3  # px beside a margin, on which what is left of a mask does not depend
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
 
 
@@ -54,25 +55,29 @@ class SizedView:
     ) -> None:
         evidence, camera = view.evidence, view.evidence.camera
         size = (camera.width, camera.height)
-        mask, weight = evidence.share, evidence.weight
-        if margin:
-            mask = less_margin(evidence.mask, margin)
+        around, first, above = 48 // shrink + 8, 0, 0
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
-            mask, weight = shrunk(mask, *size), evidence.weight_at(*size)
-        left, top, width, height = window_around(mask > 0, 48 // shrink + 8)
-        window = np.s_[top : top + height, left : left + width]
+            mask = shrunk(less_margin(evidence.mask, margin) if margin else evidence.share, *size)
+        else:
+            first, above, width, height = window_around(evidence.mask, around + int(abs(margin)) + _BESIDE_MARGIN)
+            part = evidence.mask[above : above + height, first : first + width]
+            mask = less_margin(part, margin) if margin else part.astype(np.float32)
+        left, top, width, height = window_around(mask > 0, around)
+        mask = np.ascontiguousarray(mask[top : top + height, left : left + width])
+        left, top = first + left, above + top
         self._view, self._size, self._window = view, size, (left, top, width, height)
         used = view.renderer if renderer is None else renderer
         self.camera = self._in_window(camera)
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
-        beside = int(np.ceil(_BLURRED_IN * blur))
-        above, before = min(top, beside), min(left, beside)
-        weight = weight[top - above : top + height + beside, left - before : left + width + beside]
+        self.weight = np.ones((height, width), dtype=np.float32)
         if evidence.ignores:
+            weight = evidence.weight if shrink == 1 else evidence.weight_at(*size)
+            beside = int(np.ceil(_BLURRED_IN * blur))
+            above, before = min(top, beside), min(left, beside)
+            weight = weight[top - above : top + height + beside, left - before : left + width + beside]
             weight = np.asarray(cv2.erode(weight, np.ones((2 * beside + 1, 2 * beside + 1))), dtype=np.float32)
-        self.weight = np.ascontiguousarray(weight[above : above + height, before : before + width])
-        mask = np.ascontiguousarray(mask[window])
+            self.weight = np.ascontiguousarray(weight[above : above + height, before : before + width])
         self.mask = mask > 0.5
         self.target = _kernel.Target(mask, self.weight, blur_filter(blur), REACH)
         self.shrink = shrink
