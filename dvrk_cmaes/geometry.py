@@ -73,17 +73,24 @@ def transform(rotation: ArrayLike, translation: ArrayLike) -> Float64:
 def moved(pose: Float64, change: ArrayLike) -> Float64:
     """Apply small changes (..., 6) = [tx ty tz rx ry rz], m and rad, in the body's own axes, to poses (..., 4, 4).
 
-    Further columns of the changes are passed over. As many poses as changes, or a single one of either.
+    Further columns of the changes are passed over.
     """
-    return _kernel.moved(pose, np.asarray(change, dtype=np.float64))
+    return _kernel.moved(*_together(pose, 2, np.asarray(change, dtype=np.float64), 1))
 
 
 def change_between(pose: Float64, other: Float64) -> Float64:
-    """Compute the small changes (..., 6) = [tx ty tz rx ry rz] with ``moved(pose, change) == other``.
+    """Compute the small changes (..., 6) = [tx ty tz rx ry rz] with ``moved(pose, change) == other``."""
+    return _kernel.change_between(*_together(pose, 2, other, 2))
 
-    As many of either, or a single one.
-    """
-    return _kernel.change_between(pose, other)
+
+def _together(one: Float64, axes: int, other: Float64, of_other: int) -> tuple[Float64, Float64]:
+    """Broadcast the leading axes of two arrays, of which the kernel takes a single row or as many as of the other."""
+    leading, with_other = one.shape[:-axes], other.shape[:-of_other]
+    if not leading or not with_other or leading == with_other:
+        return one, other
+    shape = np.broadcast_shapes(leading, with_other)
+    rows = one.shape[-axes:], other.shape[-of_other:]
+    return np.broadcast_to(one, shape + rows[0]), np.broadcast_to(other, shape + rows[1])
 
 
 def adjoint(pose: Float64) -> Float64:

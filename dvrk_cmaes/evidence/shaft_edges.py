@@ -99,7 +99,7 @@ def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.boo
     blurred = cv2.GaussianBlur(mask[window].astype(np.float32), (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
     softer = cv2.GaussianBlur(blurred, (0, 0), _NORMAL_BLUR, borderType=cv2.BORDER_REPLICATE)
     at = np.column_stack([column - low[0], row - low[1]])
-    (gx, gy), (nx, ny) = _kernel.sobel_at(blurred, at).T, _kernel.sobel_at(softer, at).T
+    (gx, gy), (nx, ny) = (_kernel.sobel_at(np.asarray(image, np.float32), at).T for image in (blurred, softer))
     grey = blurred[at[:, 1], at[:, 0]]
     steep = np.hypot(gx, gy)
     keep = steep > 0.02
