@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.alternation import reported, with_lag_of_modes
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
@@ -49,7 +48,6 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
 from dvrk_cmaes.silhouette.threads import map_threaded, single_blas_thread
 
-Float64 = NDArray[np.float64]
 T = TypeVar("T")
 R = TypeVar("R")
 

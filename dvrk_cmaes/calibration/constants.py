@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
@@ -25,7 +24,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, Solution, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import LASTING
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -33,7 +32,6 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, OutlinePoints, Renderer
 
-Float64 = NDArray[np.float64]
 Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solution]]
 """Estimates a calibration from a model, fits, a start and the prior's information, as `solve`; the model may change."""
 
@@ -201,7 +199,7 @@ class SessionOutlines:
             by = constant.seen(view.name, by, values[constant.name])
         return by
 
-    def subset(self, index: NDArray[np.intp]) -> SessionOutlines:
+    def subset(self, index: Indices) -> SessionOutlines:
         """Return the outlines of the frames at some indices."""
         stored, views = [self.stored[i] for i in index.tolist()], [self.views[i] for i in index.tolist()]
         return replace(self, stored=stored, views=views, common=self.common.subset(index))
@@ -328,7 +326,7 @@ def linearise(
         first = first or there
 
 
-def few_of(count: int) -> NDArray[np.intp] | None:
+def few_of(count: int) -> Indices | None:
     """Return the indices of a few of ``count`` frames in their order, evenly spaced; None where all are to be used.
 
     What only leads to a final estimate is found with few frames; the final estimate is always from all of them.

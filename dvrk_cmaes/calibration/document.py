@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.instrument_test import CandidateFit
@@ -38,6 +37,7 @@ from dvrk_cmaes.camera.rig import V, changed_views
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.json_file import read_json_object
@@ -56,8 +56,6 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.joints.lag import Lag, LagDocument
-
-Float64 = NDArray[np.float64]
 
 SCHEMA = 1
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"

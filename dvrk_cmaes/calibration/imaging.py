@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import SessionOutlines
 from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras, with_changed_views, with_data
@@ -35,7 +34,6 @@ from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 
-Float64 = NDArray[np.float64]
 Changed = tuple[SessionState, Calibration, Posed | None]
 
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames

@@ -15,17 +15,15 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.clock import FAR_RANGE, RANGE, Clock, Delay
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, along, scatter, solve
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.joints.lag import Lag, Unit
-
-Float64 = NDArray[np.float64]
 
 _LEAST_FRAMES = 6  # of a session; with fewer, a lag cannot be distinguished from outliers
 _LEAST_AT_LAG = 4  # frames that must have readings at a lag
@@ -236,7 +234,7 @@ class _Searched:
         return np.array([np.inf if consensus is None else consensus.mean_misfit for consensus in self.agreed])
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Bool:
         """Whether enough frames have readings at each lag, (L,)."""
         return np.isfinite(self.costs)
 

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.endoscope import Endoscope, EndoscopeValues
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.geometry import Posed, adjoint, inverse, moved
+from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse, moved
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.terms.expected import Expected
 
-Float64 = NDArray[np.float64]
 Constants = Mapping[str, Float64]
 """Values of further unknowns that all frames share, by the name of their block, as of `calibration.constants`."""
 
@@ -182,7 +181,7 @@ class SessionModel:
         return self.endoscope.relative(calibration.endoscope) @ calibration.camera_from_base
 
     @property
-    def _has_reading(self) -> NDArray[np.bool_]:
+    def _has_reading(self) -> Bool:
         return ~np.isnan(self.joints)
 
     def base_from_root(self, offsets: Float64) -> Float64:

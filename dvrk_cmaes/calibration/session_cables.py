@@ -7,17 +7,16 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.cable_estimate import CableEstimate
 from dvrk_cmaes.calibration.model import Correction
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.rounding import rounded, rounded_array
 from dvrk_cmaes.io.typed_document import Number, Texts, convert_document, refused
 from dvrk_cmaes.joints.cable_prior import cable_prior
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.joints.play import NARROW
 
-Float64 = NDArray[np.float64]
 Row = tuple[Number, ...]
 Table = tuple[Row, ...]
 

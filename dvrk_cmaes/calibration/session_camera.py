@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.constants import (
@@ -34,12 +33,10 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.critical import FILE
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
 from dvrk_cmaes.pose.terms.coverage import of_camera
-
-Float64 = NDArray[np.float64]
 
 CAMERA = "camera"
 """Name of the constant."""

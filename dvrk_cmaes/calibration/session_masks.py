@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.pose.terms.coverage import of_margin
@@ -25,7 +24,6 @@ from dvrk_cmaes.pose.terms.coverage import of_margin
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.mask_growth import GrowthTold
 
-Float64 = NDArray[np.float64]
 
 MARGIN = "margin"
 """Name of the constant."""

@@ -11,14 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.rig import ViewChange
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Point, PositiveNumber
 from dvrk_cmaes.results.result import Result
-
-Float64 = NDArray[np.float64]
 
 FEWEST = 3
 """Least number of frames in which a view is compared."""

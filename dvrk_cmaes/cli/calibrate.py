@@ -33,14 +33,12 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.calibration.endoscope import Place
     from dvrk_cmaes.calibration.together import Solving
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
     Predictions = Mapping[str, tuple[float, float]]
@@ -377,7 +375,7 @@ def _is_doubtful(solved: SolvedSession) -> bool:
 
 
 def _write_bases(
-    calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, NDArray[np.float64]], out: Path, *, quiet: bool
+    calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, Float64], out: Path, *, quiet: bool
 ) -> bool:
     """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``.
 

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.results.layers import FrameLayers, Outline
 from dvrk_cmaes.results.result import Alternative, Result
 from dvrk_cmaes.silhouette import Body, Renderer
-
-Bool = NDArray[np.bool_]
 
 _WIDTH = 960  # px, larger pictures are reduced
 _QUALITY = 70  # of JPEG

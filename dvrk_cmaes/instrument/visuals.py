@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.locate import find_mesh
 from dvrk_cmaes.instrument.meshes import LARGEST_EXTENT, Triangles, read_mesh, to_link_frame, weld
 
@@ -76,7 +76,7 @@ def _mesh(
     urdf: Path,
     packages: Mapping[str, Path],
     cache: dict[Path, Triangles],
-    origin: NDArray[np.float64],
+    origin: Float64,
 ) -> Triangles:
     """Read the mesh of a visual and transform it into the link's frame."""
     if not mesh.filename:

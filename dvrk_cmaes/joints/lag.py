@@ -12,14 +12,13 @@ from typing import Any, Literal
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.rounding import rounded
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.typed_document import Number
 
-Float64 = NDArray[np.float64]
 Unit = Literal["s", "frames"]
 
 SIGN = "images late"

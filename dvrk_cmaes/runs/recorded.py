@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
@@ -17,6 +16,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.sparse import Sparseness
@@ -35,8 +35,6 @@ from dvrk_cmaes.track.recorded_frames import (
     judge_frame,
 )
 from dvrk_cmaes.track.window import Told, WindowImage, result_of, solve_window, status_of
-
-Float64 = NDArray[np.float64]
 
 BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
@@ -75,7 +73,7 @@ def predict(
     return predicted, sparse
 
 
-def _continued(values: Float64, times: Float64, told: NDArray[np.bool_], nearest: NDArray[np.intp]) -> Float64:
+def _continued(values: Float64, times: Float64, told: Bool, nearest: Indices) -> Float64:
     """Return the readings (N, K) at all frames: those of the nearest one that has any, or as they go on from there."""
     found = values[nearest]
     for i in np.flatnonzero(~told):

@@ -27,7 +27,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
 from dvrk_cmaes.frames.seen_view import SeenView
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.runs.recorded import BLOCK, predict
@@ -52,8 +52,6 @@ from dvrk_cmaes.track.image_frames import (
 from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, MaskShape, choose_keyframes
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame
-
-Float64 = NDArray[np.float64]
 
 _SEGMENTED: Final = 60  # images, at most, that are segmented by themselves
 _FEWEST: Final = 6  # keyframes whose masks were found, with which a recording is solved
@@ -129,7 +127,7 @@ def segment_task(body: Body, config: EstimateConfig, task: SegmentTask) -> Found
     return FoundFrame.of(found) if any(view.given and view.shows for view in found.views) else None
 
 
-def _first_mask(view: SeenView, hints: Hints, colours: ColourModel | None) -> NDArray[np.bool_] | None:
+def _first_mask(view: SeenView, hints: Hints, colours: ColourModel | None) -> Bool | None:
     """Find the mask of a view in its image; None where nothing is found, or only a guess.
 
     It is found by the colours of what moves in the recording; by those of this image alone where that gives a guess,

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
@@ -22,7 +21,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
@@ -43,8 +42,6 @@ from dvrk_cmaes.track.keyframes import (
     well_in_view,
 )
 from dvrk_cmaes.track.reading_buffer import frozen_frames
-
-Float64 = NDArray[np.float64]
 
 KEYFRAMES: Final = "keyframes.json"
 """Solution of keyframes with masks."""
@@ -71,7 +68,7 @@ class RecordedFrames:
     shapes: list[MaskShape]
     names: tuple[str, ...]
     readings: Float64
-    frozen: NDArray[np.bool_]
+    frozen: Bool
 
     @classmethod
     def of(
@@ -105,7 +102,7 @@ class RecordedFrames:
         return replace(self, shapes=shapes, frozen=frozen)
 
     @property
-    def trusted(self) -> NDArray[np.bool_]:
+    def trusted(self) -> Bool:
         """Which frames (N,) have readings of all outer joints that are not frozen."""
         return has_outer_joints(self.names, self.readings) & ~self.frozen
 

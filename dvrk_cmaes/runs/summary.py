@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.session_rig import FEWEST, pooled_rotation
 from dvrk_cmaes.config import TrustConfig
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.commanded import commanded_in
 from dvrk_cmaes.results.result import Result, Status
 
@@ -132,9 +132,6 @@ def _seconds(results: Sequence[Result]) -> dict[str, float] | None:
         "slowest": max(seconds),
         "total": round(sum(seconds), 4),
     }
-
-
-Float64 = NDArray[np.float64]
 
 
 def rig_doubts(results: Iterable[Result], trust: TrustConfig | None = None) -> list[str]:

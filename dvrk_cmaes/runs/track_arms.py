@@ -7,10 +7,10 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
@@ -76,7 +76,7 @@ def write_track_arms(
 
 def exchanged_arms(
     out: Path,
-    readings: Mapping[str, Mapping[str, NDArray[np.float64]]],
+    readings: Mapping[str, Mapping[str, Float64]],
     arms: Mapping[str, ArmInSession],
     config: EstimateConfig,
 ) -> list[str]:

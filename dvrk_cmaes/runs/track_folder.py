@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.handles import not_written
 from dvrk_cmaes.io.output import appended, base, output, remove
@@ -64,7 +64,7 @@ class TrackSummary:
     interrupted: bool
     calibration: SessionCalibration | None
     frames_a_second: float
-    readings: Mapping[str, NDArray[np.float64]]
+    readings: Mapping[str, Float64]
 
     @property
     def counts(self) -> dict[str, int]:
@@ -268,7 +268,7 @@ def _by_keyframes(
     return None
 
 
-def _readings(run: _Run, late: float) -> dict[str, NDArray[np.float64]]:
+def _readings(run: _Run, late: float) -> dict[str, Float64]:
     """Return the readings of each joint at the times of the frames less a lag, s; NaN where there are none."""
     times = np.array([run.clock.times[files.name] for files in run.frames]) - late
     return run.clock.readings_at(times, run.settings.config.track.reading_gap)
@@ -277,7 +277,7 @@ def _readings(run: _Run, late: float) -> dict[str, NDArray[np.float64]]:
 def _show(
     run: _Run,
     rows: list[dict[str, Any]],
-    readings: Mapping[str, NDArray[np.float64]],
+    readings: Mapping[str, Float64],
     calibration: SessionCalibration | None,
     *,
     video: bool,

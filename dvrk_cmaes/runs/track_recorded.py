@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.prediction import Prediction
@@ -18,6 +17,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.tracked import TrackResult
@@ -153,7 +153,7 @@ class _Recording:
     frames: tuple[FrameFiles, ...]
     rig: Rig
     series: ReadingSeries | None
-    times: NDArray[np.float64]
+    times: Float64
     body: Body
     settings: TrackSettings
     out: Path

@@ -11,19 +11,16 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.geometry import apply, inverse
+from dvrk_cmaes.geometry import Float64, apply, inverse
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, Arm, base_from_root
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.cable_motion import pulled
 from dvrk_cmaes.synth.poses import ViewLimits, arm_session
 from dvrk_cmaes.synth.truth import Truth
-
-Float64 = NDArray[np.float64]
 
 FRAMES_A_SECOND: Final = 30.0
 

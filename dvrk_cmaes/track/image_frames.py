@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.session_masks import SessionMasks
@@ -20,15 +19,12 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_masks import learned_colours, mask_around
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame, fit_followed
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
 
 _ROUNDS = 3  # of masks and fits of a frame, at most
 _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from which on the mask is not found again

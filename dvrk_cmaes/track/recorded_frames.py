@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FOLLOWED, FrameFit, fit_frame
 from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
@@ -21,7 +20,7 @@ from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView, shown_views
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
@@ -30,8 +29,6 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError, Quality
 from dvrk_cmaes.silhouette import Body, Renderer
-
-Float64 = NDArray[np.float64]
 
 EMPTY = "lost: the {source} shows nothing of the instrument"
 NO_READINGS = "no readings: none of the outer joints at the time of the image less the lag"
