@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,11 +34,10 @@ from dvrk_cmaes.io.yaml_file import read_yaml_by_frame
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import joint_reading, joints_by_count
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.messages import encode_png
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, frame_name
 from dvrk_cmaes.recording.stereo_ini import read_stereo_ini
 from dvrk_cmaes.recording.surgpose_labels import Labels, arm_boxes, arm_labels
-from dvrk_cmaes.recording.video import decoded_pixels
+from dvrk_cmaes.recording.video import decoded_frame
 
 _VIDEOS: Final = "regular"
 _READINGS: Final = "api_jp_data.yaml"
@@ -205,9 +205,8 @@ def _images(path: Path, capture: Any) -> Iterator[RecordedImage]:
     """Yield the frames of a video."""
     number = 0
     while capture.grab():
-        yield RecordedImage(
-            number, _time(number), lambda number=number: encode_png(decoded_pixels(path, capture, number))
-        )  # type: ignore[misc]
+        load = partial(decoded_frame, path, capture, number)
+        yield RecordedImage(number, _time(number), load)
         number += 1
 
 

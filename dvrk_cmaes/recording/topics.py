@@ -33,10 +33,10 @@ class TopicRequest:
     """Topics given by name; None to find the topic automatically, ``none`` to use none.
 
     ``option`` is that by which the images' topic is chosen, for messages. ``eye`` of a stereo endoscope is a word in
-    the name of its images' topic; None for one camera. ``arms`` are those whose topics are read, or whose joints of topics
-    with those of several; none for the only one. ``recorded_times`` uses the times at which messages were recorded
-    instead of those in their headers. This is also done, with a note, if the headers of a topic have no times, or times
-    that do not advance.
+    the name of its images' topic; None for one camera. ``arms`` are those whose topics are read, or whose joints of
+    topics with those of several; none for the only one. ``recorded_times`` uses the times at which messages were
+    recorded instead of those in their headers. This is also done, with a note, if the headers of a topic have no times,
+    or times that do not advance.
     """
 
     image: str | None = None

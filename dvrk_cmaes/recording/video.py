@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,7 +23,7 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.fields import looks_interlaced, of_fields
 from dvrk_cmaes.recording.messages import encode_png
-from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
+from dvrk_cmaes.recording.recording import Asked, ImageFile, RecordedImage, Recording
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
 _JUDGED = 30  # frames of which some show combs if the video is interlaced
@@ -183,8 +184,9 @@ def frames_at(
         if not capture.grab():
             raise InputError(f"{path}: expected {count} images{expected}, got {number}")
         if number in times:
-            yield RecordedImage(
-                number - first,
-                times[number],
-                lambda number=number: encode_png(decoded_pixels(path, capture, number)),  # type: ignore[misc]
-            )
+            yield RecordedImage(number - first, times[number], partial(decoded_frame, path, capture, number))
+
+
+def decoded_frame(path: Path, capture: Any, number: int) -> ImageFile:
+    """Decode the frame last grabbed from a capture and encode it as PNG; errors as `decoded_pixels`."""
+    return encode_png(decoded_pixels(path, capture, number))
