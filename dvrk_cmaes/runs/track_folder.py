@@ -43,7 +43,7 @@ from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
-from dvrk_cmaes.runs.track_recorded import follow_recorded, why_causal, with_lag
+from dvrk_cmaes.runs.track_recorded import follow_recorded, with_lag
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
@@ -251,8 +251,8 @@ def _by_keyframes(
     """
     if run.settings.causal:
         return None
-    because = why_causal(run.settings)
-    if because is None:
+    because = "without readings"
+    if run.settings.use_joints:
         done = follow_recorded(
             run.session, run.frames, run.clock, run.body, run.settings, run.out, stop=run.stop, notice=notice
         )

@@ -46,14 +46,6 @@ class PredictedFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class BlockTask:
-    """Arguments of `fit_block`: consecutive frames, and the margins that are taken off their masks, by view."""
-
-    frames: tuple[PredictedFrame, ...]
-    masks: SessionMasks | None
-
-
-@dataclass(frozen=True, eq=False)
 class FittedFrame:
     """The fit of a frame, its evidence, and the factor by which its contour's roughness widens the covariance.
 
@@ -86,22 +78,6 @@ def starts_of(expected: Expected, before: Float64 | None) -> list[Posed]:
     near = expected.mean.moved(before)
     apart = float(np.sqrt(before @ expected.information @ before / len(before)))
     return [near, expected.mean] if apart > _ANOTHER_START else [near]
-
-
-def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[FittedFrame | None]:
-    """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
-
-    None stands for a frame whose mask shows nothing.
-    """
-    found: list[FittedFrame | None] = []
-    deviation: Float64 | None = None
-    for frame in task.frames:
-        fitted = fit_followed(body, config, frame, deviation, task.masks)
-        found.append(fitted)
-        deviation = None
-        if fitted is not None and fitted.fit.explains_mask:
-            deviation = fitted.fit.at.minus(frame.expected.mean)
-    return found
 
 
 def fit_followed(
