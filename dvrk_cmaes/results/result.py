@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.geometry import Float64, Image
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_array, rounded_matrix, rounded_values
 from dvrk_cmaes.io.typed_document import (
@@ -26,7 +26,7 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.results.data_frame import data_frame
-from dvrk_cmaes.results.drawn_over import Image, drawn_over
+from dvrk_cmaes.results.drawn_over import drawn_over
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
 from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck
 
