@@ -37,7 +37,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show, warn
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, frames_text, print_error, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -275,20 +275,18 @@ def _exit_code(counts: Sequence[Mapping[str, int]]) -> int:
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None) -> None:
     """Print the summaries of all arms."""
-    from dvrk_cmaes.cli.session_tools import alone_or_by_arm
-    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.cli.session_tools import answer_by_arm
     from dvrk_cmaes.joints.commanded import describe_commanded
 
-    if json:
-        print(json_text(alone_or_by_arm({name: done.document for name, done in finished.items()})), end="")
+    documents = {name: done.document for name, done in finished.items()}
+    lines = {name: _lines(done.document, done.folder, shard) for name, done in finished.items()}
+    answer_by_arm(documents, lines, json=json)
     for name, done in finished.items():
-        if not json:
-            show([*([Line(name, "bold")] if name else []), *_lines(done.document, done.folder, shard)])
         commanded = done.document.get("commanded")
         texts = [*done.setup.rig.remarks, *([describe_commanded(commanded)] if commanded else [])]
         texts += done.document.get("rig_doubts", ())
         for text in texts:
-            warn(f"{name}: {text}" if name else text)
+            warn(text, name)
 
 
 def _with_masks_of(
@@ -367,14 +365,10 @@ def _run(
 
 def _merge(out: Path, json: bool) -> int:
     """Merge the shards in a folder, report, and return the exit code."""
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.runs.merge import merge_shards
 
     document = merge_shards(out)
-    if json:
-        print(json_text(document), end="")
-    else:
-        show(_lines(document, out, None))
+    answer(document, _lines(document, out, None), json=json)
     counts = document["counts"]
     if counts["missing"]:
         print_error(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")

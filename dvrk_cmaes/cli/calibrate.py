@@ -140,9 +140,8 @@ def calibrate(
             raise InputError("--keyframes: expected either this or --every, got both")
     from dvrk_cmaes.calibration.instrument_test import fitting_instruments
     from dvrk_cmaes.calibration.together import solved_together
-    from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, session_tools
+    from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.results.folder import ALONE
     from dvrk_cmaes.runs.arms import write_arms
@@ -197,13 +196,10 @@ def calibrate(
             return _INTERRUPTED
         for name, solution in solved.items():
             for text in solution.calibration.remarks if not json else solution.calibration.warnings:
-                warn(f"{name}: {text}" if name else text)
-        if json:
-            documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
-            print(json_text(alone_or_by_arm(documents)), end="")
-        else:
-            for name, solution in solved.items():
-                show([*([Line(name, "bold")] if name else []), *_lines(solution, target / name)])
+                warn(text, name)
+        documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
+        lines = {name: _lines(solution, target / name) for name, solution in solved.items()}
+        answer_by_arm(documents, lines, json=json)
         agree = True
         if len(solved) > 1:
             calibrations = {name: solution.calibration for name, solution in solved.items()}

@@ -22,7 +22,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
     joint_files,
 )
-from dvrk_cmaes.cli.terminal import Line, show, warn
+from dvrk_cmaes.cli.terminal import Line, answer, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
@@ -224,7 +224,6 @@ def import_recording(
     check_range("--episode", episode, 0, MOST_EPISODES)
     from dvrk_cmaes.frames.own_files import OwnFiles
     from dvrk_cmaes.frames.picture_fit import parse_crop
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 
     for text in OwnFiles.check_folder(recording, follow_links):
@@ -254,10 +253,7 @@ def import_recording(
             warn(f"{source.source}: {source.without} of {total} frames have no readings within {tolerance:g} s")
     for text in (*summary.warnings, *([said] if said else [])):
         warn(text)
-    if json:
-        print(json_text(summary.to_dict()), end="")
-    else:
-        show(_lines(summary))
+    answer(summary.to_dict(), _lines(summary), json=json)
     return 0
 
 

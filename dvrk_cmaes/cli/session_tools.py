@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
-from dvrk_cmaes.cli.terminal import warn
+from dvrk_cmaes.cli.terminal import Line, answer, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -146,6 +146,12 @@ def single_tool(folder: Path, options: InstrumentOptions, *, follow_links: bool 
         named = ", ".join(tool.arm for tool in first.entries.tools)
         raise InputError(f"{first.entries.path}: tool: expected one, got {named}")
     return first
+
+
+def answer_by_arm(documents: Mapping[str, Any], lines: Mapping[str, Iterable[Line]], *, json: bool) -> None:
+    """Print the documents of all arms as JSON, or else their lines, those of each of several below its name."""
+    titled = ([*([Line(name, "bold")] if name else []), *own] for name, own in lines.items())
+    answer(alone_or_by_arm(documents), (line for own in titled for line in own), json=json)
 
 
 def alone_or_by_arm(values: Mapping[str, T]) -> T | Mapping[str, T]:

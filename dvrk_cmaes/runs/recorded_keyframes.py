@@ -10,12 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.calibrate import SolvedSession, solving_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.first_frames import predict_from_first
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
+from dvrk_cmaes.calibration.session_state import SessionProblem
+from dvrk_cmaes.calibration.together import solved_alone
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -230,9 +232,9 @@ def solve_together(
         return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
     work.progress("estimating keyframes", len(keyframes))
     frames, config = _estimated(recorded, keyframes, work), solved_with(work.config)
-    telling = {"run": work.run, "progress": work.progress}
+    problem = SessionProblem(recorded.series, work.body.instrument, work.arm, config, work.run, work.progress)
     try:
-        solved = calibrate_session(frames, work.body, series=recorded.series, arm=work.arm, config=config, **telling)
+        solved, _ = solved_alone(solving_arm(frames, problem))
     except InputError as error:
         if not str(error).startswith(_REFUSED):
             raise  # a file that is missing or damaged
