@@ -18,12 +18,7 @@ from dvrk_cmaes.calibration.constants import few_of
 from dvrk_cmaes.calibration.endoscope_search import with_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.frame_reports import (
-    check_agreement,
-    describe_disagreements,
-    report_tasks,
-    with_readings,
-)
+from dvrk_cmaes.calibration.frame_reports import check_agreement, describe_disagreements, report_tasks, with_readings
 from dvrk_cmaes.calibration.frame_task import FitTask, FrameReport, fit_task, gather_task, report_task, with_data
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting

@@ -27,11 +27,7 @@ from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
-from dvrk_cmaes.calibration.solution_trials import (
-    solve_session,
-    with_masks_again,
-    with_pieces_if_lost,
-)
+from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again, with_pieces_if_lost
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
 from dvrk_cmaes.calibration.together import Solving, solved_alone, with_others
 from dvrk_cmaes.config import EstimateConfig

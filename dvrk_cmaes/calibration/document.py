@@ -325,11 +325,7 @@ class SessionCalibration:
         return self.covariance_given_camera if self.endoscope is None else self.endoscope.covariance
 
     def model(
-        self,
-        outer: Float64,
-        joints: Float64,
-        joint_names: tuple[str, ...],
-        endoscope: InFrames | None = None,
+        self, outer: Float64, joints: Float64, joint_names: tuple[str, ...], endoscope: InFrames | None = None
     ) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
 

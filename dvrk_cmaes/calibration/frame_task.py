@@ -305,8 +305,5 @@ def _alternatives(
     return tuple(
         mode
         for mode in modes
-        if are_distinct(
-            Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])),
-            fit.at,
-        )
+        if are_distinct(Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])), fit.at)
     )

@@ -65,11 +65,7 @@ class FrameFits:
 
     @classmethod
     def with_lasting(
-        cls,
-        at: Posed,
-        terms: Sequence[Quadratic],
-        common: CommonErrors,
-        constants: Constants | None = None,
+        cls, at: Posed, terms: Sequence[Quadratic], common: CommonErrors, constants: Constants | None = None
     ) -> FrameFits:
         """Stack the outlines' terms of N frames, whose last unknowns are the errors that last, and eliminate these.
 

@@ -34,13 +34,7 @@ def first_starts(
 
 
 def next_starts(
-    fit: FrameFit,
-    misfit: float,
-    expected: Expected,
-    turn: float | None,
-    *,
-    last: bool,
-    changed: Posed | None = None,
+    fit: FrameFit, misfit: float, expected: Expected, turn: float | None, *, last: bool, changed: Posed | None = None
 ) -> tuple[Posed, ...]:
     """Return the starts of a frame that was fitted before; none if the fit is settled.
 

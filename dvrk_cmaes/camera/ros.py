@@ -118,12 +118,7 @@ def _refuse_region(where: str, document: Mapping[str, Any], width: int, height: 
 
 
 def write_camera_info(
-    path: str | Path,
-    camera: Camera,
-    name: str,
-    *,
-    baseline: float = 0.0,
-    right_from_left: Float64 | None = None,
+    path: str | Path, camera: Camera, name: str, *, baseline: float = 0.0, right_from_left: Float64 | None = None
 ) -> None:
     """Write a ROS camera_info YAML file for images that are not rectified; arguments as of `camera_info_text`."""
     write_text(path, camera_info_text(camera, name, baseline=baseline, right_from_left=right_from_left))

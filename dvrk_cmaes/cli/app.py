@@ -32,11 +32,7 @@ def _version() -> str:
 
 
 app = App(
-    name="dvrk-cmaes",
-    help=ABOUT,
-    version=_version,
-    suppress_keyboard_interrupt=False,
-    help_formatter=HelpFormatter(),
+    name="dvrk-cmaes", help=ABOUT, version=_version, suppress_keyboard_interrupt=False, help_formatter=HelpFormatter()
 )
 """The app with all commands, each imported when it is used."""
 for _name in SUMMARIES:

@@ -45,8 +45,7 @@ def frame_layers(
         poses = [(result.camera_from_root, result.joints)]
         poses += [(other.camera_from_root, other.joints) for other in result.alternatives]
         drawn = Renderer(body, camera, threads=1).masks(
-            np.stack([pose for pose, _ in poses]),
-            np.array([[joints[name] for name in names] for _, joints in poses]),
+            np.stack([pose for pose, _ in poses]), np.array([[joints[name] for name in names] for _, joints in poses])
         )
         regions |= dict(zip(("result", *alternative_names(result.alternatives)), drawn, strict=True))
     height, width = mask.shape

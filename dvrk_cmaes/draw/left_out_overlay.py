@@ -26,12 +26,7 @@ _FAINT = 0.22  # brightness of the mask where there is no image, 0 to 1
 
 
 def draw_left_out(
-    mask: Bool,
-    predicted: Bool,
-    iou: float,
-    contour_px: float,
-    *,
-    image: NDArray[np.uint8] | None = None,
+    mask: Bool, predicted: Bool, iou: float, contour_px: float, *, image: NDArray[np.uint8] | None = None
 ) -> NDArray[np.uint8]:
     """Draw a predicted silhouette over a frame.
 
@@ -76,10 +71,7 @@ def _crop_transform(drawn: Bool) -> Float64:
     share = SIZE[0] / SIZE[1]
     wide = max(right - left + 1, (bottom - top + 1) * share) * (1 + 2 * _MARGIN)
     wide = min(max(wide, _LEAST_SHARE * width), max(width, height * share))
-    corner = [
-        _crop_start((left + right) / 2, wide, width),
-        _crop_start((top + bottom) / 2, wide / share, height),
-    ]
+    corner = [_crop_start((left + right) / 2, wide, width), _crop_start((top + bottom) / 2, wide / share, height)]
     scale = SIZE[0] / wide
     return np.array([[scale, 0.0, (0.5 - corner[0]) * scale - 0.5], [0.0, scale, (0.5 - corner[1]) * scale - 0.5]])
 

@@ -15,19 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.draw.canvas import (
-    AXES,
-    DARK,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY_BLUE,
-    VERMILLION,
-    WHITE,
-    YELLOW,
-    Canvas,
-    plain,
-)
+from dvrk_cmaes.draw.canvas import AXES, DARK, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas, plain
 from dvrk_cmaes.draw.panels import footer, header, heights
 from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence

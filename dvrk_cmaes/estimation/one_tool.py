@@ -243,12 +243,7 @@ def _frame_views(seen: Sequence[SeenView], body: Body, settings: EstimateConfig)
     views = []
     for view in seen:
         evidence = gather_evidence(
-            view.mask,
-            view.camera,
-            body.instrument,
-            ignore=view.ignore,
-            keypoints=view.keypoints,
-            seed=settings.seed,
+            view.mask, view.camera, body.instrument, ignore=view.ignore, keypoints=view.keypoints, seed=settings.seed
         )
         renderer = Renderer(body, view.camera, threads=settings.threads)
         view_from_first = view.view_from_camera @ inverse(seen[0].view_from_camera)

@@ -110,9 +110,7 @@ def estimate_tools(
     places: dict[str, dict[str, Place]] = {name: {} for name in tools}
     for one, other in combinations(tools, 2):
         places[one][other] = place_of_other(
-            (results[one], results[other]),
-            (bodies[one], bodies[other]),
-            (seen[one], seen[other]),
+            (results[one], results[other]), (bodies[one], bodies[other]), (seen[one], seen[other])
         )
         places[other][one] = OPPOSITE[places[one][other]]
     for name in tools:

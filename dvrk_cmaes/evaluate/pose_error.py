@@ -103,9 +103,7 @@ def compare_rotations(pose: Float64, true_pose: Float64) -> RotationError:
 
 
 def compare_poses(
-    instrument: Instrument,
-    estimate: tuple[Float64, Mapping[str, float]],
-    truth: tuple[Float64, Mapping[str, float]],
+    instrument: Instrument, estimate: tuple[Float64, Mapping[str, float]], truth: tuple[Float64, Mapping[str, float]]
 ) -> PoseError:
     """Compare a pose and its joints with the true ones: each is camera_from_root (4, 4) and joints by name, rad."""
     (pose, joints), (true_pose, true_joints) = estimate, truth

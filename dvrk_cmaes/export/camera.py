@@ -62,10 +62,7 @@ def _camera_info(name: str, view: View) -> str:
 
 def _plain(view: View) -> str:
     """Return a plain YAML file."""
-    document: dict[str, Any] = {
-        "intrinsic": view.camera.matrix.tolist(),
-        "distortion": list(view.camera.distortion),
-    }
+    document: dict[str, Any] = {"intrinsic": view.camera.matrix.tolist(), "distortion": list(view.camera.distortion)}
     if not _is_first(view):
         document["right_from_left"] = view.view_from_camera.tolist()
     return yaml_text(document)

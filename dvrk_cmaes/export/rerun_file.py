@@ -122,11 +122,7 @@ class RerunFile:
             self._static(f"instrument/{_part(link.name)}", mesh)
 
     def add(
-        self,
-        number: int,
-        row: Mapping[str, Any],
-        read: Mapping[str, float],
-        views: Sequence[ViewPictures],
+        self, number: int, row: Mapping[str, Any], read: Mapping[str, float], views: Sequence[ViewPictures]
     ) -> None:
         """Log a frame.
 

@@ -62,11 +62,7 @@ class ToolTip:
 
 
 def result_messages(
-    results: Sequence[Result],
-    times: Mapping[str, int],
-    names: FrameNames,
-    base: ChosenBase | None,
-    tip: ToolTip,
+    results: Sequence[Result], times: Mapping[str, int], names: FrameNames, base: ChosenBase | None, tip: ToolTip
 ) -> list[RosMessage]:
     """Return the messages of all results with a pose, by time; ``times`` are those of the frames, ns.
 

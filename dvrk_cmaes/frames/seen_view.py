@@ -67,12 +67,7 @@ def seen_views(
 
 
 def seen_by(
-    view: View,
-    mask: object,
-    *,
-    ignore: object = None,
-    image: NDArray[np.uint8] | None = None,
-    keypoints: object = None,
+    view: View, mask: object, *, ignore: object = None, image: NDArray[np.uint8] | None = None, keypoints: object = None
 ) -> SeenView:
     """Return a view with what its camera saw, converted to arrays; its mask is empty if None is given.
 

@@ -95,10 +95,7 @@ def _read_frame(where: str, document: object) -> FrameTruth:
 
 
 def _entry(frame: FrameTruth) -> dict[str, Any]:
-    entry = {
-        "T_camera_roll_link": rounded_array(frame.camera_from_root),
-        "joints": rounded_values(frame.joints),
-    }
+    entry = {"T_camera_roll_link": rounded_array(frame.camera_from_root), "joints": rounded_values(frame.joints)}
     if frame.tips is not None:
         entry["tips_camera_m"] = rounded_array(frame.tips)
     return entry if frame.visible == 1 else {**entry, "visible": frame.visible}

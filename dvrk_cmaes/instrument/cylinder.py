@@ -49,9 +49,7 @@ class Cylinder(NamedTuple):
 
 
 def find_cylinder(
-    vertices: Float64,
-    faces: NDArray[np.int32],
-    axis: tuple[Float64, Float64] | None = None,
+    vertices: Float64, faces: NDArray[np.int32], axis: tuple[Float64, Float64] | None = None
 ) -> Cylinder | None:
     """Find the longest straight circular cylinder in a mesh; None if none is at least three diameters long.
 
@@ -87,10 +85,7 @@ def _direction_across_normals(vertices: Float64, faces: NDArray[np.int32]) -> Fl
 
 
 def _fit_about(
-    vertices: Float64,
-    edges: NDArray[np.int32],
-    direction: Float64,
-    fixed: Float64 | None = None,
+    vertices: Float64, edges: NDArray[np.int32], direction: Float64, fixed: Float64 | None = None
 ) -> Cylinder | None:
     """Fit a cylinder about an approximate direction; with a point `fixed` on the axis, the axis is not changed."""
     slicer = Slicer(vertices, edges, direction)

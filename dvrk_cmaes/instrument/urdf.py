@@ -135,9 +135,7 @@ def load_instrument(
     return instrument
 
 
-def _checked_axis(
-    axis: tuple[ArrayLike, ArrayLike] | None,
-) -> tuple[Float64, Float64] | None:
+def _checked_axis(axis: tuple[ArrayLike, ArrayLike] | None) -> tuple[Float64, Float64] | None:
     """Check an axis and return its point nearest to the origin and its unit direction; None for None."""
     if axis is None:
         return None

@@ -34,9 +34,7 @@ _SHARE: Final = 0.05  # ... by which it differs from zero at all but this share 
 
 
 def place_of_other(
-    results: tuple[Result, Result],
-    bodies: tuple[Body, Body],
-    views: tuple[Sequence[SeenView], Sequence[SeenView]],
+    results: tuple[Result, Result], bodies: tuple[Body, Body], views: tuple[Sequence[SeenView], Sequence[SeenView]]
 ) -> Place:
     """Return where the second of two tools is, as seen by the first, in all views of a frame together.
 

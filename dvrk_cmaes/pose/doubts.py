@@ -187,11 +187,7 @@ def _disagreement(check: ViewCheck, main: str, trust: TrustConfig) -> str | None
 
 
 def doubts_of_modes(
-    modes: Sequence[Fit],
-    evidence: Evidence,
-    readings: Readings,
-    instrument: Instrument,
-    trust: TrustConfig,
+    modes: Sequence[Fit], evidence: Evidence, readings: Readings, instrument: Instrument, trust: TrustConfig
 ) -> list[str]:
     """List the reasons, in words, for which the first of all modes contradicts outline or readings."""
     best, reasons = modes[0], []

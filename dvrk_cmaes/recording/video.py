@@ -49,11 +49,7 @@ class Pictures:
 
 
 @contextmanager
-def open_video(
-    path: Path,
-    asked: Asked,
-    pictures: Pictures = Pictures(),
-) -> Iterator[Recording]:
+def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Iterator[Recording]:
     """Open a video; images are decoded during iteration.
 
     Parameters

@@ -26,13 +26,7 @@ from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, Work, read_shown
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_frames import BlockTask, fit_block
 from dvrk_cmaes.track.reading_buffer import describe_frozen
-from dvrk_cmaes.track.recorded_frames import (
-    NO_READINGS,
-    FittedFrame,
-    JudgeTask,
-    PredictedFrame,
-    judge_frame,
-)
+from dvrk_cmaes.track.recorded_frames import NO_READINGS, FittedFrame, JudgeTask, PredictedFrame, judge_frame
 from dvrk_cmaes.track.window import Told, WindowImage, result_of, solve_window, status_of
 
 BLOCK: Final = 10

@@ -36,13 +36,7 @@ from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import (
-    AroundTask,
-    LearnTask,
-    around_task,
-    learn_task,
-    with_outside,
-)
+from dvrk_cmaes.track.image_frames import AroundTask, LearnTask, around_task, learn_task, with_outside
 from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, choose_keyframes
 

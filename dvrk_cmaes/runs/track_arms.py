@@ -26,13 +26,7 @@ from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
 
 
 def write_track_arms(
-    out: Path,
-    arms: Mapping[str, ArmInSession],
-    *,
-    every: int,
-    frames_a_second: float,
-    video: bool,
-    page: bool,
+    out: Path, arms: Mapping[str, ArmInSession], *, every: int, frames_a_second: float, video: bool, page: bool
 ) -> None:
     """Write OUT/tracks.mp4 and OUT/report.html of arms whose results are in OUT/ARM.
 
@@ -75,10 +69,7 @@ def write_track_arms(
 
 
 def exchanged_arms(
-    out: Path,
-    readings: Mapping[str, Mapping[str, Float64]],
-    arms: Mapping[str, ArmInSession],
-    config: EstimateConfig,
+    out: Path, readings: Mapping[str, Mapping[str, Float64]], arms: Mapping[str, ArmInSession], config: EstimateConfig
 ) -> list[str]:
     """Say which arms, whose results are in OUT/ARM, seem to be exchanged: from which frame on, or in all.
 

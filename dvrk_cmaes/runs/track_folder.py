@@ -98,14 +98,7 @@ class _Run:
     def followed(self, tracker: Tracker, schedule: SolutionSchedule | None) -> Iterator[tuple[FrameFiles, TrackResult]]:
         """Follow the frames."""
         with_images = self.settings.evidence != "masks"
-        return followed(
-            tracker,
-            self.frames,
-            self.clock,
-            self.session.rig,
-            with_images=with_images,
-            schedule=schedule,
-        )
+        return followed(tracker, self.frames, self.clock, self.session.rig, with_images=with_images, schedule=schedule)
 
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
@@ -309,12 +302,7 @@ def _show(
 def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settings: TrackSettings) -> Manifest:
     """Return what the results depend on."""
     setup = BatchSetup(
-        body.instrument,
-        session.rig,
-        settings.config,
-        settings.arm,
-        session.folder,
-        calibration=settings.calibration,
+        body.instrument, session.rig, settings.config, settings.arm, session.folder, calibration=settings.calibration
     )
     followed = {
         "lag": settings.lag,

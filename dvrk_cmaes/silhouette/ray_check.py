@@ -14,10 +14,7 @@ from dvrk_cmaes.silhouette.renderer import Renderer
 
 
 def trace_near_outlines(
-    renderer: Renderer,
-    camera_from_root: Float64,
-    joints: Float64,
-    masks: Bool,
+    renderer: Renderer, camera_from_root: Float64, joints: Float64, masks: Bool
 ) -> tuple[Bool, int]:
     """Retrace the pixels on both sides of the outlines of C masks, (C, H, W).
 

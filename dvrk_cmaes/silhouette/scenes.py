@@ -71,12 +71,7 @@ class LinkScenes:
         found: NDArray[np.int32] = self._scenes[link].run(origins, directions, query="OCCLUDED")
         return np.asarray(found == 0)
 
-    def covered(
-        self,
-        camera_from_link: Float64,
-        pose: Indices,
-        directions: Float64,
-    ) -> Bool:
+    def covered(self, camera_from_link: Float64, pose: Indices, directions: Float64) -> Bool:
         """Return whether any link covers each viewing direction, (N,).
 
         ``camera_from_link`` is (C, L, 4, 4); ``pose`` (N,), ascending, is the index of the pose of each ray;

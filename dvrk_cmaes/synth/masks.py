@@ -67,9 +67,7 @@ def _through_coarse_cells(logits: Float32, cell: int, limit: float = 8.0) -> Flo
     """Clip logits (H, W) to the limit, average them over square cells, and interpolate them to (H, W) again."""
     height, width = logits.shape
     coarse = cv2.resize(
-        np.clip(logits, -limit, limit),
-        (-(-width // cell), -(-height // cell)),
-        interpolation=cv2.INTER_AREA,
+        np.clip(logits, -limit, limit), (-(-width // cell), -(-height // cell)), interpolation=cv2.INTER_AREA
     )
     return np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.float32)
 

@@ -67,13 +67,7 @@ MOTION_LEVELS: Final[Mapping[str, MotionLevel]] = {
 
 
 def moving_arm(
-    body: Body,
-    camera: Camera,
-    rng: np.random.Generator,
-    frames: int,
-    level: MotionLevel,
-    *,
-    arm: Arm = "classic",
+    body: Body, camera: Camera, rng: np.random.Generator, frames: int, level: MotionLevel, *, arm: Arm = "classic"
 ) -> tuple[Float64, list[Truth]]:
     """Draw the smooth motion of an arm: ``camera_from_base`` (4, 4) and the truth of each frame.
 

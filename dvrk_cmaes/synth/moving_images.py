@@ -96,12 +96,7 @@ class RecordingImages:
     """
 
     def __init__(
-        self,
-        camera: Camera,
-        level: ImageLevel,
-        seed: Sequence[int],
-        interval: float,
-        baseline: float = 0.0,
+        self, camera: Camera, level: ImageLevel, seed: Sequence[int], interval: float, baseline: float = 0.0
     ) -> None:
         self._camera, self._level = camera, level
         self._seed, self._interval = tuple(seed), interval

@@ -64,11 +64,7 @@ def trace_links(instrument: Instrument, camera: Camera, camera_from_root: Float6
 
 
 def links_at(
-    instrument: Instrument,
-    camera: Camera,
-    camera_from_root: Float64,
-    joints: Float64,
-    where: Bool,
+    instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64, where: Bool
 ) -> NDArray[np.int32]:
     """Return the index (H, W) of the link that is seen at the pixels ``where`` (H, W); ``NOTHING`` at the others."""
     surface = _Surface.of(instrument, camera_from_root, joints)
@@ -80,11 +76,7 @@ def links_at(
 
 
 def window_of_links(
-    instrument: Instrument,
-    camera: Camera,
-    camera_from_root: Float64,
-    joints: Float64,
-    links: Sequence[int],
+    instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64, links: Sequence[int]
 ) -> Bool:
     """Return a window (H, W) of the image outside which none of these links can be seen, given by their indices."""
     poses = camera_from_root @ instrument.forward(joints)
@@ -92,12 +84,7 @@ def window_of_links(
     return _window(camera, np.concatenate(points)) if points else np.zeros((camera.height, camera.width), np.bool_)
 
 
-def trace_rays(
-    instrument: Instrument,
-    rays: Float32,
-    camera_from_root: Float64,
-    joints: Float64,
-) -> LinkView:
+def trace_rays(instrument: Instrument, rays: Float32, camera_from_root: Float64, joints: Float64) -> LinkView:
     """Trace rays (..., 3) from the camera's origin, as of `pixel_rays`, for a pose (4, 4) and joints (J,)."""
     surface = _Surface.of(instrument, camera_from_root, joints)
     return _traced(surface, rays, np.ones(rays.shape[:-1], dtype=np.bool_))

@@ -100,10 +100,7 @@ def fit_followed(
     fit, own = fit_frame(views, limits, config, expected, starts, None, margins=margins, preset=FOLLOWED)
     stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
     return FittedFrame(
-        StoredFrame(tuple(stored), data.camera, own),
-        fit,
-        own.noises[0].inflation,
-        time.perf_counter() - started,
+        StoredFrame(tuple(stored), data.camera, own), fit, own.noises[0].inflation, time.perf_counter() - started
     )
 
 

@@ -226,11 +226,7 @@ class Tracker:
         self._time = time
 
     def step(
-        self,
-        time: float,
-        mask: Masks | None = None,
-        image: Images | None = None,
-        ignore: Masks | None = None,
+        self, time: float, mask: Masks | None = None, image: Images | None = None, ignore: Masks | None = None
     ) -> TrackResult:
         """Follow the instrument to the image of a later time.
 

@@ -62,12 +62,7 @@ _WALK = (0.02, 0.5, 1.0)  # m, rad about the root's x and y, about its z and of 
 
 
 def wide_calibration(
-    at: Posed,
-    covariance: Float64,
-    reading: ReadingAt,
-    instrument: Instrument,
-    arm: Arm,
-    config: EstimateConfig,
+    at: Posed, covariance: Float64, reading: ReadingAt, instrument: Instrument, arm: Arm, config: EstimateConfig
 ) -> SessionCalibration:
     """Return the calibration that a pose with a covariance (D, D) makes of the readings at its time."""
     names = instrument.joint_names

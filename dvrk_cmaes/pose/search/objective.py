@@ -95,11 +95,7 @@ def loss_of_views(views: Sequence[FrameView], readings: Readings, config: Estima
 
 
 def pose_terms(
-    evidence: Evidence,
-    instrument: Instrument,
-    readings: Readings,
-    weights: LossWeights,
-    at: Posed,
+    evidence: Evidence, instrument: Instrument, readings: Readings, weights: LossWeights, at: Posed
 ) -> tuple[Float64, Float64, Float64]:
     """Compute the terms of shaft edges, jaw tips and readings, (C,) each, which need no silhouette.
 

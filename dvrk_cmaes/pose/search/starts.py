@@ -69,12 +69,7 @@ def sample_distances(count: int, limits: LookAtRange, likely: Float64 | None, rn
 
 
 def sample_lookat(
-    distances: Float64,
-    limits: LookAtRange,
-    rng: np.random.Generator,
-    *,
-    camera: Camera,
-    mask: Bool | None = None,
+    distances: Float64, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera, mask: Bool | None = None
 ) -> Float64:
     """Draw LookAt candidates (N, 4, 4) at some ``distances`` (N,), m, uniform in the three angles.
 
@@ -194,11 +189,7 @@ def _towards(
 
 
 def draw_starts(
-    evidence: Evidence,
-    instrument: Instrument,
-    readings: Readings,
-    config: EstimateConfig,
-    rng: np.random.Generator,
+    evidence: Evidence, instrument: Instrument, readings: Readings, config: EstimateConfig, rng: np.random.Generator
 ) -> tuple[Posed, Bool]:
     """Draw the N candidates of the search, and whether their joints ignore the readings, (N,).
 
