@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.label import Label
-    from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
@@ -220,22 +219,18 @@ def batch(
             calibrations[name] = read_calibration_of(
                 calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
             )
+        own = {"pattern": frames, "shard": part, "retry_failed": retry_failed}
+        options = {"segment": segment.resolve(), "resume": resume, "workers": workers, "time_limit": time_limit}
         for name, arm in arms.items():
             finished[name] = done = _run(
                 arm,
                 results / name,
                 settings,
-                scheduler=scheduler,
-                segment=segment.resolve(),
-                pattern=frames,
-                shard=part,
-                resume=resume,
-                retry_failed=retry_failed,
-                workers=workers,
-                time_limit=time_limit,
-                lag=given,
-                find_lag=lag == AUTO,
-                calibration=calibrations[name],
+                calibrations[name],
+                scheduler,
+                AUTO if lag == AUTO else given,
+                own,
+                options,
             )
             if done.interrupted:
                 break
@@ -310,57 +305,37 @@ def _run(
     arm: ArmInSession,
     out: Path,
     settings: EstimateConfig,
-    *,
-    scheduler: str | None,
-    lag: Lag | None,
-    find_lag: bool,
     calibration: SessionCalibration | None,
-    pattern: str | None,
-    shard: Shard | None,
-    resume: bool,
-    retry_failed: bool,
-    **options: Any,
+    scheduler: str | None,
+    lag: Lag | str | None,
+    own: Mapping[str, Any],
+    options: Mapping[str, Any],
 ) -> BatchSummary:
-    """Run the batch of an arm's session, with progress on stderr."""
+    """Run the batch of an arm's session, with progress on stderr.
+
+    ``own`` and ``options`` are arguments of `run_batch`, of which only the latter hold where a lag is found first.
+    """
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.runs.batch import run_batch
     from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
     from dvrk_cmaes.runs.cluster import dask_executor
 
-    session, model = arm.session, arm.body.instrument
+    session, model, used = arm.session, arm.body.instrument, {"config": settings, "arm": arm.kinematics, **options}
     with ExitStack() as stack:
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
-        stop = stack.enter_context(stopping_on_interrupt())
-
-        def run(session: Session, out: Path, **more: Any) -> BatchSummary:
-            return run_batch(
-                session,
-                out,
-                model,
-                config=settings,
-                arm=arm.kinematics,
-                threads=settings.threads,
-                executor=executor,
-                stop=stop,
-                calibration=calibration,
-                resume=resume,
-                **options,
-                **more,
-            )
-
-        if lag is not None:
-            session = session.with_lag(lag)
-        elif calibration is not None:
+        used |= {"executor": executor, "stop": stack.enter_context(stopping_on_interrupt()), "calibration": calibration}
+        run = partial(run_batch, instrument=model, threads=settings.threads, **used)
+        if calibration is not None and lag in (None, AUTO):
             session = with_calibrated_lag(session, calibration)
-        elif find_lag:
+        elif lag == AUTO:
             with progress() as reporter:
-                found_lag = find_batch_lag(
-                    session, out, partial(run, progress=reporter), model, settings, arm.kinematics
-                )
+                estimated = partial(run, progress=reporter)
+                found_lag = find_batch_lag(session, out, estimated, model, settings, arm.kinematics)
             warn(found_lag.text)
-            session = session if found_lag.lag is None else session.with_lag(found_lag.lag)
-        reporter = stack.enter_context(progress())
-        return run(session, out, pattern=pattern, shard=shard, retry_failed=retry_failed, progress=reporter)
+            lag = found_lag.lag
+        if lag not in (None, AUTO):
+            session = session.with_lag(lag)
+        return run(session, out, progress=stack.enter_context(progress()), **own)
 
 
 def _merge(out: Path, json: bool) -> int:
