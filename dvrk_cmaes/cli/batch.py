@@ -203,7 +203,7 @@ def batch(
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
 
     part = None if shard is None else Shard.parse(shard)
-    given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
+    given = lag if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
     tools = session_tools(session, instrument, only, follow_links=follow_links)
     with output_folder(out, session, "results") as results:
@@ -223,14 +223,7 @@ def batch(
         options = {"segment": segment.resolve(), "resume": resume, "workers": workers, "time_limit": time_limit}
         for name, arm in arms.items():
             finished[name] = done = _run(
-                arm,
-                results / name,
-                settings,
-                calibrations[name],
-                scheduler,
-                AUTO if lag == AUTO else given,
-                own,
-                options,
+                arm, results / name, settings, calibrations[name], scheduler, given, own, options
             )
             if done.interrupted:
                 break
@@ -333,7 +326,7 @@ def _run(
                 found_lag = find_batch_lag(session, out, estimated, model, settings, arm.kinematics)
             warn(found_lag.text)
             lag = found_lag.lag
-        if lag not in (None, AUTO):
+        if lag is not None and not isinstance(lag, str):
             session = session.with_lag(lag)
         return run(session, out, progress=stack.enter_context(progress()), **own)
 
