@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -261,16 +261,21 @@ class Linearised:
         return values - inverse @ (more * values), self.solution.covariance_of(inverse)
 
 
+class FramesAt(NamedTuple):
+    """N frames about whose poses ``at`` outlines are linearised, with the session's model and its calibration.
+
+    Without constants, those of the calibration start as `Constant.start` says. ``prior`` (K, K) is the information
+    matrix of the calibration's prior, as in `solve`, without the constants.
+    """
+
+    model: SessionModel
+    calibration: Calibration
+    prior: Float64
+    at: Posed
+
+
 def linearise(
-    model: SessionModel,
-    calibration: Calibration,
-    prior: Float64,
-    at: Posed,
-    outlines: SessionOutlines,
-    solver: Solver,
-    names: Sequence[str],
-    *,
-    passes: int,
+    frames: FramesAt, outlines: SessionOutlines, solver: Solver, names: Sequence[str], *, passes: int
 ) -> Linearised:
     """Estimate constants beside a calibration, linearising the outlines until those of some names are settled.
 
@@ -279,14 +284,8 @@ def linearise(
 
     Parameters
     ----------
-    model, calibration
-        The session's model and its calibration; without constants, these start as `Constant.start` says.
-    prior : (K, K)
-        Information matrix of the calibration's prior, as in `solve`, without the constants.
-    at
-        The poses of the N frames.
-    outlines
-        The same frames' outlines.
+    frames, outlines
+        The frames, and their outlines.
     solver
         What estimates calibration and constants from linearised outlines.
     names
@@ -299,13 +298,14 @@ def linearise(
     InputError
         As `SessionOutlines.near`.
     """
+    model, calibration, prior, at = frames
     constants, first, done = outlines.constants, None, 0
     if not calibration.constants:
         calibration = replace(calibration, constants={one.name: one.start for one in constants})
     index = few_of(len(at)) if passes > 1 else None
     if index is not None:
-        of_few = model.subset(index), calibration, prior, at[index], outlines.subset(index)
-        few = linearise(*of_few, solver, names, passes=passes - 1)
+        of_few = FramesAt(model.subset(index), calibration, prior, at[index])
+        few = linearise(of_few, outlines.subset(index), solver, names, passes=passes - 1)
         if few.plausible:
             at = shifted(model, at, calibration, few.solution.calibration)
             calibration, first, done = few.solution.calibration, few.first or few, few.passes

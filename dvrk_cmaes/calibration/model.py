@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.endoscope import Endoscope, EndoscopeValues
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse, moved
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -157,6 +158,20 @@ class SessionModel:
     correction: Correction = field(default_factory=lambda: Correction.none(0, 0))
     endoscope: Endoscope | None = None
     _last: dict[bytes, tuple[Float64, Float64]] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def of(
+        cls,
+        readings: Sequence[Mapping[str, float]],
+        instrument: Instrument,
+        config: SessionConfig,
+        arm: Arm,
+        endoscope: Endoscope | None = None,
+    ) -> SessionModel:
+        """Return the model of frames, given the readings of each by joint name, rad and m."""
+        names = instrument.joint_names
+        outer, joints, usual = outer_readings(readings), _columns(readings, names), Deviations.of(config, names)
+        return cls(outer, joints, names, usual, arm=arm, roll_offset=instrument.roll_offset, endoscope=endoscope)
 
     def __post_init__(self) -> None:
         if not self.inflation.size:

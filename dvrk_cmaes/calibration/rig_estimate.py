@@ -13,8 +13,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.constants import (
+    Constant,
+    FramesAt,
+    Linearised,
+    OutlineOfView,
+    SessionOutlines,
+    ViewAsSeen,
+    linearise,
+)
+from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.session_rig import LEAST_STD, ViewRotation, ViewScale, is_turned
 from dvrk_cmaes.calibration.solve import Solution, marginalise, solve, solve_unchanged
 from dvrk_cmaes.camera.rig import ViewChange, turned_place
@@ -93,14 +101,7 @@ class RigEstimate:
     moved: bool
 
 
-def estimate_rig(
-    model: SessionModel,
-    calibration: Calibration,
-    prior: Float64,
-    at: Posed,
-    outlines: SessionOutlines,
-    stated: Sequence[ViewRotation],
-) -> RigEstimate:
+def estimate_rig(frames: FramesAt, outlines: SessionOutlines, stated: Sequence[ViewRotation]) -> RigEstimate:
     """Estimate baseline and focal length of each further view, and its rotation where one of them is contradicted.
 
     Arguments are as in `linearise`; the ``outlines`` are those of all views, with a `ViewDifference` of each further
@@ -108,13 +109,13 @@ def estimate_rig(
     """
     further = [one for one in outlines.constants if isinstance(one, ViewDifference)]
     names = [one.name for one in further]
-    there = linearise(model, calibration, prior, at, outlines, solve_unchanged, names, passes=_PASSES)
+    there = linearise(frames, outlines, solve_unchanged, names, passes=_PASSES)
     scales = _scales(there.solution, names)
     undetermined = tuple(text for each in stated for text in _undetermined(each, scales))
     solution, free = _with_clear_scales(there, scales, names)
     views = {each.view: _with_scales(each, scales) for each in stated}
     if not any(scale is not None and scale.applied for scale in scales.values()):
-        return RigEstimate(tuple(views.values()), undetermined, {}, calibration, at, moved=False)
+        return RigEstimate(tuple(views.values()), undetermined, {}, frames.calibration, frames.at, moved=False)
     turned: dict[str, tuple[Float64, Float64, bool]] = {}
     for name in names:
         own = solution.calibration.place(name)

@@ -158,6 +158,10 @@ class Work:
     run: Run[Any, Any]
     progress: Callable[[str, int], None] = lambda stage, count: None
 
+    def problem(self, series: ReadingSeries | None) -> SessionProblem:
+        """Return the problem of some frames of a recording with all its readings."""
+        return SessionProblem(series, self.body.instrument, self.arm, self.config, self.run, self.progress)
+
 
 @dataclass(frozen=True, eq=False)
 class RecordedKeyframe:
@@ -231,8 +235,8 @@ def solve_together(
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
         return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
     work.progress("estimating keyframes", len(keyframes))
-    frames, config = _estimated(recorded, keyframes, work), solved_with(work.config)
-    problem = SessionProblem(recorded.series, work.body.instrument, work.arm, config, work.run, work.progress)
+    frames = _estimated(recorded, keyframes, work)
+    problem = replace(work, config=solved_with(work.config)).problem(recorded.series)
     try:
         solved, _ = solved_alone(solving_arm(frames, problem))
     except InputError as error:
@@ -254,9 +258,7 @@ def _estimated(recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], 
     results = run(alone_task, [AloneTask(one, arm) for one in some])
     first = {one.number: in_session(one, result) for one, result in zip(some, results, strict=True)}
     readings = {one.files.name: one.files.readings for one in rest}
-    expected = predict_from_first(
-        list(first.values()), readings, work.body.instrument, series=recorded.series, arm=arm, config=work.config
-    )
+    expected = predict_from_first(list(first.values()), readings, work.problem(recorded.series))
     overlaps = [result.quality.iou for result in results if result.quality is not None]
     least = float(np.median(overlaps)) - _OVERLAP_LOSS if overlaps else 1.0
     tasks = [AloneTask(one, arm, expected.get(one.files.name), least) for one in rest]
