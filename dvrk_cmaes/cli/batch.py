@@ -317,7 +317,10 @@ def _run(
     with ExitStack() as stack:
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
         used |= {"executor": executor, "stop": stack.enter_context(stopping_on_interrupt()), "calibration": calibration}
-        run = partial(run_batch, instrument=model, threads=settings.threads, **used)
+
+        def run(session: Session, out: Path, **more: Any) -> BatchSummary:
+            return run_batch(session, out, model, threads=settings.threads, **used, **more)
+
         if calibration is not None and lag in (None, AUTO):
             session = with_calibrated_lag(session, calibration)
         elif lag == AUTO:
