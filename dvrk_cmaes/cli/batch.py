@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.label import Label
+    from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
