@@ -55,7 +55,7 @@ from dvrk_cmaes.io.typed_document import (
     read_covariance,
     refused,
 )
-from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.lag import Lag, current_document
 
 SCHEMA = 1
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
@@ -276,7 +276,7 @@ class SessionCalibration:
         older = "doubts" not in fields  # all that was said was in ``warnings``
         fields["remarks"] = fields.pop("warnings", ()) if older else fields.get("remarks", ())
         fields = {name: value for name, value in fields.items() if name != "warnings"}
-        fields["lag"] = Lag.current_document(fields.get("lag"))
+        fields["lag"] = current_document(fields.get("lag"))
         found = replace(convert_document(where, fields, cls), endoscope=endoscope)
         if found.cables is not None:
             found.cables.check(where, tuple(parts.offsets)[1:])
