@@ -56,10 +56,9 @@ class Prediction:
 class CalibrationView:
     """Contents of the page's section on a session's calibration.
 
-    figures : key figures. base, offsets : rows of tables. matrix : camera_from_base as text, m.
+    figures : key figures. words : what the frames tell of lag, cameras and masks. base, offsets : rows of tables. matrix : camera_from_base as text, m.
     offset_panels, shafts : plots. predictions : the worst first. pictures : predictions whose pictures are shown.
     left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
-    lag : lag of the images that was taken out of the readings, as text; empty if there is none.
     cables : what the cables add to the offsets, in words. cables_plot : plots of the joints' errors, None if the
     session does not tell of its cables.
     lag_plot : plot of the frames' disagreement as a function of the lag, None if no lag was searched.
