@@ -56,7 +56,8 @@ class Prediction:
 class CalibrationView:
     """Contents of the page's section on a session's calibration.
 
-    figures : key figures. words : what the frames tell of lag, cameras and masks. base, offsets : rows of tables. matrix : camera_from_base as text, m.
+    figures : key figures. words : what the frames tell of lag, cameras and masks. base, offsets : rows of tables.
+    matrix : camera_from_base as text, m.
     offset_panels, shafts : plots. predictions : the worst first. pictures : predictions whose pictures are shown.
     left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
     cables : what the cables add to the offsets, in words. cables_plot : plots of the joints' errors, None if the
