@@ -35,15 +35,7 @@ def estimate_all(frames: Iterable[FrameFiles], arm: ArmInSession, config: Estima
         try:
             yield estimate_frame(files, read_frame(files, camera), arm.body, FrameMethod(arm.kinematics, config))
         except DvrkCmaesError as error:
-            yield Result.failed(
-                files.name,
-                str(error),
-                files.readings,
-                instrument=model.name,
-                root_link=model.root_link,
-                shaft_radius=model.shaft_radius,
-                time=files.time,
-            )
+            yield Result.failed(files.name, str(error), files.readings, **model.stated, time=files.time)
 
 
 def record(results: Iterable[Result], instrument: Instrument, *, allow_doubtful: bool = False) -> GoldenRecord:
