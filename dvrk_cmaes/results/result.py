@@ -161,8 +161,8 @@ class Result:
         fields
             Other fields of the result: at least ``instrument`` and ``root_link``, the names of both.
         """
-        nothing = {"camera_from_root": None, "joints": {}, "version": __version__}
-        return cls(frame=frame, status="failed", reasons=(reason,), readings=dict(readings), **nothing, **fields)
+        fields |= {"camera_from_root": None, "joints": {}, "version": __version__}
+        return cls(frame=frame, status="failed", reasons=(reason,), readings=dict(readings), **fields)
 
     @classmethod
     def from_dict(cls, document: object, *, where: str = "result") -> Result:
