@@ -8,7 +8,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
@@ -16,6 +15,7 @@ from dvrk_cmaes.estimation.one_tool import estimate_views
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
 from dvrk_cmaes.frames.seen_view import SeenView
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
@@ -29,7 +29,6 @@ from dvrk_cmaes.silhouette import Body, Renderer
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
 
-Bool = NDArray[np.bool_]
 
 _ITERATIONS = 2  # segmentations after the first
 

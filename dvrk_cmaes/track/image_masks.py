@@ -13,10 +13,10 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.classic import refine_outline
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
@@ -26,10 +26,6 @@ from dvrk_cmaes.segment.regions import fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Segmentation
 from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 from dvrk_cmaes.track.histogram_ratio import ColourModel, bins_of
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
-Image = NDArray[np.uint8]
 
 _BLURRED = 2.0  # px from the outline, within which pixels have colours of both sides
 _AROUND = 40.0  # px from the outline, within which colours are learned
