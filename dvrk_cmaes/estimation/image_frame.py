@@ -20,6 +20,7 @@ from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.shaft_pairs import prompt_in
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -67,7 +68,8 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
     body
         As in `estimate`.
     method
-        How the frame is solved; its prompts hold in the first view.
+        How the frame is solved. Its prompts hold in the first view; in further views the instrument that they choose,
+        or the one that is taken of several, is looked for.
 
     Raises
     ------
@@ -92,11 +94,14 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
             config=config,
         )
 
-    found = []
+    found: list[_FoundMask] = []
     for view in data.views:
-        own = method.hints if view is data.views[0] else None
+        own = method.hints or Hints()
+        if found:  # the prompts are pixels of the first view
+            chosen = found[0].segmentation.others or own != Hints()
+            own = prompt_in(view, found[0].view.mask, found[0].view, body) if chosen else Hints()
         try:
-            found.append(_find_mask(view, body, files.readings, solve, settings, own or Hints(), config.threads))
+            found.append(_find_mask(view, body, files.readings, solve, settings, own, config.threads))
         except DvrkCmaesError as error:
             raise type(error)(f"{image_path(files.others.get(view.name, files))}: {error}") from None
     first, alone = found[0], len(found) == 1

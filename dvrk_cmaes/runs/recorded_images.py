@@ -33,6 +33,7 @@ from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.shaft_pairs import prompt_in
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.histogram_ratio import ColourModel
@@ -91,15 +92,18 @@ class SegmentTask:
 def segment_task(body: Body, config: EstimateConfig, task: SegmentTask) -> PackedFrame | None:
     """Find the masks in the images of a frame; None where nothing is found, or only a guess.
 
-    Masks that the frame has are kept.
+    Masks that the frame has are kept. In further views the instrument of the first view's prompts is looked for.
     """
     data = read_seen(task.files, task.rig)
     if data is None:
         return None
     data = with_outside(data)
-    views = []
+    views: list[SeenView] = []
     for number, view in enumerate(data.views):
-        hints = Hints() if number else task.hints
+        hints = task.hints
+        if number:  # the prompts are pixels of the first view
+            chosen = hints != Hints() and views[0].given
+            hints = prompt_in(view, views[0].mask, views[0], body) if chosen else Hints()
         if view.image is None or (view.given and view.mask.any()):
             views.append(replace(view, image=None))
             continue
