@@ -10,7 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes import _kernel
 
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Indices = NDArray[np.intp]
 
 
 def skew(v: Float64) -> Float64:

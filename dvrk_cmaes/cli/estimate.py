@@ -30,7 +30,7 @@ from dvrk_cmaes.cli.options import (
     joint_files,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import show, warn
+from dvrk_cmaes.cli.terminal import answer, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -160,10 +160,10 @@ def estimate(
     if mask is not None and (prompts, model) != (DEFAULT_PROMPTS, DEFAULT_SEGMENT):
         raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
     from dvrk_cmaes.cli.session_tools import read_calibration_of
+    from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.keypoints import parse_keypoints
     from dvrk_cmaes.frames.label import parse_label
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import read_any_frame, run_frame
     from dvrk_cmaes.segment.segmentation import hints_within
@@ -193,23 +193,12 @@ def estimate(
     read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag, reading.read_as(only))
     files = replace(files, readings=read.readings)
     data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
-    run = run_frame(
-        files,
-        data,
-        body,
-        arm=instrument.kinematics,
-        config=settings,
-        out=out,
-        session=known,
-        settings=model.resolve(),
-        hints=hints_within(prompts.resolve(), files.crop),
-    )
+    shown = hints_within(prompts.resolve(), files.crop)
+    solved_as = FrameMethod(instrument.kinematics, settings, known, model.resolve(), shown)
+    run = run_frame(files, data, body, solved_as, out)
     for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
         warn(text)
-    if json:
-        print(json_text(run.result.to_dict()), end="")
-    else:
-        show(describe(run.result, run.written))
+    answer(run.result.to_dict(), describe(run.result, run.written), json=json)
     return EXIT_CODES[run.result.status]
 
 

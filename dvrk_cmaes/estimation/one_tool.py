@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.critical import known_mistakes
@@ -17,7 +17,7 @@ from dvrk_cmaes.camera.rig import remarks_on_cameras
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
-from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.geometry import Bool, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm, find_camera_from_base
 from dvrk_cmaes.io.arguments import check_type
@@ -34,15 +34,30 @@ from dvrk_cmaes.silhouette.threads import single_blas_thread
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
+    from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMethod:
+    """How a frame is solved: the kinematics of its arm, the settings, and the calibration of its session.
+
+    ``segment`` and ``hints`` are the model and the prompts by which masks are found in images of frames without.
+    """
+
+    arm: Arm
+    config: EstimateConfig
+    session: SessionCalibration | None = None
+    segment: SegmentSettings | None = None
+    hints: Hints | None = None
 
 
 def estimate(
-    mask: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None],
+    mask: Bool | Mapping[str, Bool | None],
     camera: Camera | Rig,
     joints: Mapping[str, float] | None = None,
     instrument: Instrument | Body | str | Path = "lnd",
     *,
-    ignore: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None] | None = None,
+    ignore: Bool | Mapping[str, Bool | None] | None = None,
     keypoints: ArrayLike | Mapping[str, ArrayLike | None] | None = None,
     arm: Arm = "classic",
     session: SessionCalibration | None = None,
@@ -175,9 +190,7 @@ def estimate_views(
         frame=frame,
         status="doubtful" if reasons else "ok",
         reasons=reasons,
-        instrument=model.name,
-        root_link=model.root_link,
-        shaft_radius=model.shaft_radius,
+        **model.stated,
         camera_from_root=found.at.pose,
         joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,
@@ -243,12 +256,7 @@ def _frame_views(seen: Sequence[SeenView], body: Body, settings: EstimateConfig)
     views = []
     for view in seen:
         evidence = gather_evidence(
-            view.mask,
-            view.camera,
-            body.instrument,
-            ignore=view.ignore,
-            keypoints=view.keypoints,
-            seed=settings.seed,
+            view.mask, view.camera, body.instrument, ignore=view.ignore, keypoints=view.keypoints, seed=settings.seed
         )
         renderer = Renderer(body, view.camera, threads=settings.threads)
         view_from_first = view.view_from_camera @ inverse(seen[0].view_from_camera)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import __version__
+from dvrk_cmaes.geometry import Float64, Image
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_array, rounded_matrix, rounded_values
 from dvrk_cmaes.io.typed_document import (
@@ -26,7 +26,7 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.results.data_frame import data_frame
-from dvrk_cmaes.results.drawn_over import Image, drawn_over
+from dvrk_cmaes.results.drawn_over import drawn_over
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
 from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck
 
@@ -43,7 +43,6 @@ __all__ = [
     "ViewCheck",
 ]
 
-Float64 = NDArray[np.float64]
 Status = Literal["ok", "doubtful", "failed"]
 Source = Literal["frame", "session"]
 Place = Literal["behind", "in front", "unclear", "apart"]
@@ -148,21 +147,7 @@ class Result:
         return f"Result({', '.join(said)})"
 
     @classmethod
-    def failed(
-        cls,
-        frame: str,
-        reason: str,
-        readings: Mapping[str, float],
-        *,
-        instrument: str,
-        root_link: str,
-        shaft_radius: float | None = None,
-        warnings: Sequence[str] = (),
-        remarks: Sequence[str] = (),
-        time: float | None = None,
-        seed: int = 0,
-        config: Mapping[str, Any] | None = None,
-    ) -> Result:
+    def failed(cls, frame: str, reason: str, readings: Mapping[str, float], **fields: Any) -> Result:
         """Return the result of a frame without a pose; ``reason`` states why, on one line.
 
         Parameters
@@ -173,40 +158,11 @@ class Result:
             Why there is no pose, on one line.
         readings
             Readings by joint, rad (insertion: m).
-        instrument
-            Name of the instrument.
-        root_link
-            Name of its root link.
-        shaft_radius
-            Radius of its shaft, m; None if it has no straight shaft.
-        warnings
-            Warnings on the frame.
-        remarks
-            Remarks on the camera's file.
-        time
-            Time of the image, s.
-        seed
-            Seed of the search.
-        config
-            Settings of the estimate.
+        fields
+            Other fields of the result: at least ``instrument`` and ``root_link``, the names of both.
         """
-        return cls(
-            frame=frame,
-            status="failed",
-            reasons=(reason,),
-            instrument=instrument,
-            root_link=root_link,
-            shaft_radius=shaft_radius,
-            camera_from_root=None,
-            joints={},
-            readings=dict(readings),
-            warnings=tuple(warnings),
-            remarks=tuple(remarks),
-            time=time,
-            seed=seed,
-            version=__version__,
-            config=dict(config or {}),
-        )
+        fields |= {"camera_from_root": None, "joints": {}, "version": __version__}
+        return cls(frame=frame, status="failed", reasons=(reason,), readings=dict(readings), **fields)
 
     @classmethod
     def from_dict(cls, document: object, *, where: str = "result") -> Result:

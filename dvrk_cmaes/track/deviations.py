@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes import _kernel
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 SLOW_SHARE: Final = 0.8
 SLOW_SECONDS: Final = 0.5
