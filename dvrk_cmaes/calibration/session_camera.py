@@ -339,7 +339,10 @@ def estimate_camera(
     growth, shaft, constants = None, None, there.solution.calibration.constants
     of_masks = next((one for one in outlines.constants if isinstance(one, MaskGrowth)), None)
     if of_masks is not None:
-        known = [growth_told(one, count, of_masks) for one in ((there,) if first is there else (there, first))]
+        changed_camera = any(one.name == CAMERA and one.start.any() for one in outlines.constants)
+        beside = {} if changed_camera else {CAMERA: file_deviations(config)}
+        each = (there,) if first is there else (there, first)
+        known = [growth_told(one, count, of_masks, beside) for one in each]
         told, growth = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])], known[0]
         if SHAFT in constants:
             shaft = SessionShaft.of(there, {CAMERA: file_deviations(config), GROWTH: growth.std_px})
