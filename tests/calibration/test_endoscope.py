@@ -185,39 +185,28 @@ def test_a_session_without_readings_is_cut_where_the_camera_moved(seed: int) -> 
     assert np.linalg.norm(apart[:, :3], axis=1).max() < 4e-3
 
 
-def world_that_errs_alike() -> tuple[Steered40, list[list[Mode]]]:
-    """Make a hundred frames, whose modes err as masks do: those near each other by nearly as much."""
+def test_frames_that_err_alike_count_as_one_where_a_session_is_cut() -> None:
+    """The modes of a hundred frames err as masks do: those near each other by nearly as much.
+
+    Taken as independent they make more pieces than there are, each with some frames; ten of them as one do not.
+    """
     world, rng = steered_world(1, frames=100), np.random.default_rng(1)
     error, modes = np.zeros(9), []
     for of_frame in world.modes:
         error = 0.9 * error + np.sqrt(1 - 0.9**2) * rng.standard_normal(9)
         modes.append([replace(mode, at=mode.at.moved(2 * SEEN * error)) for mode in of_frame])
-    return world, modes
-
-
-def test_every_piece_has_frames_where_neighbours_err_alike() -> None:
-    world, modes = world_that_errs_alike()
-    found = find_pieces(
-        world.model, modes, EXPECTED_OFFSETS, PRIOR, find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    )
-    assert found is not None
-    pieces, _ = found
-    counts = np.bincount(pieces.piece, minlength=len(pieces.start.poses) + 1)
-    assert len(counts) == len(pieces.start.poses) + 1
-    assert counts.min() > 0
-    assert counts[0] == counts.max()
-
-
-def test_frames_that_err_alike_make_no_pieces() -> None:
-    """Where ten frames count as one, what they tell together is no ten times clearer."""
-    world, modes = world_that_errs_alike()
     consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    counts = []
+    numbers = []
     for alike in (1.0, 10.0):
         found = find_pieces(world.model, modes, EXPECTED_OFFSETS, PRIOR, consensus, alike=alike)
         assert found is not None
-        counts.append(len(found[0].start.poses) + 1)
-    assert counts[0] > counts[1] == 4
+        pieces, _ = found
+        counts = np.bincount(pieces.piece, minlength=len(pieces.start.poses) + 1)
+        assert len(counts) == len(pieces.start.poses) + 1
+        assert counts.min() > 0
+        assert counts[0] == counts.max()
+        numbers.append(len(counts))
+    assert numbers[0] > numbers[1] == 4
 
 
 def test_a_session_whose_camera_stands_still_is_not_cut() -> None:
