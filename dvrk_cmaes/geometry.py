@@ -8,7 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Bool = NDArray[np.bool_]
+Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Indices = NDArray[np.intp]
 
 _BELOW, _ABOVE = [7, 2, 3], [5, 6, 1]  # the entries of a 3 x 3 matrix whose differences are those of a cross product
 

@@ -12,19 +12,13 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus_at_any_roll
 from dvrk_cmaes.calibration.constants import few_of
 from dvrk_cmaes.calibration.endoscope_search import with_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.frame_reports import (
-    check_agreement,
-    describe_disagreements,
-    report_tasks,
-    with_readings,
-)
+from dvrk_cmaes.calibration.frame_reports import check_agreement, describe_disagreements, report_tasks, with_readings
 from dvrk_cmaes.calibration.frame_task import FitTask, FrameReport, fit_task, gather_task, report_task, with_data
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
@@ -39,8 +33,6 @@ from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
-
-Float64 = NDArray[np.float64]
 
 _ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from poses rotated about the shaft
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them

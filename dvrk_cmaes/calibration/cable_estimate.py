@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.cables import CableFit, CableSession, fit_cables, observe_errors
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.lasting_errors import frames_alike
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, Solution
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
-
-Float64 = NDArray[np.float64]
 
 _ROLL = 3  # index among the outer joints
 _ALIKE_SECONDS = 1.0  # over which masks err alike, so that their frames count as one

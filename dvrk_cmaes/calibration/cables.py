@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, Correction, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.joints.cable_inference import (
     Assumed,
     Filtered,
@@ -29,7 +29,6 @@ from dvrk_cmaes.joints.cable_prior import CablePrior
 from dvrk_cmaes.joints.cables import features
 from dvrk_cmaes.joints.play import Play
 
-Float64 = NDArray[np.float64]
 Part = Literal["coupling", "play", "wander"]
 
 _MODELS: Final[tuple[tuple[Part, ...], ...]] = (
@@ -70,7 +69,7 @@ class CableSession:
     noise: Float64
 
     @property
-    def order(self) -> NDArray[np.intp]:
+    def order(self) -> Indices:
         """Indices of the frames in the order of time."""
         return np.arange(len(self.readings)) if self.times is None else np.argsort(self.times, kind="stable")
 
@@ -142,7 +141,7 @@ class _TrialFit:
     """A model fitted with one choice of noise and wander; ``active`` (C, 2 C + 1) marks its coefficients."""
 
     parts: tuple[Part, ...]
-    active: NDArray[np.bool_]
+    active: Bool
     given: Observations
     assumed: Assumed
     filtered: Filtered
@@ -221,7 +220,7 @@ def _fit(session: CableSession, prior: CablePrior, parts: tuple[Part, ...]) -> _
     return max([trials[best], *others], key=lambda fit: fit.likelihood)
 
 
-def _observations(session: CableSession, active: NDArray[np.bool_]) -> Observations:
+def _observations(session: CableSession, active: Bool) -> Observations:
     """Return the frames' observations in the order of time, with offsets and the active coefficients as unknowns."""
     frames, count = session.readings.shape
     play = session.play or Play(np.zeros((frames, count)), np.zeros((frames, count)))

@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.alternation import reported, with_lag_of_modes
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
@@ -28,11 +27,7 @@ from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
-from dvrk_cmaes.calibration.solution_trials import (
-    solve_session,
-    with_masks_again,
-    with_pieces_if_lost,
-)
+from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again, with_pieces_if_lost
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
 from dvrk_cmaes.calibration.together import Solving, solved_alone, with_others
 from dvrk_cmaes.config import EstimateConfig
@@ -49,7 +44,6 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
 from dvrk_cmaes.silhouette.threads import map_threaded, single_blas_thread
 
-Float64 = NDArray[np.float64]
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -110,57 +104,37 @@ def calibrate_session(
         Fewer than three frames are usable or agree; the arm does not move; the readings only fit another arm or tool;
         fewer than ten frames, or 5 mm of insertion, to refine the camera.
     """
-    solving = solving_arm(
-        frames,
-        instrument,
-        series=series,
-        arm=arm,
-        refine_camera=refine_camera,
-        config=config,
-        run=run,
-        progress=progress,
-    )
-    return solved_alone(solving)[0]
+    settings = EstimateConfig() if config is None else config
+    body = instrument if isinstance(instrument, Body) else prepare(instrument)
+    run = run or partial(in_threads, body_by(body, settings.silhouette.method), settings)
+    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera)
+    return solved_alone(solving_arm(frames, problem))[0]
 
 
 def solving_arm(
     frames: Sequence[SessionFrame],
-    instrument: Instrument | Body | str,
-    *,
-    series: ReadingSeries | None = None,
-    arm: Arm = "classic",
-    refine_camera: bool = False,
-    config: EstimateConfig | None = None,
-    run: Run[Any, Any] | None = None,
-    progress: Callable[[str, int], None] = lambda stage, count: None,
+    problem: SessionProblem,
     others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
-    guessed_camera: bool = False,
     places: Sequence[Place] = (),
 ) -> Solving[tuple[SolvedSession, dict[str, Evidence]]]:
     """Do what `calibrate_session` does as one of several arms, and also return what was found in the masks.
 
     That is of the first view of each frame that was fitted, by name, without its image, for drawings. ``others`` are
     the leave-one-out predictions of calibrations of the same frames with other instruments, by name of the instrument,
-    or why they were refused. ``guessed_camera`` tells that the frames' camera is a guess, of which there is no file.
-    ``places`` are those at which another arm found the endoscope.
+    or why they were refused. ``places`` are those at which another arm found the endoscope.
     """
-    settings = EstimateConfig() if config is None else config
+    settings, instrument = problem.config, problem.instrument
     check_config(settings)
-    body = instrument if isinstance(instrument, Body) else prepare(instrument)
-    body = body_by(body, settings.silhouette.method)
     started = time.perf_counter()
-    if run is None:
-        run = partial(_in_threads, body, settings)
-    usable, left_out = _usable(frames, body.instrument)
-    if series is None:
-        series = _series_of(usable)
-    names = body.instrument.joint_names
+    usable, left_out = _usable(frames, instrument)
+    series = _series_of(usable) if problem.series is None else problem.series
+    names = instrument.joint_names
     commanded = commanded_in([frame.result.readings for frame in usable], names)
     settings = with_commanded(settings, commanded, names)
     rotations = rotations_of_session(frame.result for frame in usable)
     if turned := changes_of(rotations):
         usable = [with_changed_views(frame, turned, {}) for frame in usable]
-    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera, guessed_camera)
+    problem = replace(problem, series=series, config=settings)
     with single_blas_thread():
         state = solve_session(SessionState.of(problem, usable, rotations), places)
         if settings.session.masks_again:
@@ -200,9 +174,9 @@ def solving_arm(
     alone = {name: report.leave_one_out for name, report in by_name.items() if name not in left_out}
     view_names = dict.fromkeys(view for predicted in alone.values() for view in predicted.views)
     calibration = SessionCalibration(
-        instrument=body.instrument.name,
-        arm=arm,
-        roll_offset=body.instrument.roll_offset,
+        instrument=instrument.name,
+        arm=problem.arm,
+        roll_offset=instrument.roll_offset,
         frames=tuple(frame.name for frame in state.frames if frame.name not in left_out),
         left_out=dict(sorted(left_out.items())),
         leave_one_out={name: (predicted.iou, predicted.contour_px) for name, predicted in alone.items()},
@@ -230,7 +204,7 @@ def solving_arm(
             *state.notes.remarks,
         ),
         seconds=time.perf_counter() - started,
-        config={**settings.as_dict(), "instrument": body.instrument.describe_limits(arm)},
+        config={**settings.as_dict(), "instrument": instrument.describe_limits(problem.arm)},
         **described,
     )
     without_lag = lag.undetermined if lag.nowhere else ""
@@ -270,7 +244,7 @@ def find_lag(
     usable, _ = _usable(frames, body.instrument)
     if series is None:
         series = _series_of(usable)
-    run = partial(_in_threads, body, settings)
+    run = partial(in_threads, body, settings)
     state = SessionState.of(SessionProblem(series, body.instrument, arm, settings, run), usable)
     lag = with_pieces_if_lost(with_lag_of_modes(with_readings(state))).lag
     return lag.lag, lag.undetermined
@@ -289,7 +263,7 @@ def _only_readings(frames: Sequence[SessionFrame], commanded: Sequence[str]) -> 
     return {name: next(own[name] for own in readings if name in own) for name in commanded}
 
 
-def _in_threads(
+def in_threads(
     body: Body, config: EstimateConfig, function: Callable[[Body, EstimateConfig, T], R], tasks: Sequence[T]
 ) -> list[R]:
     """Apply a function to all tasks in threads."""

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.play import Play, play_between
 from dvrk_cmaes.joints.series import ReadingSeries
-
-Float64 = NDArray[np.float64]
 
 RANGE = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
 """Least and largest lag of the search, by unit."""
@@ -134,7 +133,7 @@ class Clock:
             of_joints.append(play_between(times, values, float(band), at, column))
         return Play(*(np.stack(part, axis=1) for part in zip(*of_joints, strict=True)))
 
-    def has_readings(self, delay: Delay) -> NDArray[np.bool_]:
+    def has_readings(self, delay: Delay) -> Bool:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""
         return np.asarray(~np.isnan(self.series.at(OUTER_JOINTS, self.read_times(delay))).any(axis=1))
 

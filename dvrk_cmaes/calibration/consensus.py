@@ -11,13 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.geometry import Posed, adjoint, inverse
+from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed, adjoint, inverse
 from dvrk_cmaes.results.result import Result
-
-Float64 = NDArray[np.float64]
 
 _MAX_HYPOTHESIS_FRAMES = 60  # frames whose modes are used as hypotheses
 _MAX_TEST_FRAMES = 240  # frames on which each hypothesis is scored
@@ -63,12 +60,12 @@ class Consensus:
     """
 
     calibration: Calibration
-    chosen: NDArray[np.intp]
+    chosen: Indices
     misfit: Float64
     cost: Float64
 
     @property
-    def agree(self) -> NDArray[np.bool_]:
+    def agree(self) -> Bool:
         """Whether each frame has a mode that agrees with the calibration, (N,)."""
         return np.asarray(self.misfit < INLIER_MISFIT)
 
@@ -78,7 +75,7 @@ class Consensus:
         return float(np.minimum(self.misfit, INLIER_MISFIT).mean())
 
 
-def evenly_spaced(count: int, most: int) -> NDArray[np.intp]:
+def evenly_spaced(count: int, most: int) -> Indices:
     """Return at most ``most`` evenly spaced indices below ``count``, in increasing order."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
 
@@ -218,7 +215,7 @@ class _Hypotheses:
         base = inverse(self._relative[frame]) @ at.pose @ self._root_from_base[frame]
         return Calibration(base, offsets, endoscope=self._model.start)
 
-    def tested(self, source: tuple[int, int], test_frames: NDArray[np.intp]) -> Consensus:
+    def tested(self, source: tuple[int, int], test_frames: Indices) -> Consensus:
         """Test the calibration that is made from a frame and one of its modes, ``source``, on test frames (V,)."""
         frame, k = source
         hypothesis = self._calibration(frame, k)
@@ -242,15 +239,13 @@ class _Hypotheses:
         changes = self._at[test_frames].minus(_for_each_mode(expected))
         return self._judged(hypothesis, predicted, changes, test_frames)
 
-    def against(self, calibration: Calibration, test_frames: NDArray[np.intp]) -> Consensus:
+    def against(self, calibration: Calibration, test_frames: Indices) -> Consensus:
         """Test a calibration that is known on test frames (V,)."""
         expected = self._model.predict(replace(calibration, endoscope=self._model.start))
         changes = self._at[test_frames].minus(_for_each_mode(expected)[test_frames])
         return self._judged(calibration, self._of_readings[test_frames], changes, test_frames)
 
-    def _judged(
-        self, hypothesis: Calibration, predicted: Float64, changes: Float64, test_frames: NDArray[np.intp]
-    ) -> Consensus:
+    def _judged(self, hypothesis: Calibration, predicted: Float64, changes: Float64, test_frames: Indices) -> Consensus:
         """Judge a calibration by the changes (V, M, D) of modes from what it predicts, with covariance (V, D, D)."""
         dimension = changes.shape[-1]
         total = predicted[:, None] + self._covariance[test_frames]

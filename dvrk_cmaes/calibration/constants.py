@@ -11,10 +11,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
@@ -25,7 +24,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, Solution, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import LASTING
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -33,7 +32,6 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, OutlinePoints, Renderer
 
-Float64 = NDArray[np.float64]
 Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solution]]
 """Estimates a calibration from a model, fits, a start and the prior's information, as `solve`; the model may change."""
 
@@ -201,7 +199,7 @@ class SessionOutlines:
             by = constant.seen(view.name, by, values[constant.name])
         return by
 
-    def subset(self, index: NDArray[np.intp]) -> SessionOutlines:
+    def subset(self, index: Indices) -> SessionOutlines:
         """Return the outlines of the frames at some indices."""
         stored, views = [self.stored[i] for i in index.tolist()], [self.views[i] for i in index.tolist()]
         return replace(self, stored=stored, views=views, common=self.common.subset(index))
@@ -263,16 +261,21 @@ class Linearised:
         return values - inverse @ (more * values), self.solution.covariance_of(inverse)
 
 
+class FramesAt(NamedTuple):
+    """N frames about whose poses ``at`` outlines are linearised, with the session's model and its calibration.
+
+    Without constants, those of the calibration start as `Constant.start` says. ``prior`` (K, K) is the information
+    matrix of the calibration's prior, as in `solve`, without the constants.
+    """
+
+    model: SessionModel
+    calibration: Calibration
+    prior: Float64
+    at: Posed
+
+
 def linearise(
-    model: SessionModel,
-    calibration: Calibration,
-    prior: Float64,
-    at: Posed,
-    outlines: SessionOutlines,
-    solver: Solver,
-    names: Sequence[str],
-    *,
-    passes: int,
+    frames: FramesAt, outlines: SessionOutlines, solver: Solver, names: Sequence[str], *, passes: int
 ) -> Linearised:
     """Estimate constants beside a calibration, linearising the outlines until those of some names are settled.
 
@@ -281,14 +284,8 @@ def linearise(
 
     Parameters
     ----------
-    model, calibration
-        The session's model and its calibration; without constants, these start as `Constant.start` says.
-    prior : (K, K)
-        Information matrix of the calibration's prior, as in `solve`, without the constants.
-    at
-        The poses of the N frames.
-    outlines
-        The same frames' outlines.
+    frames, outlines
+        The frames, and their outlines.
     solver
         What estimates calibration and constants from linearised outlines.
     names
@@ -301,13 +298,14 @@ def linearise(
     InputError
         As `SessionOutlines.near`.
     """
+    model, calibration, prior, at = frames
     constants, first, done = outlines.constants, None, 0
     if not calibration.constants:
         calibration = replace(calibration, constants={one.name: one.start for one in constants})
     index = few_of(len(at)) if passes > 1 else None
     if index is not None:
-        of_few = model.subset(index), calibration, prior, at[index], outlines.subset(index)
-        few = linearise(*of_few, solver, names, passes=passes - 1)
+        of_few = FramesAt(model.subset(index), calibration, prior, at[index])
+        few = linearise(of_few, outlines.subset(index), solver, names, passes=passes - 1)
         if few.plausible:
             at = shifted(model, at, calibration, few.solution.calibration)
             calibration, first, done = few.solution.calibration, few.first or few, few.passes
@@ -328,7 +326,7 @@ def linearise(
         first = first or there
 
 
-def few_of(count: int) -> NDArray[np.intp] | None:
+def few_of(count: int) -> Indices | None:
     """Return the indices of a few of ``count`` frames in their order, evenly spaced; None where all are to be used.
 
     What only leads to a final estimate is found with few frames; the final estimate is always from all of them.

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.instrument_test import CandidateFit
-from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument
+from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
     BASE_AXES,
@@ -38,6 +37,7 @@ from dvrk_cmaes.camera.rig import V, changed_views
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.json_file import read_json_object
@@ -55,9 +55,7 @@ from dvrk_cmaes.io.typed_document import (
     read_covariance,
     refused,
 )
-from dvrk_cmaes.joints.lag import Lag, LagDocument
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.joints.lag import Lag, current_document
 
 SCHEMA = 1
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
@@ -92,8 +90,6 @@ class _Parts(Struct):
     left_out: tuple[_LeftOut, ...] = ()
     leave_one_out: dict[str, _LeaveOneOut] = {}
     leave_one_out_of_views: dict[str, dict[str, _LeaveOneOut]] = {}
-    lag: LagDocument | None = None
-    lag_curve: LagCurveDocument | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,13 +231,8 @@ class SessionCalibration:
             "leave_one_out": _predictions(self.leave_one_out),
             "leave_one_out_of_views": {view: _predictions(own) for view, own in self.leave_one_out_of_views.items()},
             "quality": encoded_fields(self, "iou", "contour_px_95"),
-            "lag": None if self.lag is None else self.lag.to_dict(),
-            "lag_curve": None if self.lag_curve is None else self.lag_curve.to_dict(),
-            "cables": None if self.cables is None else self.cables.to_dict(),
-            **encoded_fields(self, "camera", "shaft", "masks", "masks_again", "rig", "views"),
-            "endoscope": None if self.endoscope is None else self.endoscope.to_dict(),
-            **encoded_fields(self, "instruments"),
-            **encoded_fields(self, "commanded", "arm"),
+            **encoded_fields(self, "lag", "lag_curve", "cables", "camera", "shaft", "masks", "masks_again", "rig"),
+            **encoded_fields(self, "views", "endoscope", "instruments", "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,
@@ -281,20 +272,14 @@ class SessionCalibration:
             "iou": parts.quality.iou,
             "contour_px_95": parts.quality.contour_px_95,
         }
-        cables = SessionCables.from_document(where, fields.pop("cables", None))
-        if cables is not None and tuple(cables.joints) != tuple(parts.offsets)[1:]:
-            raise refused(where, "cables.joints", ", ".join(tuple(parts.offsets)[1:]), list(cables.joints))
         endoscope = SessionEndoscope.from_document(where, fields.pop("endoscope", None), len(axes))
         older = "doubts" not in fields  # all that was said was in ``warnings``
         fields["remarks"] = fields.pop("warnings", ()) if older else fields.get("remarks", ())
-        fields = {name: value for name, value in fields.items() if name not in ("lag", "lag_curve", "warnings")}
-        found = replace(
-            convert_document(where, fields, cls),
-            lag=Lag.from_document(parts.lag),
-            cables=cables,
-            endoscope=endoscope,
-            lag_curve=LagCurve.from_document(parts.lag_curve),
-        )
+        fields = {name: value for name, value in fields.items() if name != "warnings"}
+        fields["lag"] = current_document(fields.get("lag"))
+        found = replace(convert_document(where, fields, cls), endoscope=endoscope)
+        if found.cables is not None:
+            found.cables.check(where, tuple(parts.offsets)[1:])
         if found.masks is not None:
             found.masks.check(where, len(found.whole_covariance))
         return replace(found, doubts=doubts_of(found)) if older else found
@@ -343,11 +328,7 @@ class SessionCalibration:
         return self.covariance_given_camera if self.endoscope is None else self.endoscope.covariance
 
     def model(
-        self,
-        outer: Float64,
-        joints: Float64,
-        joint_names: tuple[str, ...],
-        endoscope: InFrames | None = None,
+        self, outer: Float64, joints: Float64, joint_names: tuple[str, ...], endoscope: InFrames | None = None
     ) -> tuple[SessionModel, Calibration]:
         """Return the session model for readings (N, 4) and (N, J) of other frames, and the calibration.
 

@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, ROLL_OFFSET, ROLL_OFFSET_LONG
-
-Float64 = NDArray[np.float64]
 
 _STILL_RAD, _STILL_M = np.deg2rad(0.05), 2e-4  # standard deviation below which readings are constant
 _IMPROVEMENT = 0.5  # largest ratio of mean misfits at which another explanation replaces the first

@@ -15,14 +15,10 @@ from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.endoscope import Pieces, Steered
 from dvrk_cmaes.calibration.endoscope_search import with_readings
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.model import Deviations, SessionModel, ecm_readings, outer_readings
+from dvrk_cmaes.calibration.model import SessionModel, ecm_readings, outer_readings
 from dvrk_cmaes.calibration.session_state import SessionProblem, SessionState
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.joints.series import ReadingSeries
 
 _LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from them
 
@@ -30,11 +26,7 @@ _LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from 
 def predict_from_first(
     first: Sequence[SessionFrame],
     others: Mapping[str, Mapping[str, float]],
-    instrument: Instrument,
-    *,
-    series: ReadingSeries | None,
-    arm: Arm,
-    config: EstimateConfig,
+    problem: SessionProblem,
 ) -> dict[str, Posed]:
     """Predict frames of a recording from the modes of its ``first`` frames, in the order they were taken.
 
@@ -44,8 +36,8 @@ def predict_from_first(
         Frames that were estimated by themselves.
     others
         The readings of the frames to predict, by name, rad and m.
-    instrument, series, arm, config
-        As in `calibrate_session`.
+    problem
+        The recording's instrument, arm, settings and all readings.
 
     Returns
     -------
@@ -59,14 +51,13 @@ def predict_from_first(
         if frame.result.covariance is not None and not np.isnan(outer_readings([frame.result.readings])).any()
     ]
     try:
-        problem = SessionProblem(series, instrument, arm, config, _no_tasks)
         state = initialised(with_lag_of_modes(with_readings(SessionState.of(problem, usable))))
     except InputError:  # too few frames, or they contradict each other: then they tell nothing about the others
         return {}
-    misfit = state.solution.misfit / (6 + len(instrument.joint_names))
+    misfit = state.solution.misfit / (6 + len(problem.instrument.joint_names))
     if float((misfit < INLIER_MISFIT).mean()) < _LEAST_AGREEING:
         return {}
-    lag = state.lag.applied
+    lag, series = state.lag.applied, problem.series
     readings = {
         name: own if lag is None or series is None or name not in series.frames else series.of_frame(name, lag)
         for name, own in others.items()
@@ -79,20 +70,7 @@ def predict_from_first(
         return {}  # in which piece the others are is not known yet
     if isinstance(endoscope, Steered):
         endoscope = endoscope.at(ecm_readings([readings[name] for name in names]))
-    joints = np.array([[readings[name].get(joint, np.nan) for joint in instrument.joint_names] for name in names])
-    model = SessionModel(
-        outer_readings([readings[name] for name in names]),
-        joints,
-        instrument.joint_names,
-        Deviations.of(config.session, instrument.joint_names),
-        arm=arm,
-        roll_offset=instrument.roll_offset,
-        endoscope=endoscope,
-    )
+    read = [readings[name] for name in names]
+    model = SessionModel.of(read, problem.instrument, problem.config.session, problem.arm, endoscope)
     predicted = model.predict(state.solution.calibration)
     return {name: predicted[i] for i, name in enumerate(names)}
-
-
-def _no_tasks(function: object, tasks: Sequence[object]) -> list[object]:
-    """Run no tasks: the first consensus of frames needs none."""
-    raise AssertionError(f"{function}: {len(tasks)} tasks before the frames are fitted")

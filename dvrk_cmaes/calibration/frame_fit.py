@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, USUAL_SIZE, LastingSize, without_lasting
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.selection import Selection
@@ -23,8 +22,6 @@ from dvrk_cmaes.pose.terms.shared_errors import side_deviation
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView, overlap
-
-Float64 = NDArray[np.float64]
 
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
@@ -62,7 +59,7 @@ class OwnEstimate:
         return cls.drawn_as(views, at, [view.silhouette(at) for view in views])
 
     @classmethod
-    def drawn_as(cls, views: Sequence[FrameView], at: Posed, drawn: Sequence[NDArray[np.bool_]]) -> OwnEstimate:
+    def drawn_as(cls, views: Sequence[FrameView], at: Posed, drawn: Sequence[Bool]) -> OwnEstimate:
         """Measure an estimate whose silhouettes (H, W) in the views have been drawn."""
         noises = [measure_noise(view.evidence.contour, seen) for view, seen in zip(views, drawn, strict=True)]
         return cls(at, tuple(noises), overlap(views, drawn))

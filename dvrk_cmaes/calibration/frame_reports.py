@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.frame_fit import FrameFit
@@ -21,8 +20,6 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
-
-Float64 = NDArray[np.float64]
 
 _MOST_NAMED = 4
 _TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame
 from dvrk_cmaes.calibration.masks_again import FindMasks, read_data
@@ -17,7 +16,7 @@ from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_v
 from dvrk_cmaes.camera.rig import ViewChange, changed_views
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import Posed, change_between
+from dvrk_cmaes.geometry import Float64, Posed, change_between
 from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.pose.covariance import rough_covariance
 from dvrk_cmaes.pose.doubts import doubts_in_views
@@ -30,7 +29,6 @@ from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body
 
-Float64 = NDArray[np.float64]
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -307,8 +305,5 @@ def _alternatives(
     return tuple(
         mode
         for mode in modes
-        if are_distinct(
-            Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])),
-            fit.at,
-        )
+        if are_distinct(Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])), fit.at)
     )

@@ -13,9 +13,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.constants import SessionOutlines
+from dvrk_cmaes.calibration.constants import FramesAt, SessionOutlines
 from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras, with_changed_views, with_data
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.mask_growth import MaskGrowth
@@ -35,7 +34,6 @@ from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 
-Float64 = NDArray[np.float64]
 Changed = tuple[SessionState, Calibration, Posed | None]
 
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
@@ -43,9 +41,8 @@ _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between tw
 
 def with_camera(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
     """Estimate the change of the camera, and use it."""
-    problem = state.problem
-    of_all = state.model, calibration, problem.prior, problem.config.session, at
-    estimate = estimate_camera(*of_all, _outlines(state), passes=_CAMERA_PASSES)
+    frames, config = FramesAt(state.model, calibration, state.problem.prior, at), state.problem.config.session
+    estimate = estimate_camera(frames, config, _outlines(state), passes=_CAMERA_PASSES)
     changed = replace(state, imaging=replace(state.imaging, change=estimate.change, of_change=estimate.covariance))
     return changed, estimate.calibration, estimate.at
 
@@ -57,7 +54,8 @@ def with_rig(state: SessionState, calibration: Calibration, at: Posed) -> Change
         return state, calibration, None
     problem.progress("checking the rig", len(state.frames))
     try:
-        estimate = estimate_rig(state.model, calibration, problem.prior, at, outlines, state.imaging.rig)
+        of_all = FramesAt(state.model, calibration, problem.prior, at)
+        estimate = estimate_rig(of_all, outlines, state.imaging.rig)
     except InputError as error:
         return state.noted(undetermined=[f"rig: {error}"]), calibration, None
     state = replace(state, imaging=replace(state.imaging, rig=estimate.views)).noted(undetermined=estimate.undetermined)
@@ -75,8 +73,8 @@ def with_rig(state: SessionState, calibration: Calibration, at: Posed) -> Change
 def with_margins(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
     """Estimate the margin of each view's masks, and take it off if it is clear."""
     names = list(dict.fromkeys(view.name for stored in state.stored for view in stored.views))
-    of_all = state.model, calibration, state.problem.prior, at
-    found = [estimate_margin(*of_all, _outlines(state, name, file_tells=True)) for name in names]
+    of_all = FramesAt(state.model, calibration, state.problem.prior, at)
+    found = [estimate_margin(of_all, _outlines(state, name, file_tells=True)) for name in names]
     margins = tuple((name, margin) for name, (margin, _, _) in zip(names, found, strict=True))
     state = replace(state, imaging=replace(state.imaging, margins=margins))
     applied = ((own, moved) for margin, own, moved in found if margin.applied)
@@ -91,7 +89,7 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     problem, change = state.problem, state.imaging.change
     problem.progress("checking the camera", len(state.frames))
     at, config = Posed.stacked(fit.at for fit in state.fits), problem.config.session
-    of_all = state.model, state.solution.calibration, problem.prior, config, at
+    of_all = FramesAt(state.model, state.solution.calibration, problem.prior, at)
     outlines = _outlines(state)
     shaft, masks = problem.instrument.shaft, state.imaging.masks
     offsets = [fit.side_offsets for fit in state.fits if fit.explains_mask and fit.side_offsets is not None]
@@ -99,7 +97,7 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     growth = MaskGrowth(outwards, 0.0 if masks is None else masks.taken_off)
     further = [growth, *([] if shaft is None else [ShaftRadius(shaft.radius)])]
     outlines = replace(outlines, constants=(*outlines.constants, *further))
-    check = check_camera(*of_all, outlines, applied=change)
+    check = check_camera(of_all, config, outlines, applied=change)
     if check.growth is not None:
         moves = check.growth.of_calibration
         widened = replace(state.solution, of_growth=moves @ check.growth.squares @ moves.T)

@@ -41,10 +41,7 @@ class CandidateFit(Document):
 
     @classmethod
     def of(
-        cls,
-        instrument: str,
-        predicted: Mapping[str, tuple[float, float]] | str,
-        own: Mapping[str, tuple[float, float]],
+        cls, instrument: str, predicted: Mapping[str, tuple[float, float]] | str, own: Mapping[str, tuple[float, float]]
     ) -> CandidateFit:
         """Compare what left-out frames are predicted to with another instrument and with the session's own.
 

@@ -11,21 +11,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.clock import FAR_RANGE, RANGE, Clock, Delay
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, along, scatter, solve
-from dvrk_cmaes.io.rounding import rounded_array
+from dvrk_cmaes.geometry import Bool, Float64
+from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.joints.lag import Lag, Unit
-
-Float64 = NDArray[np.float64]
 
 _LEAST_FRAMES = 6  # of a session; with fewer, a lag cannot be distinguished from outliers
 _LEAST_AT_LAG = 4  # frames that must have readings at a lag
@@ -52,24 +48,31 @@ _COARSE = 3  # steps of the search, in each of the far one: the misfit falls ove
 _MOVE = "a recording in which the arm moves quickly would determine it"
 
 
-class LagCurveDocument(Struct):
-    """The curve of disagreement in ``session.json``; each point is a lag and a misfit."""
+@dataclass(frozen=True)
+class LagCurve(Document):
+    """Disagreement of the frames as a function of the lag.
+
+    Each of the ``points`` is a lag in a ``unit``, s or frames, and a misfit: the mean of the frames' squared
+    Mahalanobis distances from their consensus by degree of freedom, each at most `INLIER_MISFIT`.
+    """
 
     unit: Unit
     points: tuple[tuple[Number, Number], ...]
 
+    @classmethod
+    def of(cls, unit: Unit, lags: Float64, misfit: Float64) -> LagCurve:
+        """Return the curve of lags (L,) and their misfits (L,)."""
+        return cls(unit, tuple(zip(lags.tolist(), misfit.tolist(), strict=True)))
 
-@dataclass(frozen=True, eq=False)
-class LagCurve:
-    """Disagreement of the frames as a function of the lag.
+    @property
+    def lags(self) -> Float64:
+        """The lags (L,)."""
+        return np.array([lag for lag, _ in self.points])
 
-    ``lags`` (L,) are in a ``unit``, s or frames. ``misfit`` (L,) is the mean of the frames' squared Mahalanobis
-    distances from their consensus by degree of freedom, each at most `INLIER_MISFIT`.
-    """
-
-    unit: Unit
-    lags: Float64
-    misfit: Float64
+    @property
+    def misfit(self) -> Float64:
+        """The misfits (L,)."""
+        return np.array([misfit for _, misfit in self.points])
 
     @property
     def against_none(self) -> bool:
@@ -118,18 +121,6 @@ class LagCurve:
         if allowed <= _FLAT * float(np.diff(self.lags).max()):
             return 0.0
         return allowed * (_OF_A_LAG if applied else _OF_NONE)
-
-    @classmethod
-    def from_document(cls, document: LagCurveDocument | None) -> LagCurve | None:
-        """Take a curve from its document."""
-        if document is None:
-            return None
-        points = np.array(document.points, dtype=np.float64).reshape(-1, 2)
-        return cls(document.unit, points[:, 0], points[:, 1])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the curve in the documented schema, ready for JSON."""
-        return {"unit": self.unit, "points": rounded_array(np.stack([self.lags, self.misfit], axis=1))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,14 +174,14 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
     unit = clock.series.unit
     low, high = RANGE[unit]
     near = searched(low, high, step)
-    curve = LagCurve(unit, near.lags[near.known], near.costs[near.known])
+    curve = LagCurve.of(unit, near.lags[near.known], near.costs[near.known])
     if clock.interpolable and not near.costs.min() <= _DISAGREE:
         low, high = FAR_RANGE[unit]
         coarse = searched(low, high, _COARSE * step)
         if coarse.costs.min() < near.costs.min() / _UNLIKELY:
             about = float(coarse.lags[coarse.best])
             far = searched(max(low, about - _COARSE * step), min(high, about + _COARSE * step), step)
-            curve = LagCurve(unit, far.lags[far.known], far.costs[far.known])
+            curve = LagCurve.of(unit, far.lags[far.known], far.costs[far.known])
             near = replace(far, ends=(low, high))
     best, consensus = near.best, near.agreed[near.best]
     if consensus is None:
@@ -236,7 +227,7 @@ class _Searched:
         return np.array([np.inf if consensus is None else consensus.mean_misfit for consensus in self.agreed])
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Bool:
         """Whether enough frames have readings at each lag, (L,)."""
         return np.isfinite(self.costs)
 

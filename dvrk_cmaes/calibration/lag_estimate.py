@@ -6,18 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.clock import Clock, Delay
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.lag import LagCurve, LagRefiner, Refined, describe_lag, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.play import Play
 from dvrk_cmaes.joints.series import ReadingSeries
-
-Float64 = NDArray[np.float64]
 
 _UNDETERMINED = 2.0  # frames, least standard deviation of a lag that is not determined, and ...
 _UNKNOWN = 3.0  # ... largest
@@ -223,7 +221,7 @@ class LagEstimate:
         frames = len(self.clock.times) if self.clock else 0
         return self.curve.least_std(frames, _UNKNOWN * interval, value, applied=self.applied is not None)
 
-    def has_readings(self) -> NDArray[np.bool_]:
+    def has_readings(self) -> Bool:
         """Whether each frame has readings of all outer joints at the lag that is taken out, and near it, (N,).
 
         Near it is within half a step of the search, so that the lag can still be refined.

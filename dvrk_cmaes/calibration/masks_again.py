@@ -10,19 +10,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import Posed, change_between
+from dvrk_cmaes.geometry import Bool, Float64, Posed, change_between
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
 from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.silhouette import Body, Renderer
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
 
 FindMasks = Callable[[Mapping[str, Bool], Mapping[str, Bool]], Mapping[str, Bool]]
 """Finds masks (H, W) in the images of a frame, by view, around silhouettes, given the first masks; picklable."""

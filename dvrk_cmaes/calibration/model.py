@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.endoscope import Endoscope, EndoscopeValues
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.geometry import Posed, adjoint, inverse, moved
+from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse, moved
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.terms.expected import Expected
 
-Float64 = NDArray[np.float64]
 Constants = Mapping[str, Float64]
 """Values of further unknowns that all frames share, by the name of their block, as of `calibration.constants`."""
 
@@ -159,6 +159,20 @@ class SessionModel:
     endoscope: Endoscope | None = None
     _last: dict[bytes, tuple[Float64, Float64]] = field(default_factory=dict, init=False)
 
+    @classmethod
+    def of(
+        cls,
+        readings: Sequence[Mapping[str, float]],
+        instrument: Instrument,
+        config: SessionConfig,
+        arm: Arm,
+        endoscope: Endoscope | None = None,
+    ) -> SessionModel:
+        """Return the model of frames, given the readings of each by joint name, rad and m."""
+        names = instrument.joint_names
+        outer, joints, usual = outer_readings(readings), _columns(readings, names), Deviations.of(config, names)
+        return cls(outer, joints, names, usual, arm=arm, roll_offset=instrument.roll_offset, endoscope=endoscope)
+
     def __post_init__(self) -> None:
         if not self.inflation.size:
             object.__setattr__(self, "inflation", np.ones((len(self.outer), 1 + len(self.names))))
@@ -182,7 +196,7 @@ class SessionModel:
         return self.endoscope.relative(calibration.endoscope) @ calibration.camera_from_base
 
     @property
-    def _has_reading(self) -> NDArray[np.bool_]:
+    def _has_reading(self) -> Bool:
         return ~np.isnan(self.joints)
 
     def base_from_root(self, offsets: Float64) -> Float64:

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import InFrames
@@ -19,7 +18,7 @@ from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import OF_FRAMES
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.joints.sparse import LEAST_ERROR
@@ -30,9 +29,6 @@ from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
 
 ROLL: Final = 5
 """Index, among the changes of pose and joints, of the first that is an error of the wrist: roll."""

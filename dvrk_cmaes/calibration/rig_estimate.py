@@ -12,17 +12,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.constants import (
+    Constant,
+    FramesAt,
+    Linearised,
+    OutlineOfView,
+    SessionOutlines,
+    ViewAsSeen,
+    linearise,
+)
+from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.session_rig import LEAST_STD, ViewRotation, ViewScale, is_turned
 from dvrk_cmaes.calibration.solve import Solution, marginalise, solve, solve_unchanged
 from dvrk_cmaes.camera.rig import ViewChange, turned_place
-from dvrk_cmaes.geometry import Posed, adjoint, inverse
+from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse
 from dvrk_cmaes.pose.terms.coverage import of_camera, of_margin
-
-Float64 = NDArray[np.float64]
 
 _STD = np.array([*[np.deg2rad(1.0)] * 3, 0.2, 0.1, 0.5])  # rad, logarithms, and px by which the margins of eyes differ
 _PINNED = 1e-3  # standard deviation of what stays as in the file, in those of the prior
@@ -96,14 +101,7 @@ class RigEstimate:
     moved: bool
 
 
-def estimate_rig(
-    model: SessionModel,
-    calibration: Calibration,
-    prior: Float64,
-    at: Posed,
-    outlines: SessionOutlines,
-    stated: Sequence[ViewRotation],
-) -> RigEstimate:
+def estimate_rig(frames: FramesAt, outlines: SessionOutlines, stated: Sequence[ViewRotation]) -> RigEstimate:
     """Estimate baseline and focal length of each further view, and its rotation where one of them is contradicted.
 
     Arguments are as in `linearise`; the ``outlines`` are those of all views, with a `ViewDifference` of each further
@@ -111,13 +109,13 @@ def estimate_rig(
     """
     further = [one for one in outlines.constants if isinstance(one, ViewDifference)]
     names = [one.name for one in further]
-    there = linearise(model, calibration, prior, at, outlines, solve_unchanged, names, passes=_PASSES)
+    there = linearise(frames, outlines, solve_unchanged, names, passes=_PASSES)
     scales = _scales(there.solution, names)
     undetermined = tuple(text for each in stated for text in _undetermined(each, scales))
     solution, free = _with_clear_scales(there, scales, names)
     views = {each.view: _with_scales(each, scales) for each in stated}
     if not any(scale is not None and scale.applied for scale in scales.values()):
-        return RigEstimate(tuple(views.values()), undetermined, {}, calibration, at, moved=False)
+        return RigEstimate(tuple(views.values()), undetermined, {}, frames.calibration, frames.at, moved=False)
     turned: dict[str, tuple[Float64, Float64, bool]] = {}
     for name in names:
         own = solution.calibration.place(name)
@@ -138,7 +136,7 @@ def estimate_rig(
     return RigEstimate(tuple(views.values()), undetermined, changes, alone, at, moved=True)
 
 
-def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str]) -> tuple[Solution, NDArray[np.bool_]]:
+def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str]) -> tuple[Solution, Bool]:
     """Return the solution with those baselines and focal lengths that are clear of the file, and what is free (K,).
 
     What is not clear any more once the others are as in the file stays as there, too; ``scales`` is brought up to date.
@@ -156,7 +154,7 @@ def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str])
     return solution, free
 
 
-def _solved(there: Linearised, calibration: Calibration, free: NDArray[np.bool_]) -> Solution:
+def _solved(there: Linearised, calibration: Calibration, free: Bool) -> Solution:
     """Return the solution where constants that are not free (K,) are as in the file."""
     constants = {
         name: np.where(free[calibration.place(name)], block, 0.0) for name, block in calibration.constants.items()

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.cable_estimate import CableEstimate
 from dvrk_cmaes.calibration.model import Correction
+from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.rounding import rounded, rounded_array
-from dvrk_cmaes.io.typed_document import Number, Texts, convert_document, refused
+from dvrk_cmaes.io.typed_document import Number, Texts, refused
 from dvrk_cmaes.joints.cable_prior import cable_prior
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.joints.play import NARROW
 
-Float64 = NDArray[np.float64]
 Row = tuple[Number, ...]
 Table = tuple[Row, ...]
 
+_ROWS = {"reference", "narrow", "narrow_std", "width", "wander", "seconds", "noise", "offset"}
+_TABLES = {"coupling", "coupling_std", "play", "play_std", "std"}
 _CERTAIN = 2.0  # standard deviations beyond which a coefficient is described in words,
 _LEAST_COUPLING = 0.03  # if it is at least this, rad a rad,
 _LEAST_PLAY = np.deg2rad(1.0)  # or moves a joint by at least this,
@@ -42,7 +43,7 @@ class CablesAlone:
 
 
 @dataclass(frozen=True)
-class SessionCables:
+class SessionCables(Document):
     """The cables of a session, by joint in the order of ``joints``; rad and s.
 
     parts : what is used beside the offsets: coupling, play, wander. gain : logarithm of how many times more likely the
@@ -115,37 +116,20 @@ class SessionCables:
             times={} if times is None else dict(zip(frames, rounded_array(times), strict=True)),
         )
 
-    @classmethod
-    def from_document(cls, where: str, document: object) -> SessionCables | None:
-        """Read the field ``cables`` of a document; None where it is null or missing.
-
-        Raises
-        ------
-        InputError
-            A field is missing or wrong, or does not have a value for each joint.
-        """
-        if document is None:
-            return None
-        found = convert_document(f"{where}: cables", document, cls)
-        count = len(found.joints)
-        rows: tuple[str, ...] = ("reference", "narrow", "narrow_std", "width", "wander", "seconds", "noise")
-        for owner, vectors in ((found, rows), (found.alone, ("offset", "noise"))):
-            for name in vectors:
-                if len(getattr(owner, name)) != count:
-                    raise refused(where, f"cables.{name}", f"{count} numbers, one a joint", getattr(owner, name))
-        tables: tuple[str, ...] = ("coupling", "coupling_std", "play", "play_std")
-        for owner, matrices in ((found, tables), (found.alone, ("coupling", "std"))):
-            for name in matrices:
-                table = getattr(owner, name)
-                if len(table) != count or any(len(row) != count for row in table):
+    def check(self, where: str, joints: Sequence[str]) -> None:
+        """Raise an InputError, whose message begins with ``where``, for other joints or other numbers of numbers."""
+        if self.joints != tuple(joints):
+            raise refused(where, "cables.joints", ", ".join(joints), list(self.joints))
+        count = len(joints)
+        for owner in (self, self.alone):
+            for name in _ROWS & vars(owner).keys():
+                if len(row := getattr(owner, name)) != count:
+                    raise refused(where, f"cables.{name}", f"{count} numbers, one a joint", row)
+            for name in _TABLES & vars(owner).keys():
+                if len(table := getattr(owner, name)) != count or any(len(row) != count for row in table):
                     raise refused(where, f"cables.{name}", f"{count} rows of {count} numbers", table)
-        if min(found.seconds) <= 0:
-            raise refused(where, "cables.seconds", "numbers above 0", found.seconds)
-        return found
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON has them; their numbers are rounded already."""
-        return asdict(self)
+        if min(self.seconds) <= 0:
+            raise refused(where, "cables.seconds", "numbers above 0", self.seconds)
 
     def model(self, offset: Float64) -> CableModel:
         """Return the model of the errors with the session's offsets (C,), rad.

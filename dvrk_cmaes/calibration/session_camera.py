@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.constants import (
     Constant,
+    FramesAt,
     Linearised,
     OutlineOfView,
     SessionOutlines,
@@ -27,19 +27,17 @@ from dvrk_cmaes.calibration.constants import (
 from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthTold, MaskGrowth, growth_told
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.session_shaft import SHAFT, SessionShaft
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, cost_at, solve
+from dvrk_cmaes.calibration.solve import cost_at, solve
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.critical import FILE
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
 from dvrk_cmaes.pose.terms.coverage import of_camera
-
-Float64 = NDArray[np.float64]
 
 CAMERA = "camera"
 """Name of the constant."""
@@ -317,24 +315,17 @@ class CameraEstimate:
 
 
 def estimate_camera(
-    model: SessionModel,
-    calibration: Calibration,
-    prior: Float64,
-    config: SessionConfig,
-    at: Posed,
-    outlines: SessionOutlines,
-    *,
-    passes: int,
+    frames: FramesAt, config: SessionConfig, outlines: SessionOutlines, *, passes: int
 ) -> CameraEstimate:
     """Estimate the change of the camera beside the calibration.
 
     Arguments are as in `linearise`; the ``outlines`` are those of the reference camera, with the change among their
     constants. ``config`` has the settings of the variance components, which are estimated again with the change.
     """
-    solver = partial(_with_variances, config)
-    there = linearise(model, calibration, prior, at, outlines, solver, [CAMERA], passes=passes)
+    solver = partial(solve_with_variances, config=config, steps=_STEPS)
+    there = linearise(frames, outlines, solver, [CAMERA], passes=passes)
     first, own = there.first or there, there.solution.calibration.place(CAMERA)
-    count, information = len(prior), there.information
+    count, information = len(frames.prior), there.information
     told = [(one.value(CAMERA), one.covariance[own, own]) for one in (there, first)]
     growth, shaft, constants = None, None, there.solution.calibration.constants
     of_masks = next((one for one in outlines.constants if isinstance(one, MaskGrowth)), None)
@@ -353,7 +344,7 @@ def estimate_camera(
         replace(there.solution.calibration, constants={}),
         there.at,
         there.plausible,
-        _gain_of_any_camera(model, replace(calibration, constants={}), first, config),
+        _gain_of_any_camera(frames.model, replace(frames.calibration, constants={}), first, config),
         growth,
         shaft,
     )
@@ -381,37 +372,23 @@ def _gain_of_any_camera(
     return costs[0] - costs[1]
 
 
-def _with_variances(
-    config: SessionConfig, model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64
-) -> tuple[SessionModel, Solution]:
-    """Estimate a calibration and the variances."""
-    return solve_with_variances(model, fits, start, prior, config, steps=_STEPS)
-
-
 def check_camera(
-    model: SessionModel,
-    calibration: Calibration,
-    prior: Float64,
-    config: SessionConfig,
-    at: Posed,
-    outlines: SessionOutlines,
-    *,
-    applied: Float64 | None = None,
+    frames: FramesAt, config: SessionConfig, outlines: SessionOutlines, *, applied: Float64 | None = None
 ) -> CameraCheck:
     """Test the camera of a calibrated session.
 
     ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the constant starts; None
     if they were fitted with the file's. The other arguments are as in `estimate_camera`.
     """
-    reason = _lacking(model, _LEAST_FRAMES, "test") if config.test_camera or applied is not None else _NOT_ASKED
+    reason = _lacking(frames.model, _LEAST_FRAMES, "test") if config.test_camera or applied is not None else _NOT_ASKED
     passes = _PASSES if reason is None and applied is None else 1
     try:
-        estimate = estimate_camera(model, calibration, prior, config, at, outlines, passes=passes)
+        estimate = estimate_camera(frames, config, outlines, passes=passes)
         if passes > 1 and not estimate.plausible:
             reason = "camera: its estimate from these frames is not plausible"
-            estimate = estimate_camera(model, calibration, prior, config, at, outlines, passes=1)
+            estimate = estimate_camera(frames, config, outlines, passes=1)
     except InputError as error:
-        return CameraCheck(None, f"camera: {error}", np.zeros_like(prior))
+        return CameraCheck(None, f"camera: {error}", np.zeros_like(frames.prior))
     if applied is not None:
         estimate = replace(estimate, change=applied)
     covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None)
@@ -422,7 +399,7 @@ def check_camera(
         config,
         outlines.camera.width,
         applied=applied is not None,
-        frames=len(at),
+        frames=len(frames.at),
         unusual=any(text.startswith(FILE) for text in outlines.camera.remarks),
     )
     return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft)

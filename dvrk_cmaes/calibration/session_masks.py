@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
+from dvrk_cmaes.calibration.constants import Constant, FramesAt, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number, refused
 from dvrk_cmaes.pose.terms.coverage import of_margin
@@ -25,7 +24,6 @@ from dvrk_cmaes.pose.terms.coverage import of_margin
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.mask_growth import GrowthTold
 
-Float64 = NDArray[np.float64]
 
 MARGIN = "margin"
 """Name of the constant."""
@@ -225,16 +223,15 @@ def margins_of(masks: SessionMasks | None, views: Sequence[str]) -> tuple[float,
     return tuple(0.0 if masks is None else masks.taken_off_in(view) for view in views)
 
 
-def estimate_margin(
-    model: SessionModel, calibration: Calibration, prior: Float64, at: Posed, outlines: SessionOutlines
-) -> tuple[Margin, Calibration, Posed]:
+def estimate_margin(frames: FramesAt, outlines: SessionOutlines) -> tuple[Margin, Calibration, Posed]:
     """Estimate the margin of a view's masks beside the calibration and the camera, whose file counts as a measurement.
 
     Arguments are as in `linearise`; the outlines are those of the view, with the margin among their constants. Also
     returns the calibration and the poses of the N frames with masks less the margin, if it is clear, and the camera of
     the file: a change of the camera that is estimated beside the margin is not used.
     """
-    there = linearise(model, calibration, prior, at, outlines, solve_unchanged, [MARGIN], passes=_PASSES)
+    model, calibration, prior, at = frames
+    there = linearise(frames, outlines, solve_unchanged, [MARGIN], passes=_PASSES)
     value = float(there.value(MARGIN)[0])
     (std,) = (float(there.std(one)[0]) for one in outlines.constants if one.name == MARGIN)
     margin = Margin.of(value, std)

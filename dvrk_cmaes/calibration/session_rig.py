@@ -7,18 +7,16 @@ frames together (see `rig_estimate`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.rig import ViewChange
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Point, PositiveNumber
 from dvrk_cmaes.results.result import Result
-
-Float64 = NDArray[np.float64]
 
 FEWEST = 3
 """Least number of frames in which a view is compared."""
@@ -144,20 +142,24 @@ def rotations_of_session(results: Iterable[Result]) -> tuple[ViewRotation, ...]:
     A view is turned where its rotation is clear of zero. Views that are compared in fewer than three frames are left
     out.
     """
+    found = []
+    for name, count, rotation, own in rotations_of_views(results):
+        covariance = own + np.diag(LEAST_STD**2)
+        applied = is_turned(rotation, covariance)
+        found.append(ViewRotation(name, rotation, np.sqrt(np.diag(covariance)), count, applied))
+    return tuple(found)
+
+
+def rotations_of_views(results: Iterable[Result]) -> Iterator[tuple[str, int, Float64, Float64]]:
+    """Yield name, number of frames, rotation (3,), degrees, and its covariance of each view in three frames or more."""
     rotations_of: dict[str, list[tuple[Float64, Float64]]] = {}
     for result in results:
         for check in result.view_fits[1:]:
             pair = np.asarray(check.rotation_deg), np.asarray(check.covariance_deg2)
             rotations_of.setdefault(check.name, []).append(pair)
-    found = []
     for name, rotations in rotations_of.items():
-        if len(rotations) < FEWEST:
-            continue
-        rotation, covariance = pooled_rotation(rotations)
-        covariance = covariance + np.diag(LEAST_STD**2)
-        applied = is_turned(rotation, covariance)
-        found.append(ViewRotation(name, rotation, np.sqrt(np.diag(covariance)), len(rotations), applied))
-    return tuple(found)
+        if len(rotations) >= FEWEST:
+            yield name, len(rotations), *pooled_rotation(rotations)
 
 
 def is_turned(rotation_deg: Float64, covariance_deg2: Float64) -> bool:

@@ -10,16 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, ViewAsSeen
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
 from dvrk_cmaes.pose.terms.shared_errors import LASTING
 from dvrk_cmaes.pose.terms.sized_view import ANY_NOISE
-
-Float64 = NDArray[np.float64]
 
 SHAFT = "shaft"
 """Name of the constant."""

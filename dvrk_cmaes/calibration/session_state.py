@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.cable_estimate import CableEstimate
 from dvrk_cmaes.calibration.consensus import Mode
@@ -19,18 +18,16 @@ from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.mask_growth import GrowthTold
 from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
-from dvrk_cmaes.calibration.model import Deviations, SessionModel, offset_deviations, outer_readings
+from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.solve import FrameFits, Solution, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.series import ReadingSeries
-
-Float64 = NDArray[np.float64]
 
 LEAST_FRAMES = 3
 """Smallest number of frames from which a session can be calibrated."""
@@ -187,17 +184,15 @@ class SessionState:
             The rotations of the further views against the file that the frames' own results tell; those that are clear
             are taken out of the frames.
         """
-        instrument, readings = problem.instrument, [frame.result.readings for frame in frames]
-        names, outer = instrument.joint_names, outer_readings(readings)
-        joints = np.array([[of_frame.get(name, np.nan) for name in names] for of_frame in readings])
-        deviations = Deviations.of(problem.config.session, names)
+        readings, names = [frame.result.readings for frame in frames], problem.instrument.joint_names
+        model = SessionModel.of(readings, problem.instrument, problem.config.session, problem.arm)
         return cls(
             problem,
             tuple(frames),
             tuple(Mode.all_of(frame.result, names) for frame in frames),
-            SessionModel(outer, joints, names, deviations, arm=problem.arm, roll_offset=instrument.roll_offset),
-            LagEstimate.of(problem.series, [frame.name for frame in frames], deviations.outer),
-            CableEstimate.of(names, deviations, problem.offset_std[1:]),
+            model,
+            LagEstimate.of(problem.series, [frame.name for frame in frames], model.deviations.outer),
+            CableEstimate.of(names, model.deviations, problem.offset_std[1:]),
             Imaging(np.zeros(3) if problem.refine_camera else None, rig=rig),
         )
 

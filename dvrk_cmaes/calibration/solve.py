@@ -18,11 +18,9 @@ from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors, LastingSlopes, frames_alike, without_lasting
 from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
 from dvrk_cmaes.pose.terms.term import Quadratic
-
-Float64 = NDArray[np.float64]
 
 _ROBUST = 2.0
 """Scale of the Geman-McClure weights, in expected errors: a frame's weight is 1 up to one and 0.4 at two."""
@@ -67,11 +65,7 @@ class FrameFits:
 
     @classmethod
     def with_lasting(
-        cls,
-        at: Posed,
-        terms: Sequence[Quadratic],
-        common: CommonErrors,
-        constants: Constants | None = None,
+        cls, at: Posed, terms: Sequence[Quadratic], common: CommonErrors, constants: Constants | None = None
     ) -> FrameFits:
         """Stack the outlines' terms of N frames, whose last unknowns are the errors that last, and eliminate these.
 

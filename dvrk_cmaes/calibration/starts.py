@@ -8,14 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.pose.terms.expected import Expected
-
-Float64 = NDArray[np.float64]
 
 _SETTLED = 0.5  # standard deviations per parameter; a frame whose fit would move by less is not fitted again,
 _SETTLED_LAST = 0.15  # and in the last round by this
@@ -37,13 +34,7 @@ def first_starts(
 
 
 def next_starts(
-    fit: FrameFit,
-    misfit: float,
-    expected: Expected,
-    turn: float | None,
-    *,
-    last: bool,
-    changed: Posed | None = None,
+    fit: FrameFit, misfit: float, expected: Expected, turn: float | None, *, last: bool, changed: Posed | None = None
 ) -> tuple[Posed, ...]:
     """Return the starts of a frame that was fitted before; none if the fit is settled.
 

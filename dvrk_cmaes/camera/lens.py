@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.geometry import Float64
 
 COEFFICIENT_COUNTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8), "equidistant": (4,)}
 """Numbers of distortion coefficients that each model may have."""
@@ -45,7 +46,7 @@ class Lens:
         The map is not one-to-one over the image.
     """
 
-    def __init__(self, model: str, coefficients: tuple[float, ...], border: NDArray[np.float64]) -> None:
+    def __init__(self, model: str, coefficients: tuple[float, ...], border: Float64) -> None:
         self.model = model
         if model == "equidistant":
             self._k = coefficients
@@ -77,9 +78,7 @@ class Lens:
             out *= scale[..., None]
         return out
 
-    def distort_along(
-        self, xy: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def distort_along(self, xy: Float64, directions: Float64) -> tuple[Float64, Float64]:
         """Distort points (N, 2) of x/z, y/z, and differentiate their coordinates along directions.
 
         Returns the distorted points (N, 2), and the gradients (N, 2) by x/z, y/z of the products of each with its
@@ -89,7 +88,7 @@ class Lens:
         a, b = directions[:, 0], directions[:, 1]
         return np.stack(value, axis=-1), np.stack([a * x_by_x + b * y_by_x, a * x_by_y + b * y_by_y], axis=-1)
 
-    def undistort(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
+    def undistort(self, distorted: Float64) -> Float64:
         """Invert ``distort`` on float64 points (..., 2), by Newton's method, to 1e-9 or better."""
         points = distorted.reshape(-1, 2)
         out = np.empty_like(points)
@@ -97,7 +96,7 @@ class Lens:
             out[i : i + _BLOCK] = self._undistort_block(points[i : i + _BLOCK])
         return out.reshape(distorted.shape)
 
-    def _undistort_block(self, distorted: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _undistort_block(self, distorted: Float64) -> Float64:
         """Undistort (N, 2) points, starting from the inverse of the radial distortion."""
         radius = np.hypot(distorted[:, 0], distorted[:, 1])
         end = self._table_distorted[-1]
@@ -125,7 +124,7 @@ class Lens:
             factor /= 1 + squared * (k4 + squared * (k5 + squared * k6))
         return factor
 
-    def _factor_slope(self, squared: NDArray[np.float64], factor: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _factor_slope(self, squared: Float64, factor: Float64) -> Float64:
         """Differentiate ``_factor`` by its argument."""
         s = squared
         if self.model == "equidistant":
@@ -148,9 +147,7 @@ class Lens:
         factor += 2 * p2 * x + 2 * p1 * y  # x (2 p2 x + 2 p1 y) + p2 r^2: the tangential terms, factored
         return x * factor + p2 * squared, y * factor + p1 * squared
 
-    def _raw_jacobian(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], squared: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def _raw_jacobian(self, x: Float64, y: Float64, squared: Float64) -> tuple[Float64, Float64, Float64]:
         """Compute the entries xx, xy, yy of the model's Jacobian, which is symmetric; each of the shape of x and y."""
         factor = self._factor(squared)
         slope = 2 * self._factor_slope(squared, factor)
@@ -161,9 +158,7 @@ class Lens:
             factor + y * y * slope + 6 * p1 * y + 2 * p2 * x,
         )
 
-    def _value_and_jacobian(
-        self, x: NDArray[np.float64], y: NDArray[np.float64]
-    ) -> tuple[tuple[NDArray[np.float64], ...], tuple[NDArray[np.float64], ...]]:
+    def _value_and_jacobian(self, x: Float64, y: Float64) -> tuple[tuple[Float64, ...], tuple[Float64, ...]]:
         """Compute value (x, y) and Jacobian (xx, xy, yx, yy) of the continued map, each of the shape of x and y."""
         squared = x * x + y * y
         scale = np.maximum(np.sqrt(squared) / self.radius, 1.0)
@@ -181,7 +176,7 @@ class Lens:
         gx, gy = value[0] - xx * x - xy * y, value[1] - xy * x - yy * y
         return (value[0] * scale, value[1] * scale), (xx + gx * ux, xy + gx * uy, xy + gy * ux, yy + gy * uy)
 
-    def _newton(self, target: NDArray[np.float64], start: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    def _newton(self, target: Float64, start: Float64) -> tuple[Float64, float]:
         """Solve distort(x) = target, both (N, 2), from a start; return x and the last step relative to 1 + |x|."""
         x, y = start[:, 0], start[:, 1]
         largest = np.inf
@@ -197,7 +192,7 @@ class Lens:
                 break
         return np.stack([x, y], axis=-1), largest
 
-    def _find_radius(self, border: NDArray[np.float64]) -> float:
+    def _find_radius(self, border: Float64) -> float:
         """Compute the radius R within which the model is used; InputError if the model is not one-to-one there."""
         folds = InputError(_FOLDS.format(self.model, " or reaches 90 deg" if self.model == "equidistant" else ""))
         wanted = float(np.hypot(border[:, 0], border[:, 1]).max())
@@ -213,7 +208,7 @@ class Lens:
                 return largest * margin
         raise folds
 
-    def _rising_part(self, wanted: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _rising_part(self, wanted: float) -> tuple[Float64, Float64]:
         """Tabulate the radial map from 0 to where it reaches the wanted distorted radius or stops increasing."""
         end = 2 * wanted
         while True:

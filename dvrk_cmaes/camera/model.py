@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera.lens import COEFFICIENT_COUNTS, Lens
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.arguments import checked_array, checked_number
 
 
@@ -87,7 +88,7 @@ class Camera:
         return None if self.is_pinhole else Lens(self.model, self.distortion, self._border())
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Float64:
         """The intrinsic matrix K, (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
@@ -197,9 +198,7 @@ class Camera:
         pixels += self._principal(pixels.dtype)
         return pixels
 
-    def project_along(
-        self, points: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def project_along(self, points: Float64, directions: Float64) -> tuple[Float64, Float64]:
         """Project points (N, 3) in front of the camera, m, to pixels (N, 2), and compute how these move with them.
 
         That is the gradient (N, 3), px/m, of a pixel's coordinate along a direction (N, 2), times its length.
@@ -246,7 +245,7 @@ class Camera:
     def _principal(self, dtype: np.dtype[Any]) -> NDArray[Any]:
         return np.array([self.cx, self.cy], dtype=dtype)
 
-    def _border(self, samples: int = 128) -> NDArray[np.float64]:
+    def _border(self, samples: int = 128) -> Float64:
         """Return distorted normalised points (4 * samples, 2) along the border of the image, including the corners."""
         u = np.linspace(-0.5, self.width - 0.5, samples)
         v = np.linspace(-0.5, self.height - 0.5, samples)

@@ -12,11 +12,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.fields import as_number, take_field, take_numbers
 from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.geometry import exp_rotation
+from dvrk_cmaes.geometry import Float64, exp_rotation
 from dvrk_cmaes.io.short_text import listed, shown
 
 FORMAT = "calibration_format"
@@ -214,7 +213,7 @@ def _with_fields(content: Mapping[str, Any]) -> Mapping[str, Any] | None:
 def _matrix(where: str, camera: Mapping[str, Any]) -> list[float]:
     """Return the intrinsic matrix of a struct, row by row, for pixels that are counted from 0."""
     name, entry = take_field(where, camera, ("K", "IntrinsicMatrix"))
-    matrix: NDArray[np.float64] = np.reshape(_numbers(where, name, entry, 9), (3, 3))
+    matrix: Float64 = np.reshape(_numbers(where, name, entry, 9), (3, 3))
     matrix = matrix.T if matrix[2, 0] or matrix[2, 1] else matrix
     return (matrix - np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])).ravel().tolist()  # type: ignore[no-any-return]
 

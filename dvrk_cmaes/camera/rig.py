@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.camera.model import Camera
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import inverse, moved, rotation_angle, transform
+from dvrk_cmaes.geometry import Float64, inverse, moved, rotation_angle, transform
 from dvrk_cmaes.io.arguments import check_type
-
-Float64 = NDArray[np.float64]
 
 _BASELINE = (0.0005, 0.5)
 """Smallest and largest distance of the eyes of an endoscope or a stereo camera, m."""

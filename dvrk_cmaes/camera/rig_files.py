@@ -14,13 +14,7 @@ from dvrk_cmaes.camera.opencv import is_stereo_storage
 from dvrk_cmaes.camera.plain import is_plain
 from dvrk_cmaes.camera.rig import Rig
 from dvrk_cmaes.camera.ros import is_camera_info
-from dvrk_cmaes.camera.stereo import (
-    StereoPose,
-    pose_of_camchain,
-    pose_of_camera_infos,
-    pose_of_plain,
-    pose_of_storage,
-)
+from dvrk_cmaes.camera.stereo import StereoPose, pose_of_camchain, pose_of_camera_infos, pose_of_plain, pose_of_storage
 from dvrk_cmaes.errors import InputError
 
 __all__ = ["RigFile", "read_rig"]

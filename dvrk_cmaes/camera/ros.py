@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.fields import (
@@ -27,6 +26,7 @@ from dvrk_cmaes.camera.fields import (
     take_numbers,
 )
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import yaml_text
@@ -118,19 +118,14 @@ def _refuse_region(where: str, document: Mapping[str, Any], width: int, height: 
 
 
 def write_camera_info(
-    path: str | Path,
-    camera: Camera,
-    name: str,
-    *,
-    baseline: float = 0.0,
-    right_from_left: NDArray[np.float64] | None = None,
+    path: str | Path, camera: Camera, name: str, *, baseline: float = 0.0, right_from_left: Float64 | None = None
 ) -> None:
     """Write a ROS camera_info YAML file for images that are not rectified; arguments as of `camera_info_text`."""
     write_text(path, camera_info_text(camera, name, baseline=baseline, right_from_left=right_from_left))
 
 
 def camera_info_text(
-    camera: Camera, name: str, *, baseline: float = 0.0, right_from_left: NDArray[np.float64] | None = None
+    camera: Camera, name: str, *, baseline: float = 0.0, right_from_left: Float64 | None = None
 ) -> str:
     """Return ROS camera_info in YAML for images that are not rectified.
 
@@ -153,6 +148,6 @@ def camera_info_text(
     return yaml_text(document)
 
 
-def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:
+def _matrix(values: Float64) -> dict[str, Any]:
     """Return a matrix as camera_info states it."""
     return {"rows": values.shape[0], "cols": values.shape[1], "data": values.ravel().tolist()}

@@ -12,15 +12,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.fields import has_field, take_field, take_numbers
 from dvrk_cmaes.camera.kalibr import chosen_camera, kalibr_cameras
 from dvrk_cmaes.camera.opencv import plain_names
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import inverse, transform
+from dvrk_cmaes.geometry import Float64, inverse, transform
 
-Float64 = NDArray[np.float64]
 Document = Mapping[str, Any]
 StereoPose = tuple[Float64, tuple[str, ...]]
 """``right_from_left`` (4, 4), m, and notes on how it was read."""

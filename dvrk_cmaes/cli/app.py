@@ -31,29 +31,12 @@ def _version() -> str:
     return __version__
 
 
-def command_line(*, listed: bool = False) -> App:
-    """Return the app with all commands, each imported when it is used.
-
-    Parameters
-    ----------
-    listed
-        Whether it is only to list the commands: their own help is then the first sentence alone.
-    """
-    commands = App(
-        name="dvrk-cmaes",
-        help=ABOUT,
-        version=_version,
-        suppress_keyboard_interrupt=False,
-        help_formatter=HelpFormatter(),
-        help_format="plaintext" if listed else None,
-    )
-    for name, summary in SUMMARIES.items():
-        path = f"dvrk_cmaes.cli.{_FUNCTIONS.get(name, f'{name}:{name}')}"
-        commands.command(path, name=name, help=summary if listed else None)
-    return commands
-
-
-app = command_line()
+app = App(
+    name="dvrk-cmaes", help=ABOUT, version=_version, suppress_keyboard_interrupt=False, help_formatter=HelpFormatter()
+)
+"""The app with all commands, each imported when it is used."""
+for _name in SUMMARIES:
+    app.command(f"dvrk_cmaes.cli.{_FUNCTIONS.get(_name, f'{_name}:{_name}')}", name=_name)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,18 +44,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     prepare_streams()
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     debug = _DEBUG in tokens
-    commands = command_line(listed=True) if tokens[:1] in ([], ["--help"], ["-h"]) else app
     if tokens[:1] == ["help"] and len(tokens) == 2 and _is_only_command(tokens[1]):
         tokens = [tokens[1], "--help"]
     if not tokens or not {"--help", "-h"}.isdisjoint(tokens):
         from rich.console import Console
 
-        commands.console = Console(file=TrimmedOutput())
+        app.console = Console(file=TrimmedOutput())
     with warnings.catch_warnings():
         if not (debug or sys.warnoptions):
             warnings.simplefilter("ignore")  # what a user has to know is said by the commands themselves
         try:
-            code = commands(
+            code = app(
                 [token for token in tokens if token != _DEBUG],
                 exit_on_error=False,
                 print_error=False,

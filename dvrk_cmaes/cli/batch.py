@@ -37,7 +37,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, frames_text, print_error, show, warn
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, frames_text, print_error, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ def batch(
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
 
     part = None if shard is None else Shard.parse(shard)
-    given = None if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
+    given = lag if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
     tools = session_tools(session, instrument, only, follow_links=follow_links)
     with output_folder(out, session, "results") as results:
@@ -220,22 +220,11 @@ def batch(
             calibrations[name] = read_calibration_of(
                 calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
             )
+        own = {"pattern": frames, "shard": part, "retry_failed": retry_failed}
+        options = {"segment": segment.resolve(), "resume": resume, "workers": workers, "time_limit": time_limit}
         for name, arm in arms.items():
             finished[name] = done = _run(
-                arm,
-                results / name,
-                settings,
-                scheduler=scheduler,
-                segment=segment.resolve(),
-                pattern=frames,
-                shard=part,
-                resume=resume,
-                retry_failed=retry_failed,
-                workers=workers,
-                time_limit=time_limit,
-                lag=given,
-                find_lag=lag == AUTO,
-                calibration=calibrations[name],
+                arm, results / name, settings, calibrations[name], scheduler, given, own, options
             )
             if done.interrupted:
                 break
@@ -275,20 +264,18 @@ def _exit_code(counts: Sequence[Mapping[str, int]]) -> int:
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None) -> None:
     """Print the summaries of all arms."""
-    from dvrk_cmaes.cli.session_tools import alone_or_by_arm
-    from dvrk_cmaes.io.atomic import json_text
+    from dvrk_cmaes.cli.session_tools import answer_by_arm
     from dvrk_cmaes.joints.commanded import describe_commanded
 
-    if json:
-        print(json_text(alone_or_by_arm({name: done.document for name, done in finished.items()})), end="")
+    documents = {name: done.document for name, done in finished.items()}
+    lines = {name: _lines(done.document, done.folder, shard) for name, done in finished.items()}
+    answer_by_arm(documents, lines, json=json)
     for name, done in finished.items():
-        if not json:
-            show([*([Line(name, "bold")] if name else []), *_lines(done.document, done.folder, shard)])
         commanded = done.document.get("commanded")
         texts = [*done.setup.rig.remarks, *([describe_commanded(commanded)] if commanded else [])]
         texts += done.document.get("rig_doubts", ())
         for text in texts:
-            warn(f"{name}: {text}" if name else text)
+            warn(text, name)
 
 
 def _with_masks_of(
@@ -312,69 +299,48 @@ def _run(
     arm: ArmInSession,
     out: Path,
     settings: EstimateConfig,
-    *,
-    scheduler: str | None,
-    lag: Lag | None,
-    find_lag: bool,
     calibration: SessionCalibration | None,
-    pattern: str | None,
-    shard: Shard | None,
-    resume: bool,
-    retry_failed: bool,
-    **options: Any,
+    scheduler: str | None,
+    lag: Lag | str | None,
+    own: Mapping[str, Any],
+    options: Mapping[str, Any],
 ) -> BatchSummary:
-    """Run the batch of an arm's session, with progress on stderr."""
+    """Run the batch of an arm's session, with progress on stderr.
+
+    ``own`` and ``options`` are arguments of `run_batch`, of which only the latter hold where a lag is found first.
+    """
     from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
     from dvrk_cmaes.runs.batch import run_batch
     from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
     from dvrk_cmaes.runs.cluster import dask_executor
 
-    session, model = arm.session, arm.body.instrument
+    session, model, used = arm.session, arm.body.instrument, {"config": settings, "arm": arm.kinematics, **options}
     with ExitStack() as stack:
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
-        stop = stack.enter_context(stopping_on_interrupt())
+        used |= {"executor": executor, "stop": stack.enter_context(stopping_on_interrupt()), "calibration": calibration}
 
         def run(session: Session, out: Path, **more: Any) -> BatchSummary:
-            return run_batch(
-                session,
-                out,
-                model,
-                config=settings,
-                arm=arm.kinematics,
-                threads=settings.threads,
-                executor=executor,
-                stop=stop,
-                calibration=calibration,
-                resume=resume,
-                **options,
-                **more,
-            )
+            return run_batch(session, out, model, threads=settings.threads, **used, **more)
 
-        if lag is not None:
-            session = session.with_lag(lag)
-        elif calibration is not None:
+        if calibration is not None and lag in (None, AUTO):
             session = with_calibrated_lag(session, calibration)
-        elif find_lag:
+        elif lag == AUTO:
             with progress() as reporter:
-                found_lag = find_batch_lag(
-                    session, out, partial(run, progress=reporter), model, settings, arm.kinematics
-                )
+                estimated = partial(run, progress=reporter)
+                found_lag = find_batch_lag(session, out, estimated, model, settings, arm.kinematics)
             warn(found_lag.text)
-            session = session if found_lag.lag is None else session.with_lag(found_lag.lag)
-        reporter = stack.enter_context(progress())
-        return run(session, out, pattern=pattern, shard=shard, retry_failed=retry_failed, progress=reporter)
+            lag = found_lag.lag
+        if lag is not None and not isinstance(lag, str):
+            session = session.with_lag(lag)
+        return run(session, out, progress=stack.enter_context(progress()), **own)
 
 
 def _merge(out: Path, json: bool) -> int:
     """Merge the shards in a folder, report, and return the exit code."""
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.runs.merge import merge_shards
 
     document = merge_shards(out)
-    if json:
-        print(json_text(document), end="")
-    else:
-        show(_lines(document, out, None))
+    answer(document, _lines(document, out, None), json=json)
     counts = document["counts"]
     if counts["missing"]:
         print_error(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -33,14 +33,12 @@ from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.calibration.endoscope import Place
     from dvrk_cmaes.calibration.together import Solving
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
     Predictions = Mapping[str, tuple[float, float]]
@@ -142,9 +140,8 @@ def calibrate(
             raise InputError("--keyframes: expected either this or --every, got both")
     from dvrk_cmaes.calibration.instrument_test import fitting_instruments
     from dvrk_cmaes.calibration.together import solved_together
-    from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, session_tools
+    from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.results.folder import ALONE
     from dvrk_cmaes.runs.arms import write_arms
@@ -157,6 +154,7 @@ def calibrate(
 
             settings = solved_with(settings)
         setup = read_setup_joints(session / SETUP)
+        asked = _Asked(settings, workers, refine_camera)
         arms: dict[str, ArmInSession] = {}
         for name, tool in session_tools(session, instrument, only, follow_links=follow_links).items():
             arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), frames, every, keyframes)
@@ -170,7 +168,7 @@ def calibrate(
         def solving(name: str, places: Sequence[Place]) -> Solving[SolvedSession | None]:
             others: dict[str, Predictions | str] = {}
             arm = arms[name]
-            found_camera = arm if results is not None else _with_found_camera(arm, workers=workers, settings=settings)
+            found_camera = arm if results is not None else _with_found_camera(arm, asked)
             if found_camera is None:
                 return None
             for path in _candidates(instrument_candidates):
@@ -180,23 +178,13 @@ def calibrate(
                 other = tool.read(session, camera, joints=joints, reading=reading)
                 if other.body.instrument.name != arm.body.instrument.name:
                     with_other = _share(other, frames, every, keyframes)
-                    found = _predicted_with(with_other, refine_camera=refine_camera, workers=workers, settings=settings)
+                    found = _predicted_with(with_other, asked)
                     if found is None:
                         return None
                     others[other.body.instrument.name] = found
             try:
-                return (
-                    yield from _solving_arm(
-                        found_camera,
-                        target / name,
-                        None if results is None else results / name,
-                        refine_camera=refine_camera,
-                        workers=workers,
-                        settings=settings,
-                        others=others,
-                        places=places,
-                    )
-                )
+                own = None if results is None else results / name
+                return (yield from _solving_arm(found_camera, target / name, asked, own, others, places))
             except InputError as error:
                 if text := fitting_instruments(others):
                     raise InputError(f"{error}; {text}") from None
@@ -208,13 +196,10 @@ def calibrate(
             return _INTERRUPTED
         for name, solution in solved.items():
             for text in solution.calibration.remarks if not json else solution.calibration.warnings:
-                warn(f"{name}: {text}" if name else text)
-        if json:
-            documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
-            print(json_text(alone_or_by_arm(documents)), end="")
-        else:
-            for name, solution in solved.items():
-                show([*([Line(name, "bold")] if name else []), *_lines(solution, target / name)])
+                warn(text, name)
+        documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
+        lines = {name: _lines(solution, target / name) for name, solution in solved.items()}
+        answer_by_arm(documents, lines, json=json)
         agree = True
         if len(solved) > 1:
             calibrations = {name: solution.calibration for name, solution in solved.items()}
@@ -248,7 +233,16 @@ def _candidates(folder: Path | None) -> list[Path]:
     return found
 
 
-def _with_found_camera(arm: ArmInSession, *, workers: int | None, settings: EstimateConfig) -> ArmInSession | None:
+@dataclass(frozen=True)
+class _Asked:
+    """How sessions are solved: the settings, the number of worker processes, and whether the camera is refined."""
+
+    settings: EstimateConfig
+    workers: int | None
+    refine_camera: bool
+
+
+def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
     """Return a session whose camera is guessed with the camera that some of its frames tell; None if interrupted.
 
     The frames are estimated again with that: with a guess that is far off, their poses disagree.
@@ -265,17 +259,14 @@ def _with_found_camera(arm: ArmInSession, *, workers: int | None, settings: Esti
     print(f"dvrk-cmaes: finding the camera with {len(few.session.frames)} frames", file=sys.stderr, flush=True)
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
         out = Path(folder) / "session"
-        solving = _solving_arm(few, out, None, refine_camera=True, workers=workers, settings=settings, others={})
-        solved = solved_alone(solving)
+        solved = solved_alone(_solving_arm(few, out, replace(asked, refine_camera=True)))
     if solved is None:
         return None
     rig = Rig(tuple(view.restored() for view in solved.calibration.views))
     return replace(arm, session=replace(arm.session, rig=rig))
 
 
-def _predicted_with(
-    arm: ArmInSession, *, refine_camera: bool, workers: int | None, settings: EstimateConfig
-) -> Predictions | str | None:
+def _predicted_with(arm: ArmInSession, asked: _Asked) -> Predictions | str | None:
     """Solve a session with another instrument: what it predicts of left-out frames, or why that is not possible.
 
     None if it was interrupted.
@@ -288,10 +279,7 @@ def _predicted_with(
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
         out = Path(folder) / "session"
         try:
-            solving = _solving_arm(
-                arm, out, None, refine_camera=refine_camera, workers=workers, settings=settings, others={}
-            )
-            solved = solved_alone(solving)
+            solved = solved_alone(_solving_arm(arm, out, asked))
         except InputError as error:
             if not str(error).startswith(_REFUSED):
                 raise
@@ -302,12 +290,9 @@ def _predicted_with(
 def _solving_arm(
     arm: ArmInSession,
     target: Path,
-    results: Path | None,
-    *,
-    refine_camera: bool,
-    workers: int | None,
-    settings: EstimateConfig,
-    others: Mapping[str, Predictions | str],
+    asked: _Asked,
+    results: Path | None = None,
+    others: Mapping[str, Predictions | str] | None = None,
     places: Sequence[Place] = (),
 ) -> Solving[SolvedSession | None]:
     """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
@@ -317,8 +302,8 @@ def _solving_arm(
     from dvrk_cmaes.runs.instrument_processes import instrument_processes, worker_processes
     from dvrk_cmaes.runs.processes import usable_cores
 
-    session, model = arm.session, arm.body.instrument
-    count = workers or usable_cores()
+    session, model, settings = arm.session, arm.body.instrument, asked.settings
+    count = asked.workers or usable_cores()
     used = worker_processes(model, count) if results is None else instrument_processes(model, count, session.frames)
     with output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)) as own, used as processes:
         if results is not None:
@@ -349,17 +334,14 @@ def _solving_arm(
 
         return (
             yield from solving_folder(
-                session,
+                arm,
                 alone,
-                model,
                 target,
+                processes,
                 alone=results,
-                arm=arm.kinematics,
-                refine_camera=refine_camera or session.guessed,
+                refine_camera=asked.refine_camera,
                 config=settings,
                 segment=segment,
-                workers=count,
-                processes=processes,
                 opened=own,
                 others=others,
                 places=places,
@@ -377,7 +359,7 @@ def _is_doubtful(solved: SolvedSession) -> bool:
 
 
 def _write_bases(
-    calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, NDArray[np.float64]], out: Path, *, quiet: bool
+    calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, Float64], out: Path, *, quiet: bool
 ) -> bool:
     """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``.
 

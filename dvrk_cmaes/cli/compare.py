@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +11,7 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.label_table import label_table
 from dvrk_cmaes.cli.options import DEFAULT_INSTRUMENT, OUTPUT, Flag, InstrumentOptions
-from dvrk_cmaes.cli.terminal import Line, show
+from dvrk_cmaes.cli.terminal import Line, answer, show
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def compare(
     from dvrk_cmaes.draw.figure import check_figure_path, write_figure
     from dvrk_cmaes.evaluate.compared_set import read_compared_set
     from dvrk_cmaes.evaluate.comparison import compare_sets
-    from dvrk_cmaes.io.atomic import json_text, write_text
+    from dvrk_cmaes.io.atomic import write_text
     from dvrk_cmaes.io.output import LONG, check_output_folder, output
     from dvrk_cmaes.report.compare_page import PAGE, write_compare_page
     from dvrk_cmaes.report.compare_picture import draw_comparison
@@ -100,10 +101,7 @@ def compare(
     if len(sets) == 1 and of_labels is not None:
         if out is not None or picture is not None:
             raise InputError("--out, --picture: expected at least two sets of poses, got one")
-        if json:
-            print(json_text({"labels": of_labels.to_dict()}), end="")
-        else:
-            show(of_labels.lines())
+        answer({"labels": of_labels.to_dict()}, of_labels.lines(), json=json)
         return 0
     found = compare_sets(sets, loaded)
     written = []
@@ -111,13 +109,10 @@ def compare(
         with output(out, "compare", owns=False, wait=LONG):
             write_text(out / _TABLE, _csv_text(found))
             written += [out / _TABLE, write_compare_page(out, found)]
-    if json:
-        more = {} if of_labels is None else {"labels": of_labels.to_dict()}
-        print(json_text({**found.to_dict(), **more}), end="")
-    else:
-        if of_labels is not None:
-            show(of_labels.lines())
-        show([*_sets(found), *_sums(found), *_frames(found, frames), *(Line(f"written: {path}") for path in written)])
+    more = {} if of_labels is None else {"labels": of_labels.to_dict()}
+    tables = [[] if of_labels is None else of_labels.lines(), _sets(found), _sums(found), _frames(found, frames)]
+    lines = chain(*tables, (Line(f"written: {path}") for path in written))
+    answer({**found.to_dict(), **more}, lines, json=json)
     if picture is not None:  # after the tables, which need no matplotlib
         write_figure(picture, draw_comparison(found))
         if not json:

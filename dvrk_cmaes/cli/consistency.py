@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import OUTPUT, Flag
-from dvrk_cmaes.cli.terminal import Line, show, warn
+from dvrk_cmaes.cli.terminal import Line, answer, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -69,7 +69,6 @@ def consistency(
     from dvrk_cmaes.evaluate.paper import TABLE_ONE
     from dvrk_cmaes.evaluate.result_set import read_result_set
     from dvrk_cmaes.instrument.dvrk_description import read_tool
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.report.consistency_picture import draw_axes
 
     if not results:
@@ -84,11 +83,8 @@ def consistency(
         measure_agreement(read_result_set(path, source), arm=arm, roll_offset=roll_offset)
         for path, source in zip(results, sources, strict=True)
     ]
-    if json:
-        paper = {level: asdict(row) for level, row in TABLE_ONE.items()}
-        print(json_text({"sets": [spread.to_dict() for spread in found], "paper": paper}), end="")
-    else:
-        show(_table(found))
+    paper = {level: asdict(row) for level, row in TABLE_ONE.items()}
+    answer({"sets": [spread.to_dict() for spread in found], "paper": paper}, _table(found), json=json)
     for spread in found:
         if spread.results.by_construction:
             instead = f"; one by one: {spread.results.alone}" if spread.results.alone else ""

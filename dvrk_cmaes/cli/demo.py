@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import DEFAULT_METHOD, OUTPUT, Flag, MethodOptions
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer
 
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance
@@ -82,7 +82,6 @@ def demo(
     """
     from dvrk_cmaes.evaluate.pose_error import Tolerance
     from dvrk_cmaes.frames.session_folder import read_session
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.bundled import bundled_path
 
     # for masks with segmentation errors; the tips' limit is that beyond which results are doubtful
@@ -90,16 +89,13 @@ def demo(
     session = read_session(bundled_path("demo"))
     outcomes = list(_run(session, out, method, tolerance))
     right = not any(outcome.beyond for outcome in outcomes)
-    if json:
-        document = {
-            "expected": right,
-            "tolerance": asdict(tolerance),
-            "out": str(out),
-            "frames": [outcome.to_dict() for outcome in outcomes],
-        }
-        print(json_text(document), end="")
-    else:
-        show(_table(outcomes, asdict(tolerance), out))
+    document = {
+        "expected": right,
+        "tolerance": asdict(tolerance),
+        "out": str(out),
+        "frames": [outcome.to_dict() for outcome in outcomes],
+    }
+    answer(document, _table(outcomes, asdict(tolerance), out), json=json)
     return 0 if right else 1
 
 

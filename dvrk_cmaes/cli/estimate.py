@@ -30,7 +30,7 @@ from dvrk_cmaes.cli.options import (
     joint_files,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import show, warn
+from dvrk_cmaes.cli.terminal import answer, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -163,7 +163,6 @@ def estimate(
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.keypoints import parse_keypoints
     from dvrk_cmaes.frames.label import parse_label
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import read_any_frame, run_frame
     from dvrk_cmaes.segment.segmentation import hints_within
@@ -206,10 +205,7 @@ def estimate(
     )
     for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
         warn(text)
-    if json:
-        print(json_text(run.result.to_dict()), end="")
-    else:
-        show(describe(run.result, run.written))
+    answer(run.result.to_dict(), describe(run.result, run.written), json=json)
     return EXIT_CODES[run.result.status]
 
 

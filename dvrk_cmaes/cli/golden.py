@@ -21,7 +21,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
 )
 from dvrk_cmaes.cli.session_tools import single_tool
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -129,7 +129,6 @@ def record(
         Print only a summary, as JSON, on stdout: the frames recorded and those left out.
     """
     from dvrk_cmaes.frames.truth import write_golden
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.results.paths import check_writable
     from dvrk_cmaes.runs.golden import estimate_all
     from dvrk_cmaes.runs.golden import record as recorded
@@ -148,12 +147,9 @@ def record(
         write_golden(path, recording.truth)
     for frame, reason in recording.left_out.items():
         warn(f"left out {frame}: {reason}")
-    if json:
-        document = {"kept": kept, "left_out": dict(recording.left_out), "written": str(path) if kept else None}
-        print(json_text(document), end="")
-    else:
-        show([Line(f"kept {len(kept)} of {len(frames)} frames")])
-        show([Line(f"written: {path}" if kept else "nothing to keep, nothing written")])
+    document = {"kept": kept, "left_out": dict(recording.left_out), "written": str(path) if kept else None}
+    written = f"written: {path}" if kept else "nothing to keep, nothing written"
+    answer(document, [Line(f"kept {len(kept)} of {len(frames)} frames"), Line(written)], json=json)
     return (3 if recording.left_out else 0) if kept else 1
 
 
@@ -200,7 +196,6 @@ def check(
         Print only the comparison, as JSON, on stdout.
     """
     from dvrk_cmaes.frames.truth import read_golden
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.runs.golden import check as checked
     from dvrk_cmaes.runs.golden import estimate_all
 
@@ -214,16 +209,13 @@ def check(
     checks = list(checked(results, kept, arm.body.instrument, most, modulo_twin=tolerance.modulo_twin))
     right = all(frame.check.right for frame in checks)
     not_checked = [files.name for files in arm.session.frames if files.name not in kept.frames]
-    if json:
-        document = {
-            "right": right,
-            "tolerance": asdict(most),
-            "frames": [frame.to_dict() for frame in checks],
-            "not_checked": not_checked,
-        }
-        print(json_text(document), end="")
-    else:
-        show(_table(checks, asdict(most), not_checked))
+    document = {
+        "right": right,
+        "tolerance": asdict(most),
+        "frames": [frame.to_dict() for frame in checks],
+        "not_checked": not_checked,
+    }
+    answer(document, _table(checks, asdict(most), not_checked), json=json)
     return 0 if right else 1
 
 

@@ -22,7 +22,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
     joint_files,
 )
-from dvrk_cmaes.cli.terminal import Line, show, warn
+from dvrk_cmaes.cli.terminal import Line, answer, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
@@ -224,7 +224,6 @@ def import_recording(
     check_range("--episode", episode, 0, MOST_EPISODES)
     from dvrk_cmaes.frames.own_files import OwnFiles
     from dvrk_cmaes.frames.picture_fit import parse_crop
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.recording.write_session import Selection, write_session
 
     for text in OwnFiles.check_folder(recording, follow_links):
@@ -254,10 +253,7 @@ def import_recording(
             warn(f"{source.source}: {source.without} of {total} frames have no readings within {tolerance:g} s")
     for text in (*summary.warnings, *([said] if said else [])):
         warn(text)
-    if json:
-        print(json_text(summary.to_dict()), end="")
-    else:
-        show(_lines(summary))
+    answer(summary.to_dict(), _lines(summary), json=json)
     return 0
 
 
@@ -329,6 +325,7 @@ def _opened(
     from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
     from dvrk_cmaes.recording.pose_table import PoseTable
+    from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.stereo_videos import has_stereo_videos, open_stereo_videos
     from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
@@ -342,7 +339,7 @@ def _opened(
             raise InputError(
                 f"{path}: expected none of --side both, --pose-of, --video-start and topics with a LeRobot data set"
             )
-        return open_lerobot(path, episode=episode, side=side or "left", arm=arm, camera=camera, joints=joints)
+        return open_lerobot(path, Asked(side or "left", arm, camera, joints), episode)
     if episode:
         raise InputError(f"{path}: --episode: expected a LeRobot data set, with meta/info.json and data")
     surgpose = path.is_dir() and is_surgpose(path)
@@ -368,32 +365,27 @@ def _opened(
 
     def of_eye(eye: Side, *, named: bool = True) -> AbstractContextManager[Recording]:
         """Open one eye; ``named`` tells whether the topic of its images has the eye in its name."""
-        if surgpose:
-            return open_surgpose(path, side=eye, arm=arm, camera=camera, joints=joints)
-        if packed:
-            return open_packed(path, side=eye, arm=arm, camera=camera, joints=joints)
-        if clip:
-            return open_surgsync(path, side=eye, arm=arm, camera=camera, joints=joints)
-        if stereo:
-            return open_stereo_videos(path, side=eye, camera=camera, joints=joints, start=video_start)
+        asked = Asked(eye, arm, camera, joints, video_start)
         if not bag:
             shown = Pictures(of_video[0], eye, of_video[1], of_video[2])
             if pictures:
-                return open_pictures(path, camera=camera, joints=joints, pictures=shown)
-            return open_video(path, camera=camera, joints=joints, start=video_start, pictures=shown)
+                return open_pictures(path, asked, shown)
+            if not stereo:
+                return open_video(path, asked, shown)
+            by_frame = open_packed if packed else open_surgsync if clip else open_stereo_videos
+            return (open_surgpose if surgpose else by_frame)(path, asked)
         own = TopicRequest(
-            topics.image_topic, topics.camera_topic, topics.joints_topic, topics.jaw_topic, topics.image_topic_right
+            topics.image_topic,
+            topics.camera_topic,
+            topics.joints_topic,
+            topics.jaw_topic,
+            topics.image_topic_right,
+            eye=eye if named else None,
+            arms=tuple(arms),
+            recorded_times=topics.recorded_times,
         )
         own = own.of_right_eye() if side == "both" and eye == "right" else own
-        return open_bag(
-            path,
-            own,
-            recorded_times=topics.recorded_times,
-            camera=camera,
-            joints=joints if eye == "left" or side == "right" else None,
-            side=eye if named else None,
-            arms=() if eye == "right" and side == "both" else arms,
-        )
+        return open_bag(path, own, replace(asked, joints=joints if eye == "left" or side == "right" else None))
 
     if side == "both":
         return both_eyes(of_eye)

@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.picture_fit import PictureFit
-    from dvrk_cmaes.frames.session_folder import Session
-    from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
-    from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.frames.session_toml import ToolEntry
     from dvrk_cmaes.joints.rows import JointFile, ReadAs
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
     from dvrk_cmaes.silhouette import Body
@@ -121,51 +119,6 @@ class CameraOptions:
             raise InputError("--camera: expected the camera file of the left eye, or of both, got none")
         lens = read_rig(self.camera, self.camera_right, rectified=self.rectified, size=partial(frame_size, frame))
         return self.fit.lens(lens, frame)
-
-    def read_session(
-        self,
-        folder: Path,
-        *,
-        known: Iterable[str],
-        joints: Sequence[Path | JointFile] | None = (),
-        reading: ReadingOptions,
-        entries: SessionEntries | None,
-        tool: ToolEntry,
-        video: SessionVideo | None = None,
-        labelled: bool = False,
-        follow_links: bool = False,
-    ) -> Session:
-        """Read a session folder with this camera; ``known``, ``joints`` and ``video`` as in `frames.session_folder`.
-
-        ``entries`` are those of its session.toml, which count where the command line says nothing; the frames are those
-        of ``tool``. Masks of labels, as those of a session that is ``labelled``, may be in the folder labels.
-        ``reading`` tells how its readings are read, ``follow_links`` whether links may leave the folder.
-        """
-        from dvrk_cmaes.frames.session_folder import read_session_as
-        from dvrk_cmaes.frames.session_toml import CameraEntry
-        from dvrk_cmaes.frames.tool_frames import frames_of_tool
-
-        said = CameraEntry() if entries is None or self.camera is not None else entries.camera
-        labels = folder / ("labels" if labelled or tool.label is not None else "masks")
-        own = () if tool.joints is None else (tool.joints,)
-        session = read_session_as(
-            folder,
-            camera=self.camera or said.file or said.left,
-            camera_right=self.camera_right or said.right,
-            rectified=self.rectified or said.rectified,
-            side=self.side,
-            known=known,
-            joints=joints if joints is None else joints or own,
-            read_as=reading.read_as(tool.arm, tool.columns),
-            fit=self.fit if self.crop or self.stretch else said.fit,
-            masks=tool.masks or (labels if labels.is_dir() and not (folder / "masks").exists() else None),
-            video=video,
-            guess=self.guess,
-            follow_links=follow_links,
-        )
-        if entries is None or not entries.tools:
-            return session
-        return frames_of_tool(session, entries, tool.arm, follow_links=follow_links)
 
 
 @Parameter(name="*", group=CAMERA)

@@ -1,16 +1,13 @@
 """The list of commands, as ``dvrk-cmaes`` and ``dvrk-cmaes --help`` print it, written without cyclopts and Rich.
 
-Importing these two takes most of the time of printing a list that hardly changes. The text is the one that they print
-(``tests/cli/test_overview.py`` compares them at several widths).
+Importing these two takes most of the time of printing a list that hardly changes.
 """
 
 from __future__ import annotations
 
-import os
 import shutil
-import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 SUMMARIES: Final = {
@@ -45,83 +42,38 @@ Try "dvrk-cmaes demo" first; "dvrk-cmaes help" lists the reference pages.
 Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
 With --debug, any command shows where in the program an error was raised."""
 
-_OPTIONS: Final = {"--version": "Display application version."}
-_ASKED: Final[tuple[list[str], ...]] = ([], ["--help"], ["-h"])
-_NARROW: Final = 80
-"""As in ``layout``, which has more to import."""
-_LEAST: Final = 30
-"""Columns below which cyclopts prints the list, by rules of its own."""
-_DEFAULT_COLUMNS: Final = 80
-_COLOUR, _PLAIN = "\x1b[36m", "\x1b[0m"
+_NARROW: Final = 80  # columns, below which texts are below the names
+_COLUMNS: Final = 80  # where stdout is no terminal
 
 
 def print_overview(arguments: Sequence[str]) -> bool:
-    """Print the list of commands or the version, if the arguments ask for that and stdout takes it.
-
-    Returns False where this prints nothing: for other arguments, terminals without UTF-8, and very narrow ones.
-    """
+    """Print the list of commands or the version, if the arguments ask for that; False for other arguments."""
     if list(arguments) == ["--version"]:
         from dvrk_cmaes.config import __version__
 
         print(__version__, flush=True)
-        return True
-    width = _columns()
-    if list(arguments) not in _ASKED or width < _LEAST or not _takes_lines():
+    elif list(arguments) in ([], ["--help"], ["-h"]):
+        print("\n".join(overview(shutil.get_terminal_size((_COLUMNS, 25)).columns)), flush=True)
+    else:
         return False
-    print("\n".join(overview(width, coloured=_is_coloured())), flush=True)
     return True
 
 
-def overview(width: int, *, coloured: bool = False) -> list[str]:
+def overview(width: int) -> list[str]:
     """Return the lines of the list of commands for a terminal of ``width`` columns."""
-    about = [part for line in ABOUT.splitlines() for part in (_wrapped(line, width) or [""])]
-    short = "--help -h" if width < _NARROW else "--help (-h)"
-    entries = {**dict(sorted(SUMMARIES.items())), short: "Display this message and exit.", **_OPTIONS}
-    lines = ["Usage: dvrk-cmaes COMMAND", "", *about, "", ""]
-    if width < _NARROW:
-        return [*lines, "Commands:", *_below_each_other(entries, width), ""]
-    return [*lines, *_panel(entries, width, coloured=coloured)]
 
+    def wrapped(text: str, width: int) -> list[str]:
+        return textwrap.wrap(text, max(width, 1), break_long_words=False, break_on_hyphens=False) or [""]
 
-def _wrapped(text: str, width: int) -> list[str]:
-    """Break a text between words."""
-    return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False)
-
-
-def _below_each_other(entries: dict[str, str], width: int) -> Iterator[str]:
-    """Give the lines of the entries with their texts below their names."""
+    entries = dict(sorted(SUMMARIES.items())) | {
+        "--help, -h": "Display this message and exit.",
+        "--version": "Display application version.",
+    }
+    about = [part for line in ABOUT.splitlines() for part in wrapped(line, width)]
+    lines = ["Usage: dvrk-cmaes COMMAND", "", *about, "", "Commands:"]
+    indent = 6 if width < _NARROW else 4 + max(map(len, entries))
     for name, text in entries.items():
-        yield f"  {name}"
-        for line in _wrapped(text, width - 6):
-            yield " " * 6 + line
-
-
-def _panel(entries: dict[str, str], width: int, *, coloured: bool) -> Iterator[str]:
-    """Give the lines of the entries in two columns with a frame around them."""
-    first = max(map(len, entries))
-    second = width - first - 6
-    yield "╭─ Commands " + "─" * (width - 13) + "╮"
-    for name, text in entries.items():
-        for number, line in enumerate(_wrapped(text, second)):
-            label = f"{'' if number else name:<{first}}  "
-            yield f"│ {_COLOUR + label + _PLAIN if coloured else label}{line:<{second}} │"
-    yield "╰" + "─" * (width - 2) + "╯"
-
-
-def _columns() -> int:
-    """Return the width of the terminal, or that of text for files."""
-    return shutil.get_terminal_size((_DEFAULT_COLUMNS, 25)).columns
-
-
-def _is_terminal() -> bool:
-    return sys.stdout.isatty()
-
-
-def _is_coloured() -> bool:
-    """Return whether stdout shows colours, by the rules of Rich."""
-    return _is_terminal() and not os.environ.get("NO_COLOR") and os.environ.get("TERM", "") not in ("dumb", "unknown")
-
-
-def _takes_lines() -> bool:
-    """Return whether stdout takes the characters of a frame."""
-    return (getattr(sys.stdout, "encoding", None) or "utf-8").lower().startswith("utf")
+        texts = wrapped(text, width - indent)
+        lines += [f"  {name}"] if width < _NARROW else [f"  {name:<{indent - 2}}{texts.pop(0)}"]
+        lines += [" " * indent + part for part in texts]
+    return lines

@@ -24,7 +24,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import header
-from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.geometry import Float64, change_between
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.live.connection import LocalConnection
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
@@ -182,7 +182,7 @@ class Stage(LocalConnection):
     name: str = "rehearsal"
     stamp: int = 0
     published: Counter[str] = field(default_factory=Counter)
-    poses: dict[str, dict[int, NDArray[np.float64]]] = field(default_factory=dict)
+    poses: dict[str, dict[int, Float64]] = field(default_factory=dict)
     statuses: dict[str, dict[int, str]] = field(default_factory=dict)
 
     @property

@@ -22,7 +22,7 @@ from dvrk_cmaes.cli.options import (
     SegmentOptions,
     check_range,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, note, show
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, note
 from dvrk_cmaes.errors import DvrkCmaesError
 
 if TYPE_CHECKING:
@@ -128,7 +128,6 @@ def segment(
     import cv2
 
     from dvrk_cmaes.frames.session_folder import find_images
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import check_output_folder, whole_folder
     from dvrk_cmaes.results.paths import check_output
     from dvrk_cmaes.runs.backgrounds import learned_backgrounds
@@ -157,11 +156,8 @@ def segment(
                     raise
                 outcomes.append(ImageOutcome(frame, None, {}, problem=str(error)))
     outcomes = [outcome.moved(beside, out) for outcome in outcomes]
-    if json:
-        document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}
-        print(json_text(document), end="")
-    else:
-        show(line for outcome in outcomes for line in _lines(outcome))
+    document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}
+    answer(document, (line for outcome in outcomes for line in _lines(outcome)), json=json)
     if all(outcome.status == "failed" for outcome in outcomes):
         return _FAILED
     return 0 if all(outcome.status == "ok" for outcome in outcomes) else _DOUBTFUL

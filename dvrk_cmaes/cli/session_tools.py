@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
-from dvrk_cmaes.cli.terminal import warn
+from dvrk_cmaes.cli.terminal import Line, answer, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -66,26 +66,38 @@ class SessionTool:
     ) -> ArmInSession:
         """Load the instrument, and read the session with the masks and readings of the tool.
 
-        Arguments as in `CameraOptions.read_session`. With ``ahead``, all images tell what lies over them.
+        What session.toml says counts where the command line says nothing. ``joints`` and ``video`` are as in
+        `frames.session_folder`; ``reading`` tells how readings are read. Masks of labels, as those of a session that is
+        ``labelled``, may be in the folder labels. With ``ahead``, all images tell what lies over them.
         """
         from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
         from dvrk_cmaes.frames.own_files import FOLLOWED
-        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER
+        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, read_session_as
+        from dvrk_cmaes.frames.session_toml import CameraEntry
+        from dvrk_cmaes.frames.tool_frames import frames_of_tool
         from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
-        body = self.options.load()
-        files = None if joints is None else joint_files(joints, self.tool.arm or None)
-        session = camera.read_session(
+        body, tool, entries = self.options.load(), self.tool, self.entries
+        files = None if joints is None else joint_files(joints, tool.arm or None)
+        said = CameraEntry() if entries is None or camera.camera is not None else entries.camera
+        labels = folder / ("labels" if labelled or tool.label is not None else "masks")
+        session = read_session_as(
             folder,
+            camera=camera.camera or said.file or said.left,
+            camera_right=camera.camera_right or said.right,
+            rectified=camera.rectified or said.rectified,
+            side=camera.side,
             known=body.instrument.joint_names,
-            joints=files,
-            reading=reading,
-            entries=self.entries,
-            tool=self.tool,
+            joints=files if files is None else files or (() if tool.joints is None else (tool.joints,)),
+            read_as=reading.read_as(tool.arm, tool.columns),
+            fit=camera.fit if camera.crop or camera.stretch else said.fit,
+            masks=tool.masks or (labels if labels.is_dir() and not (folder / "masks").exists() else None),
             video=video,
-            labelled=labelled,
+            guess=camera.guess,
             follow_links=self.follow_links,
         )
+        if entries is not None and entries.tools:
+            session = frames_of_tool(session, entries, tool.arm, follow_links=self.follow_links)
         session = with_overlaid(session) if ahead else session
         for note in session.notes:
             if note.startswith((COUNTS_DIFFER, FOLLOWED, OVERLAID)):
@@ -146,6 +158,12 @@ def single_tool(folder: Path, options: InstrumentOptions, *, follow_links: bool 
         named = ", ".join(tool.arm for tool in first.entries.tools)
         raise InputError(f"{first.entries.path}: tool: expected one, got {named}")
     return first
+
+
+def answer_by_arm(documents: Mapping[str, Any], lines: Mapping[str, Iterable[Line]], *, json: bool) -> None:
+    """Print the documents of all arms as JSON, or else their lines, those of each of several below its name."""
+    titled = ([*([Line(name, "bold")] if name else []), *own] for name, own in lines.items())
+    answer(alone_or_by_arm(documents), (line for own in titled for line in own), json=json)
 
 
 def alone_or_by_arm(values: Mapping[str, T]) -> T | Mapping[str, T]:

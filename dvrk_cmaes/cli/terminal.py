@@ -7,7 +7,7 @@ import io
 import os
 import sys
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 STATUS_STYLES = {"ok": "bold green", "doubtful": "bold yellow", "failed": "bold red"}
 
@@ -46,9 +46,9 @@ def print_error(message: str) -> None:
         note(text)
 
 
-def warn(message: str) -> None:
+def warn(message: str, arm: str = "") -> None:
     """Print a warning about a result on stderr."""
-    note(f"warning: {message}")
+    note(f"warning: {arm}: {message}" if arm else f"warning: {message}")
 
 
 def note(message: str) -> None:
@@ -79,6 +79,16 @@ def show(lines: Iterable[Line]) -> None:
     for line in lines:
         for part in fold(line.text, console.width):
             console.print(Text(part, style=line.style), soft_wrap=True)
+
+
+def answer(document: Any, lines: Iterable[Line], *, json: bool) -> None:
+    """Print a document as JSON, or else the lines that say what it has."""
+    from dvrk_cmaes.io.atomic import json_text
+
+    if json:
+        print(json_text(document), end="")
+    else:
+        show(lines)
 
 
 def frames_text(frames: int) -> str:

@@ -33,7 +33,7 @@ from dvrk_cmaes.cli.options import (
     SessionOption,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import alone_or_by_arm, output_folder, read_calibration_of, session_tools
+from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_calibration_of, session_tools
 from dvrk_cmaes.cli.terminal import Line, frames_text, show, warn
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
@@ -180,7 +180,6 @@ def track(
 
         check_rerun("--rerun", rerun)
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
-    from dvrk_cmaes.io.atomic import json_text
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
@@ -248,19 +247,15 @@ def track(
                 write_track_arms(
                     target, arms, every=every, frames_a_second=done.frames_a_second, video=video, page=page
                 )
-        if json:
-            counts = {name: summary.counts for name, summary in finished.items()}
-            print(json_text(alone_or_by_arm(counts)), end="")
-        else:
-            for name, summary in finished.items():
-                show([Line(name, "bold")] if name else [])
-                show(_lines(summary, target / name, page=page, rerun=rerun))
-            if len(tools) > 1 and page and not done.interrupted:
-                show([Line(f"all arms: {target / 'report.html'}")])
+        counts = {name: summary.counts for name, summary in finished.items()}
+        lines = {name: _lines(own, target / name, page=page, rerun=rerun) for name, own in finished.items()}
+        answer_by_arm(counts, lines, json=json)
+        if len(tools) > 1 and page and not (done.interrupted or json):
+            show([Line(f"all arms: {target / 'report.html'}")])
         for name, summary in finished.items():
             told = () if summary.calibration is None else summary.calibration.warnings
             for text in dict.fromkeys((*arms[name].session.rig.remarks, *told)):
-                warn(f"{name}: {text}" if name else text)
+                warn(text, name)
         for text in exchanged:
             warn(text)
         if done.interrupted:

@@ -13,6 +13,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, WHITE, Canvas, Colour
 from dvrk_cmaes.draw.overlay import FrameCanvas
 from dvrk_cmaes.draw.projection import skeleton_lines
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -39,7 +40,7 @@ def arm_colours(arms: Sequence[str]) -> dict[str, Colour]:
 
 
 def draw_arms(
-    arms: Sequence[ArmDrawing], mask: NDArray[np.bool_], camera: Camera, image: NDArray[np.uint8] | None = None
+    arms: Sequence[ArmDrawing], mask: Bool, camera: Camera, image: NDArray[np.uint8] | None = None
 ) -> NDArray[np.uint8]:
     """Draw the tools of several arms over one frame.
 

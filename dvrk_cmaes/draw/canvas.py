@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Bool, Float64
+
 Colour = tuple[int, int, int]
 """Blue, green, red, 0 to 255."""
 
@@ -51,7 +53,7 @@ class Canvas:
 
     def line(
         self,
-        points: NDArray[np.float64],
+        points: Float64,
         colour: Colour,
         *,
         width: float = 1.5,
@@ -82,7 +84,7 @@ class Canvas:
                 self._draw(strokes, DARK, width + 1.6)
             self._draw(strokes, colour, width)
 
-    def outline(self, mask: NDArray[np.bool_], colour: Colour) -> None:
+    def outline(self, mask: Bool, colour: Colour) -> None:
         """Draw the contours of a mask of the canvas's size, without the parts on the image's border."""
         chains, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         last = np.array([mask.shape[1] - 1, mask.shape[0] - 1])
@@ -91,7 +93,7 @@ class Canvas:
             points[((points <= 0) | (points >= last)).any(axis=1)] = np.nan
             self.line(points, colour, width=2.0, rim=False)
 
-    def cross(self, at: NDArray[np.float64], colour: Colour, size: float = 7.0) -> None:
+    def cross(self, at: Float64, colour: Colour, size: float = 7.0) -> None:
         """Draw an x at a point (2,)."""
         reach = size * self.unit * np.array([[-1.0, -1.0], [1.0, 1.0]])
         arms = [at + reach, at + reach * [1.0, -1.0]]
@@ -100,12 +102,12 @@ class Canvas:
                 if np.isfinite(arm).all():
                     self._draw([arm], colour if over else DARK, 2.0 if over else 4.0)
 
-    def ring(self, at: NDArray[np.float64], colour: Colour, radius: float = 7.0) -> None:
+    def ring(self, at: Float64, colour: Colour, radius: float = 7.0) -> None:
         """Draw a circle about a point (2,)."""
         angle = np.linspace(0, 2 * np.pi, 33)
         self.line(at + radius * self.unit * np.stack([np.cos(angle), np.sin(angle)], axis=1), colour, width=2.0)
 
-    def tint(self, where: NDArray[np.bool_], colour: Colour, share: float) -> None:
+    def tint(self, where: Bool, colour: Colour, share: float) -> None:
         """Blend a colour into the pixels where a mask (H, W) is True; ``share`` is the colour's weight, 0 to 1."""
         at = np.divmod(np.flatnonzero(where), where.shape[1])
         self.image[at] = np.rint(self.image[at] * (1 - share) + share * np.array(colour)).astype(np.uint8)
@@ -147,11 +149,11 @@ class Canvas:
     def _thickness(self, width: float) -> int:
         return max(1, round(width * self.unit))
 
-    def _draw(self, strokes: Sequence[NDArray[np.float64]], colour: Colour, width: float) -> None:
+    def _draw(self, strokes: Sequence[Float64], colour: Colour, width: float) -> None:
         fixed = [np.rint(points * 2**_SHIFT).astype(np.int32) for points in strokes]
         cv2.polylines(self.image, fixed, False, colour, self._thickness(width), cv2.LINE_AA, _SHIFT)
 
-    def _inside(self, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    def _inside(self, points: Float64) -> Iterator[Float64]:
         """Yield the parts of a polyline on the canvas or near it; OpenCV's coordinates overflow farther outside."""
         size = np.array([self.image.shape[1], self.image.shape[0]])
         with np.errstate(invalid="ignore"):
@@ -160,9 +162,7 @@ class Canvas:
             if len(part) > 1 and near[part[0]]:
                 yield points[part]
 
-    def _dashed(
-        self, points: NDArray[np.float64], dash: NDArray[np.float64], phase: float
-    ) -> list[NDArray[np.float64]]:
+    def _dashed(self, points: Float64, dash: Float64, phase: float) -> list[Float64]:
         """Return the dashes of a polyline (N, 2) that may show; ``dash`` (2,) are the lengths of dashes and gaps."""
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         starts = np.arange(-(phase % dash.sum()), length[-1], dash.sum())

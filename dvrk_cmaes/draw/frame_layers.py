@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.results.layers import FrameLayers, Outline
 from dvrk_cmaes.results.result import Alternative, Result
 from dvrk_cmaes.silhouette import Body, Renderer
-
-Bool = NDArray[np.bool_]
 
 _WIDTH = 960  # px, larger pictures are reduced
 _QUALITY = 70  # of JPEG
@@ -46,8 +45,7 @@ def frame_layers(
         poses = [(result.camera_from_root, result.joints)]
         poses += [(other.camera_from_root, other.joints) for other in result.alternatives]
         drawn = Renderer(body, camera, threads=1).masks(
-            np.stack([pose for pose, _ in poses]),
-            np.array([[joints[name] for name in names] for _, joints in poses]),
+            np.stack([pose for pose, _ in poses]), np.array([[joints[name] for name in names] for _, joints in poses])
         )
         regions |= dict(zip(("result", *alternative_names(result.alternatives)), drawn, strict=True))
     height, width = mask.shape

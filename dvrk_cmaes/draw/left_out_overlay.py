@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.draw.canvas import DARK, GREY, WHITE, Canvas, Colour, plain
 from dvrk_cmaes.draw.overlay import MASK
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Bool, Float64
 
 SIZE = 640, 480
 """Width and height of the drawing, px; below it is a strip of text."""
@@ -27,12 +26,7 @@ _FAINT = 0.22  # brightness of the mask where there is no image, 0 to 1
 
 
 def draw_left_out(
-    mask: NDArray[np.bool_],
-    predicted: NDArray[np.bool_],
-    iou: float,
-    contour_px: float,
-    *,
-    image: NDArray[np.uint8] | None = None,
+    mask: Bool, predicted: Bool, iou: float, contour_px: float, *, image: NDArray[np.uint8] | None = None
 ) -> NDArray[np.uint8]:
     """Draw a predicted silhouette over a frame.
 
@@ -69,7 +63,7 @@ def draw_left_out(
     return np.concatenate([canvas.image, strip.image])
 
 
-def _crop_transform(drawn: NDArray[np.bool_]) -> Float64:
+def _crop_transform(drawn: Bool) -> Float64:
     """Return the affine map (2, 3) from the mask's pixels to the canvas that shows a region (H, W) with a margin."""
     height, width = drawn.shape
     v, u = np.nonzero(drawn)
@@ -77,10 +71,7 @@ def _crop_transform(drawn: NDArray[np.bool_]) -> Float64:
     share = SIZE[0] / SIZE[1]
     wide = max(right - left + 1, (bottom - top + 1) * share) * (1 + 2 * _MARGIN)
     wide = min(max(wide, _LEAST_SHARE * width), max(width, height * share))
-    corner = [
-        _crop_start((left + right) / 2, wide, width),
-        _crop_start((top + bottom) / 2, wide / share, height),
-    ]
+    corner = [_crop_start((left + right) / 2, wide, width), _crop_start((top + bottom) / 2, wide / share, height)]
     scale = SIZE[0] / wide
     return np.array([[scale, 0.0, (0.5 - corner[0]) * scale - 0.5], [0.0, scale, (0.5 - corner[1]) * scale - 0.5]])
 
@@ -96,13 +87,13 @@ def _crop_start(middle: float, extent: float, size: int) -> float:
     return float(np.clip(middle + 0.5 - extent / 2, 0, size - extent))
 
 
-def _enlarged(mask: NDArray[np.bool_], to_canvas: Float64) -> NDArray[np.bool_]:
+def _enlarged(mask: Bool, to_canvas: Float64) -> Bool:
     """Warp a mask (H, W) to the canvas with a smoothed outline."""
     smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7)
     return np.asarray(cv2.warpAffine(smooth, to_canvas, SIZE, flags=cv2.INTER_LINEAR) > 0.5)
 
 
-def _background(mask: NDArray[np.bool_], image: NDArray[np.uint8] | None, to_canvas: Float64) -> NDArray[np.uint8]:
+def _background(mask: Bool, image: NDArray[np.uint8] | None, to_canvas: Float64) -> NDArray[np.uint8]:
     """Return the background of the outlines on the canvas: the image, or the mask if there is no image."""
     if image is None:
         drawn = plain(SIZE[1], SIZE[0], DARK)

@@ -15,29 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.draw.canvas import (
-    AXES,
-    DARK,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY_BLUE,
-    VERMILLION,
-    WHITE,
-    YELLOW,
-    Canvas,
-    plain,
-)
+from dvrk_cmaes.draw.canvas import AXES, DARK, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas, plain
 from dvrk_cmaes.draw.panels import footer, header, heights
 from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Bool, Float64, apply
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
-
-Float64 = NDArray[np.float64]
 
 MASK, SILHOUETTE, FOUND, PROJECTED, SKELETON, STEADY = YELLOW, SKY_BLUE, ORANGE, PURPLE, WHITE, VERMILLION
 
@@ -62,12 +48,12 @@ _FAINT = 0.22  # brightness of the mask where there is no image, 0 to 1
 
 def draw_overlay(
     result: Result,
-    mask: NDArray[np.bool_],
+    mask: Bool,
     camera: Camera,
     body: Body,
     *,
     image: NDArray[np.uint8] | None = None,
-    ignore: NDArray[np.bool_] | None = None,
+    ignore: Bool | None = None,
     keypoints: Float64 | None = None,
     evidence: Evidence | None = None,
 ) -> NDArray[np.uint8]:
@@ -155,7 +141,7 @@ class FrameCanvas:
     scale: float
 
     @staticmethod
-    def of(mask: NDArray[np.bool_], camera: Camera, image: NDArray[np.uint8] | None) -> FrameCanvas:
+    def of(mask: Bool, camera: Camera, image: NDArray[np.uint8] | None) -> FrameCanvas:
         """Make the canvas of a frame: its image (H', W', 3) BGR, or its mask (H, W), faintly."""
         size = _size(mask.shape)
         if image is None:
@@ -171,16 +157,14 @@ class FrameCanvas:
         """Convert pixels (N, 2) of the mask to pixels of the canvas."""
         return np.asarray((pixels + 0.5) * self.scale - 0.5)
 
-    def enlarged(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def enlarged(self, mask: Bool) -> Bool:
         """Resize a mask (H, W) to the canvas with a smoothed outline."""
         height, width = self.canvas.image.shape[:2]
         smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7)
         return np.asarray(cv2.resize(smooth, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5)
 
 
-def _draw_pose(
-    frame: FrameCanvas, result: Result, mask: NDArray[np.bool_], body: Body, evidence: Evidence, pose: Float64
-) -> None:
+def _draw_pose(frame: FrameCanvas, result: Result, mask: Bool, body: Body, evidence: Evidence, pose: Float64) -> None:
     canvas, camera, instrument = frame.canvas, frame.camera, body.instrument
     joints = np.array([result.joints[name] for name in instrument.joint_names])
     height, width = canvas.image.shape[:2]
@@ -210,7 +194,7 @@ def _draw_pose(
     _axes(frame, pose)
 
 
-def _steady_stretches(evidence: Evidence, silhouette: NDArray[np.bool_], frame: FrameCanvas) -> list[Float64]:
+def _steady_stretches(evidence: Evidence, silhouette: Bool, frame: FrameCanvas) -> list[Float64]:
     """Return the stretches of the mask's contour that are off together, each (N, 2) px of the canvas.
 
     ``silhouette`` (h, w) has the canvas's size. Distances are measured at the mask's size, as for the result.
@@ -239,7 +223,7 @@ def _axes(frame: FrameCanvas, pose: Float64) -> None:
             frame.canvas.text(name, (beside[0] - 5 * frame.canvas.unit, beside[1]), colour, size=0.6, rim=True)
 
 
-def _hatch(canvas: Canvas, where: NDArray[np.bool_]) -> None:
+def _hatch(canvas: Canvas, where: Bool) -> None:
     """Hatch the pixels where a mask (h, w) is True."""
     v, u = np.indices(where.shape)
     period = max(4, round(14 * canvas.unit))

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges
-from dvrk_cmaes.geometry import apply, project_cylinder
+from dvrk_cmaes.geometry import Float64, apply, project_cylinder
 from dvrk_cmaes.instrument import Instrument
-
-Float64 = NDArray[np.float64]
 
 _NEAREST = 0.005  # m, least depth of a point that is drawn; instruments are farther away
 _SAMPLES = 300  # points along an edge, which is curved by lens distortion

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.draw.arms_overlay import arm_colours
 from dvrk_cmaes.draw.canvas import DARK, GREEN, SKY_BLUE, VERMILLION, YELLOW, Colour
-
-Bool = NDArray[np.bool_]
-Image = NDArray[np.uint8]
+from dvrk_cmaes.geometry import Bool, Image
 
 _STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLION}
 _FAINT = 0.25  # brightness of the mask where there is no image

@@ -8,7 +8,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
@@ -16,19 +15,20 @@ from dvrk_cmaes.estimation.one_tool import estimate_views
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
 from dvrk_cmaes.frames.seen_view import SeenView
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.shaft_pairs import prompt_in
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
 from dvrk_cmaes.silhouette import Body, Renderer
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
 
-Bool = NDArray[np.bool_]
 
 _ITERATIONS = 2  # segmentations after the first
 
@@ -82,7 +82,8 @@ def segment_and_estimate(
     settings
         The model that segments the images.
     hints
-        Prompts in the first view: a box, points on the instrument and points beside it.
+        Prompts in the first view: a box, points on the instrument and points beside it. In further views the
+        instrument that they choose, or the one that is taken of several, is looked for.
 
     Raises
     ------
@@ -107,11 +108,14 @@ def segment_and_estimate(
             config=config,
         )
 
-    found = []
+    found: list[_FoundMask] = []
     for view in data.views:
-        own = hints if view is data.views[0] else None
+        own = hints or Hints()
+        if found:  # the prompts are pixels of the first view
+            chosen = found[0].segmentation.others or own != Hints()
+            own = prompt_in(view, found[0].view.mask, found[0].view, body) if chosen else Hints()
         try:
-            found.append(_find_mask(view, body, files.readings, solve, settings, own or Hints(), config.threads))
+            found.append(_find_mask(view, body, files.readings, solve, settings, own, config.threads))
         except DvrkCmaesError as error:
             raise type(error)(f"{image_path(files.others.get(view.name, files))}: {error}") from None
     first, alone = found[0], len(found) == 1

@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.critical import known_mistakes
@@ -17,7 +17,7 @@ from dvrk_cmaes.camera.rig import remarks_on_cameras
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
-from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.geometry import Bool, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm, find_camera_from_base
 from dvrk_cmaes.io.arguments import check_type
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 
 
 def estimate(
-    mask: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None],
+    mask: Bool | Mapping[str, Bool | None],
     camera: Camera | Rig,
     joints: Mapping[str, float] | None = None,
     instrument: Instrument | Body | str | Path = "lnd",
     *,
-    ignore: NDArray[np.bool_] | Mapping[str, NDArray[np.bool_] | None] | None = None,
+    ignore: Bool | Mapping[str, Bool | None] | None = None,
     keypoints: ArrayLike | Mapping[str, ArrayLike | None] | None = None,
     arm: Arm = "classic",
     session: SessionCalibration | None = None,
@@ -243,12 +243,7 @@ def _frame_views(seen: Sequence[SeenView], body: Body, settings: EstimateConfig)
     views = []
     for view in seen:
         evidence = gather_evidence(
-            view.mask,
-            view.camera,
-            body.instrument,
-            ignore=view.ignore,
-            keypoints=view.keypoints,
-            seed=settings.seed,
+            view.mask, view.camera, body.instrument, ignore=view.ignore, keypoints=view.keypoints, seed=settings.seed
         )
         renderer = Renderer(body, view.camera, threads=settings.threads)
         view_from_first = view.view_from_camera @ inverse(seen[0].view_from_camera)

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
@@ -26,8 +25,6 @@ from dvrk_cmaes.silhouette.prepare import prepare
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
-
-Bool = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +110,7 @@ def estimate_tools(
     places: dict[str, dict[str, Place]] = {name: {} for name in tools}
     for one, other in combinations(tools, 2):
         places[one][other] = place_of_other(
-            (results[one], results[other]),
-            (bodies[one], bodies[other]),
-            (seen[one], seen[other]),
+            (results[one], results[other]), (bodies[one], bodies[other]), (seen[one], seen[other])
         )
         places[other][one] = OPPOSITE[places[one][other]]
     for name in tools:

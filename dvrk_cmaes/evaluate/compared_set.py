@@ -9,17 +9,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.published_poses import read_published_poses
 from dvrk_cmaes.frames.truth import read_golden
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.followed import result_of_row
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 
-Float64 = NDArray[np.float64]
 Kind = Literal["results", "followed recording", "published poses", "truth"]
 
 GOLDEN = "golden.json"

@@ -11,17 +11,14 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.compared_set import ComparedFrame, ComparedSet
 from dvrk_cmaes.evaluate.pose_error import compare_rotations
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.rounding import rounded
-
-Float64 = NDArray[np.float64]
 
 QUANTITIES: Final = {"tip_mm": "tips, mm", "root_mm": "root, mm", "shaft_deg": "shaft, deg", "roll_deg": "roll, deg"}
 """Names of a difference's quantities beside the joints, and their headings with units."""

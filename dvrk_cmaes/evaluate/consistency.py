@@ -12,13 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import inverse, rotation_angle
+from dvrk_cmaes.geometry import Float64, inverse, rotation_angle
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, ROLL_OFFSET, Arm, base_from_root
-
-Float64 = NDArray[np.float64]
 
 LEAST_FRAMES = 3
 """Least number of frames for a measure of consistency."""

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.files import read_camera
@@ -21,13 +20,11 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.compared_set import ComparedFrame, ComparedSet
 from dvrk_cmaes.frames.markers import Marker, place_markers, read_detections, read_marker_table
 from dvrk_cmaes.frames.session_toml import read_session_toml
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.rounding import rounded_values
 from dvrk_cmaes.io.short_text import listed
-
-Float64 = NDArray[np.float64]
 
 _LABELS: Final = "markers.csv"
 _TABLES: Final = ("lnd.json", "surgpose.json")

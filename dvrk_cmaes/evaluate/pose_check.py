@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evaluate.pose_error import Measured, PoseError, Tolerance, compare_poses
 from dvrk_cmaes.frames.truth import FrameTruth
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 
-Float64 = NDArray[np.float64]
 Pose = tuple[Float64, Mapping[str, float]]
 
 

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -106,9 +103,7 @@ def compare_rotations(pose: Float64, true_pose: Float64) -> RotationError:
 
 
 def compare_poses(
-    instrument: Instrument,
-    estimate: tuple[Float64, Mapping[str, float]],
-    truth: tuple[Float64, Mapping[str, float]],
+    instrument: Instrument, estimate: tuple[Float64, Mapping[str, float]], truth: tuple[Float64, Mapping[str, float]]
 ) -> PoseError:
     """Compare a pose and its joints with the true ones: each is camera_from_root (4, 4) and joints by name, rad."""
     (pose, joints), (true_pose, true_joints) = estimate, truth

@@ -11,16 +11,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.published_poses import read_published_poses
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import Arm, stated_kinematics
 from dvrk_cmaes.joints.reading import read_joint_table
 from dvrk_cmaes.results.folder import ALONE, read_results
 
-Float64 = NDArray[np.float64]
 Readings = Mapping[str, Mapping[str, float]]
 
 ONE_BY_ONE = "one by one"

@@ -17,15 +17,12 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import rotation_angle, transform
+from dvrk_cmaes.geometry import Float64, rotation_angle, transform
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.typed_document import Texts, Transform, convert_document
 from dvrk_cmaes.results.result import Result
-
-Float64 = NDArray[np.float64]
 
 _WIDE_MM, _WIDE_DEG = 5.0, 5.0  # median distances beyond which a warning is given
 _ENOUGH = 3  # least number of ok frames for a median without doubtful ones

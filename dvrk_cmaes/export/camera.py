@@ -7,17 +7,15 @@ from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import View
 from dvrk_cmaes.camera.ros import camera_info_text
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.request import Exported, ExportRequest
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.io.yaml_file import yaml_text
-
-Float64 = NDArray[np.float64]
 
 _ALONE: Final = "camera"  # name of the only camera's files
 
@@ -64,10 +62,7 @@ def _camera_info(name: str, view: View) -> str:
 
 def _plain(view: View) -> str:
     """Return a plain YAML file."""
-    document: dict[str, Any] = {
-        "intrinsic": view.camera.matrix.tolist(),
-        "distortion": list(view.camera.distortion),
-    }
+    document: dict[str, Any] = {"intrinsic": view.camera.matrix.tolist(), "distortion": list(view.camera.distortion)}
     if not _is_first(view):
         document["right_from_left"] = view.view_from_camera.tolist()
     return yaml_text(document)

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.geometry import Float64, transform
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.io.typed_document import Number, Transform, convert_document
 from dvrk_cmaes.io.yaml_file import read_yaml_mapping
@@ -56,7 +55,7 @@ class _Matrix(Struct):
     measured_cp: Transform
 
 
-def read_cartesian_pose(path: Path) -> NDArray[np.float64]:
+def read_cartesian_pose(path: Path) -> Float64:
     """Read a pose (4, 4), m; of several messages the first.
 
     Raises
@@ -89,7 +88,7 @@ def _with_numbers(value: Any) -> Any:
         return value
 
 
-def _pose(where: str, field: str, position: _Vector, orientation: _Quaternion) -> NDArray[np.float64]:
+def _pose(where: str, field: str, position: _Vector, orientation: _Quaternion) -> Float64:
     """Convert a position and a quaternion to a pose (4, 4); InputError for a quaternion that is not a unit one."""
     quaternion = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
     if abs(np.linalg.norm(quaternion) - 1) > _UNIT:

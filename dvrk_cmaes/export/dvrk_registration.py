@@ -19,10 +19,10 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import DvrkVersion, Exported, ExportRequest
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.setup_joints import SETUP, setup_text
 from dvrk_cmaes.io.atomic import json_text
 
@@ -38,13 +38,13 @@ _OPEN_CV_KEYS: Final = _KEYS["2.3"]  # those that dvrk_camera_registration reads
 
 
 def registration_files(
-    camera_from_base: NDArray[np.float64],
+    camera_from_base: Float64,
     names: FrameNames,
     *,
     version: DvrkVersion = "2.4",
-    ecm_pose: NDArray[np.float64] | None = None,
-    ecm_from_base: NDArray[np.float64] | None = None,
-    others: Mapping[str, NDArray[np.float64]] | None = None,
+    ecm_pose: Float64 | None = None,
+    ecm_from_base: Float64 | None = None,
+    others: Mapping[str, Float64] | None = None,
 ) -> dict[str, str]:
     """Return the texts of both files by file name.
 
@@ -77,7 +77,7 @@ def registration_files(
     return files
 
 
-def _entry(transform: NDArray[np.float64], camera: str, keys: tuple[str, str]) -> dict[str, Any]:
+def _entry(transform: Float64, camera: str, keys: tuple[str, str]) -> dict[str, Any]:
     """Return the entry of an arm's base frame."""
     base_frame, reference_frame = keys
     return {base_frame: {reference_frame: camera, "transform": (transform + 0.0).tolist()}}  # 0.0 for -0.0

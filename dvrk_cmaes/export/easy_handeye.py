@@ -10,16 +10,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import Exported, ExportRequest
-from dvrk_cmaes.geometry import inverse, quaternion_xyzw
+from dvrk_cmaes.geometry import Float64, inverse, quaternion_xyzw
 
 
-def calibration_file(camera_from_base: NDArray[np.float64], names: FrameNames) -> dict[str, str]:
+def calibration_file(camera_from_base: Float64, names: FrameNames) -> dict[str, str]:
     """Return the texts of the files by file name.
 
     easy_handeye2 reads its own from ``~/.ros2/easy_handeye2/calibrations``, easy_handeye from ``~/.ros/easy_handeye``.

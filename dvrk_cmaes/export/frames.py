@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import log_rotation
+from dvrk_cmaes.geometry import Float64, log_rotation
 from dvrk_cmaes.io.short_text import shown
 
 
@@ -40,6 +37,6 @@ class FrameNames:
                 raise InputError(f"{option}: expected a name as tf2 knows them, without a leading slash, got {name!r}")
 
 
-def rotation_vector(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_vector(pose: Float64) -> Float64:
     """Convert the rotation of a pose (4, 4) to axis times angle (3,), rad; the angle is at most pi."""
     return log_rotation(pose[:3, :3])

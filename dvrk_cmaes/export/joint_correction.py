@@ -7,15 +7,14 @@ from typing import Any, Final
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import Exported, ExportRequest
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.typed_document import Number, convert_document, refused
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.joints.play import NARROW
 
-Float64 = NDArray[np.float64]
 Rows = tuple[tuple[Number, ...], ...]
 
 _WRIST_DEG: Final = tuple(range(-60, 61, 15))

@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Literal, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.export.base_choice import ChosenBase
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_topics import ToolTip
 from dvrk_cmaes.export.source import ExportSource
 from dvrk_cmaes.export.table import FORMATS
+from dvrk_cmaes.geometry import Float64
 
 DvrkVersion = Literal["2.4", "2.3"]
 
@@ -40,7 +38,7 @@ class FormatOptions:
     scene: int = 0
     obj: int = 1
     dvrk_version: DvrkVersion = "2.4"
-    ecm_pose: NDArray[np.float64] | None = None
+    ecm_pose: Float64 | None = None
     times: Mapping[str, int] = field(default_factory=dict)
     tip: ToolTip = field(default_factory=ToolTip)
 

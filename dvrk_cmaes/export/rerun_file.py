@@ -19,12 +19,10 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import Bool, Float64, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.handles import not_written
 from dvrk_cmaes.io.output import written_beside
-
-Bool = NDArray[np.bool_]
 
 EXTENSION: Final = ".rrd"
 _CAMERA: Final = "camera"
@@ -124,11 +122,7 @@ class RerunFile:
             self._static(f"instrument/{_part(link.name)}", mesh)
 
     def add(
-        self,
-        number: int,
-        row: Mapping[str, Any],
-        read: Mapping[str, float],
-        views: Sequence[ViewPictures],
+        self, number: int, row: Mapping[str, Any], read: Mapping[str, float], views: Sequence[ViewPictures]
     ) -> None:
         """Log a frame.
 
@@ -216,7 +210,7 @@ class RerunFile:
             self._log("reasons", self._rerun.TextLog(text, level=_LEVELS.get(status, "ERROR")))
         self._status = status
 
-    def _transform(self, pose: NDArray[np.float64]) -> Any:
+    def _transform(self, pose: Float64) -> Any:
         """Return a transform to the parent from a pose (4, 4)."""
         return self._rerun.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3])
 

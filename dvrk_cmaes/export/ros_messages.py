@@ -9,10 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dvrk_cmaes.geometry import quaternion_xyzw
+from dvrk_cmaes.geometry import Float64, quaternion_xyzw
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 
 POSE_STAMPED: Final = "geometry_msgs/msg/PoseStamped"
@@ -36,14 +33,14 @@ def header(time: int, frame_id: str = "") -> dict[str, Any]:
     return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame_id}
 
 
-def pose_message(topic: str, time: int, frame_id: str, pose: NDArray[np.float64]) -> RosMessage:
+def pose_message(topic: str, time: int, frame_id: str, pose: Float64) -> RosMessage:
     """Return the PoseStamped of a pose (4, 4) in the frame ``frame_id``."""
     position, orientation = _vector_and_quaternion(pose)
     fields = {"header": header(time, frame_id), "pose": {"position": position, "orientation": orientation}}
     return RosMessage(topic, POSE_STAMPED, time, fields)
 
 
-def tf_message(time: int, poses: Mapping[tuple[str, str], NDArray[np.float64]]) -> RosMessage:
+def tf_message(time: int, poses: Mapping[tuple[str, str], Float64]) -> RosMessage:
     """Return the message on ``/tf`` of poses (4, 4), by the names of the parent and the child frame."""
     transforms = []
     for (parent, child), pose in poses.items():
@@ -70,7 +67,7 @@ def joint_message(topic: str, time: int, joints: Mapping[str, float]) -> RosMess
     return RosMessage(topic, JOINT_STATE, time, fields)
 
 
-def _vector_and_quaternion(pose: NDArray[np.float64]) -> tuple[dict[str, float], dict[str, float]]:
+def _vector_and_quaternion(pose: Float64) -> tuple[dict[str, float], dict[str, float]]:
     """Return the fields of the position and of the orientation of a pose (4, 4)."""
     position = dict(zip("xyz", pose[:3, 3].tolist(), strict=True))
     return position, dict(zip("xyzw", quaternion_xyzw(pose), strict=True))

@@ -19,14 +19,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.base_choice import ChosenBase
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import RosMessage, joint_message, pose_message, tf_message
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument.arm import (
     ROLL_OFFSET,
     TOOLTIP_OFFSET,
@@ -50,9 +47,9 @@ class ToolTip:
     """The tool tip frame of the dVRK: distance of the wrist axes, m, and pose (4, 4) in the wrist yaw frame."""
 
     wrist_length: float = WRIST_LENGTH
-    tooltip_offset: NDArray[np.float64] = field(default_factory=TOOLTIP_OFFSET.copy)
+    tooltip_offset: Float64 = field(default_factory=TOOLTIP_OFFSET.copy)
 
-    def in_root(self, joints: Mapping[str, float]) -> NDArray[np.float64] | None:
+    def in_root(self, joints: Mapping[str, float]) -> Float64 | None:
         """Return the pose (4, 4) of the tip in the root link; None without both wrist angles."""
         if "wrist_pitch" not in joints or "wrist_yaw" not in joints:
             return None
@@ -65,11 +62,7 @@ class ToolTip:
 
 
 def result_messages(
-    results: Sequence[Result],
-    times: Mapping[str, int],
-    names: FrameNames,
-    base: ChosenBase | None,
-    tip: ToolTip,
+    results: Sequence[Result], times: Mapping[str, int], names: FrameNames, base: ChosenBase | None, tip: ToolTip
 ) -> list[RosMessage]:
     """Return the messages of all results with a pose, by time; ``times`` are those of the frames, ns.
 
@@ -112,7 +105,7 @@ def _read(
     result: Result,
     time: int,
     names: FrameNames,
-    camera_from_base: NDArray[np.float64] | None,
+    camera_from_base: Float64 | None,
     tip: ToolTip,
     arm: Arm,
     roll_offset: float,

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.export.base_choice import ChosenBase, base_of_frame, base_of_frames, base_of_session, bases_of_arms
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.results.folder import ARMS, SESSION, is_followed, read_results, result_paths
@@ -74,7 +72,7 @@ class ExportSource:
             return base_of_frame(str(self.path), self.results[0])
         return base_of_frames(str(self.path), self.results)
 
-    def _other_arms(self) -> dict[str, NDArray[np.float64]]:
+    def _other_arms(self) -> dict[str, Float64]:
         """Return the bases of the session's other arms in that of the endoscope's arm, where arms.json has them."""
         folder = self.path if self.path.is_dir() else self.path.parent
         path = folder.parent / ARMS

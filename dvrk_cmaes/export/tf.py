@@ -5,15 +5,12 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import Exported, ExportRequest
-from dvrk_cmaes.geometry import quaternion_xyzw
+from dvrk_cmaes.geometry import Float64, quaternion_xyzw
 
 
-def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) -> str:
+def publisher_command(camera_from_base: Float64, names: FrameNames) -> str:
     """Return the shell command, one line, that publishes the transform (translation in m, quaternion xyzw)."""
     names.check_tf()
     values = [*camera_from_base[:3, 3].tolist(), *quaternion_xyzw(camera_from_base)]
@@ -29,7 +26,7 @@ def publisher_command(camera_from_base: NDArray[np.float64], names: FrameNames) 
     )
 
 
-def publisher_file(camera_from_base: NDArray[np.float64], names: FrameNames, of: str = "") -> dict[str, str]:
+def publisher_file(camera_from_base: Float64, names: FrameNames, of: str = "") -> dict[str, str]:
     """Return the text of a shell script with the command, by file name, which begins with ``of`` or the arm's."""
     return {f"{of or names.arm}-static-transform.sh": publisher_command(camera_from_base, names) + "\n"}
 

@@ -11,11 +11,11 @@ import io
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.frames import rotation_vector
 from dvrk_cmaes.export.request import Exported, ExportRequest
+from dvrk_cmaes.geometry import Float32, Float64
 from dvrk_cmaes.results.result import Result
 
 POSE, JOINTS = "optimized_ctr.npy", "optimized_joint_angles.npy"
@@ -37,12 +37,12 @@ def tracker_files(results: Sequence[Result]) -> dict[str, bytes]:
     return files
 
 
-def pose_vector(camera_from_root: NDArray[np.float64]) -> NDArray[np.float32]:
+def pose_vector(camera_from_root: Float64) -> Float32:
     """Convert a pose (4, 4) to axis times angle, rad, and translation, m, (6,)."""
     return np.concatenate([rotation_vector(camera_from_root), camera_from_root[:3, 3]]).astype(np.float32)
 
 
-def joint_vector(result: Result) -> NDArray[np.float32]:
+def joint_vector(result: Result) -> Float32:
     """Return wrist pitch, wrist yaw, jaw_2 and jaw_1 (4,), rad; InputError as for ``tracker_files``."""
     missing = [name for name in ("wrist_pitch", "wrist_yaw", "jaw") if name not in result.joints]
     if missing:
@@ -51,7 +51,7 @@ def joint_vector(result: Result) -> NDArray[np.float32]:
     return np.array([result.joints["wrist_pitch"], result.joints["wrist_yaw"], half, half], dtype=np.float32)
 
 
-def _npy(array: NDArray[np.float32]) -> bytes:
+def _npy(array: Float32) -> bytes:
     """Return an array in the .npy format."""
     data = io.BytesIO()
     np.save(data, array, allow_pickle=False)

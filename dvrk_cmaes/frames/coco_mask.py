@@ -14,14 +14,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.image_header import MOST_PIXELS
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
-
-Bool = NDArray[np.bool_]
 
 EXPECTED = "a mask as JSON (COCO's run lengths or polygons, or labelme's shapes)"
 FILES = ("masks.json", "annotations.json")

@@ -11,10 +11,8 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Bool = NDArray[np.bool_]
-Image = NDArray[np.uint8]
+from dvrk_cmaes.geometry import Bool, Image
 
 IGNORED = "the border around the picture is ignored"
 

@@ -24,6 +24,7 @@ from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_m
 from dvrk_cmaes.frames.label import Label
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_by, seen_views
 from dvrk_cmaes.frames.video_frames import VideoFrame
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
 from dvrk_cmaes.results.result import Result
@@ -71,7 +72,7 @@ class FrameFiles:
     readings: Mapping[str, float] = field(default_factory=dict)
     image: Path | None = None
     ignore: Path | None = None
-    keypoints: NDArray[np.float64] | None = None
+    keypoints: Float64 | None = None
     label: Label | None = None
     pick: tuple[float, float] | None = None
     time: float | None = None
@@ -157,7 +158,7 @@ class FrameData:
         return FrameData((replace(reference, image=image), *others), notes)
 
     @property
-    def mask(self) -> NDArray[np.bool_]:
+    def mask(self) -> Bool:
         """The mask (H, W), bool; empty where the reference view has none."""
         return self.views[0].mask
 
@@ -167,7 +168,7 @@ class FrameData:
         return self.views[0].camera
 
     @property
-    def ignore(self) -> NDArray[np.bool_] | None:
+    def ignore(self) -> Bool | None:
         """The pixels (H, W), bool, that count neither way."""
         return self.views[0].ignore
 
@@ -276,7 +277,7 @@ def image_path(files: FrameFiles) -> Path | None:
     return files.video.video.path if files.image is None and files.video is not None else files.image
 
 
-def mask_of(files: FrameFiles, path: Path, *, blank: bool = False) -> NDArray[np.bool_]:
+def mask_of(files: FrameFiles, path: Path, *, blank: bool = False) -> Bool:
     """Read the mask (H, W) of a view of a frame from its file."""
     mask = read_mask(path, label=files.label, pick=files.pick, blank=blank, name=files.name)
     return _cropped(files, mask, path)
@@ -301,7 +302,7 @@ def _cropped(files: FrameFiles, pixels: NDArray[Any], path: Path) -> NDArray[Any
     return np.ascontiguousarray(pixels[top : top + height, left : left + width])
 
 
-def _cropped_like(files: FrameFiles, pixels: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def _cropped_like(files: FrameFiles, pixels: Bool, shape: tuple[int, ...]) -> Bool:
     """Return pixels of the whole images for a mask or an image of some shape, of the part that is used."""
     if files.crop is not None:
         left, top, width, height = files.crop
@@ -311,7 +312,7 @@ def _cropped_like(files: FrameFiles, pixels: NDArray[np.bool_], shape: tuple[int
     return np.asarray(cv2.resize(pixels.astype(np.uint8), shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0)
 
 
-def _moved(files: FrameFiles) -> NDArray[np.float64] | None:
+def _moved(files: FrameFiles) -> Float64 | None:
     """Return the jaw tips (2, 2) in pixels of the part of the picture that is used."""
     return files.keypoints if files.keypoints is None or files.crop is None else files.keypoints - files.crop[:2]
 
@@ -325,7 +326,7 @@ def _fit(camera: Camera, shape: tuple[int, ...], path: Path | None, what: str) -
     return fitted, () if note is None else (note,)
 
 
-def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> NDArray[np.bool_] | None:
+def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> Bool | None:
     """Read the pixels that count neither way."""
     ignore = None if files.ignore is None else _cropped(files, read_ignore(files.ignore), files.ignore)
     if ignore is not None and ignore.shape != shape[:2]:
@@ -347,7 +348,7 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> NDArray[np
     return ignore
 
 
-def with_tool(ignore: NDArray[np.bool_] | None, tool: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def with_tool(ignore: Bool | None, tool: Bool) -> Bool:
     """Add the pixels (H, W) of another tool, and those close beside it, to pixels that count neither way."""
     near = cv2.dilate(tool.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=_BESIDE).astype(np.bool_)
     return near if ignore is None else ignore | near

@@ -23,6 +23,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import read_coco_mask
 from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named, named_part, parse_label, selected
 from dvrk_cmaes.frames.label import EXPECTED as LABEL
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, palette_as_grey, read_header
 from dvrk_cmaes.io.short_text import shown
@@ -41,7 +42,7 @@ def read_mask(
     pick: tuple[float, float] | None = None,
     blank: bool = False,
     name: str | None = None,
-) -> NDArray[np.bool_]:
+) -> Bool:
     """Read an instrument mask.
 
     Parameters
@@ -97,7 +98,7 @@ def read_mask(
     return mask if pick is None else _component(path, mask, pick)
 
 
-def read_ignore(path: str | Path) -> NDArray[np.bool_]:
+def read_ignore(path: str | Path) -> Bool:
     """Read a mask of ignored pixels, (H, W) bool: True where the 8-bit value is above 127; it may be empty.
 
     Raises
@@ -222,7 +223,7 @@ def _parts(label: LabelText) -> Sequence[int | str]:
     return [label] if isinstance(label, int | str) else label
 
 
-def _is_inverted(mask: NDArray[np.bool_]) -> bool:
+def _is_inverted(mask: Bool) -> bool:
     """Whether a mask (H, W) has most of the image's edge and of its pixels, as no instrument has."""
     edge = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
     return bool(edge.mean() > _MOST_OF_EDGE and mask.mean() > _MOST_OF_IMAGE)
@@ -272,7 +273,7 @@ def _read_grey(path: str | Path, what: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(grey)
 
 
-def _component(path: str | Path, mask: NDArray[np.bool_], pick: tuple[float, float]) -> NDArray[np.bool_]:
+def _component(path: str | Path, mask: Bool, pick: tuple[float, float]) -> Bool:
     """Return the 8-connected component of a mask at a pixel (u, v); InputError if the pixel is not in the mask."""
     height, width = mask.shape
     if not (math.isfinite(pick[0]) and math.isfinite(pick[1])):

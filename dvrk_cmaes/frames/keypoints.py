@@ -6,16 +6,16 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.csv_file import read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 
 _COLUMNS = ("frame", "tip_1_u", "tip_1_v", "tip_2_u", "tip_2_v")
 
 
-def parse_keypoints(text: str) -> NDArray[np.float64]:
+def parse_keypoints(text: str) -> Float64:
     """Parse the pixels of the two tips, in either order, to (2, 2): a row (u, v) each.
 
     Raises
@@ -38,7 +38,7 @@ def parse_keypoints(text: str) -> NDArray[np.float64]:
     return np.array(numbers).reshape(2, 2)
 
 
-def read_keypoints(path: str | Path) -> dict[str, NDArray[np.float64]]:
+def read_keypoints(path: str | Path) -> dict[str, Float64]:
     """Read a keypoints.csv: the two tips (2, 2) px of each frame that has them, by frame.
 
     Columns ``frame, tip_1_u, tip_1_v, tip_2_u, tip_2_v``; the cells of a frame whose tips are not known are blank.
@@ -51,7 +51,7 @@ def read_keypoints(path: str | Path) -> dict[str, NDArray[np.float64]]:
     header, rows = read_csv_rows(path, expected="jaw tips (keypoints.csv)")
     if header != list(_COLUMNS):
         raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got {listed(header) or 'nothing'}")
-    tips: dict[str, NDArray[np.float64]] = {}
+    tips: dict[str, Float64] = {}
     for where, cells in rows:
         frame, *numbers = cells.values()
         if not frame:

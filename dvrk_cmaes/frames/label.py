@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.short_text import shown
 
 Label = tuple[int | str, ...]
@@ -63,7 +64,7 @@ def named_part(label: Label) -> str | None:
     return next((part for part in label if isinstance(part, str) and part != ANY and not part.startswith("#")), None)
 
 
-def selected(values: NDArray[np.integer], label: Label) -> NDArray[np.bool_]:
+def selected(values: NDArray[np.integer], label: Label) -> Bool:
     """Return the pixels (H, W) of values (H, W), or of colours (H, W, 3), BGR, that a label selects."""
     mask = np.zeros(values.shape[:2], np.bool_)
     for part in label:

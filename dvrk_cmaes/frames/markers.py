@@ -13,16 +13,14 @@ from typing import Annotated, Any, Final
 
 import numpy as np
 from msgspec import Meta, Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.io.typed_document import Point, convert_document, refused
-
-Float64 = NDArray[np.float64]
 
 _COLUMNS: Final = ("frame", "marker", "u", "v")
 

@@ -14,15 +14,13 @@ from typing import Final, TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Bool, Float32, Image
 
-Bool = NDArray[np.bool_]
-Image = NDArray[np.uint8]
 T = TypeVar("T")
 
 OVERLAID: Final = "what lies over all pictures and never changes, as texts or a border, is ignored"
@@ -102,7 +100,7 @@ def _texts(images: Sequence[Image], inside: Bool, masks: Sequence[Bool]) -> Bool
     return texts
 
 
-def _stand_still(details: Sequence[NDArray[np.float32]], where: Bool) -> bool:
+def _stand_still(details: Sequence[Float32], where: Bool) -> bool:
     """Whether the details (H, W) of images are in the same places: their mean then varies as each of them does."""
     told = [np.clip(each[where], -_STANDS_OUT, _STANDS_OUT) for each in details]
     one = float(np.mean([each.var() for each in told]))
@@ -126,7 +124,7 @@ def _is_instrument(block: Bool, masks: Sequence[Bool], *, at_edge: bool) -> bool
     return bool(2 * sum(mask[block].mean() >= _INSTRUMENT for mask in masks) >= len(masks))
 
 
-def _widened(mask: NDArray[np.uint8], by: int) -> NDArray[np.uint8]:
+def _widened(mask: Image, by: int) -> Image:
     """Widen a mask by some px."""
     return np.asarray(cv2.dilate(mask, np.ones((2 * by + 1, 2 * by + 1), np.uint8)))
 

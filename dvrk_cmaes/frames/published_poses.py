@@ -11,11 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import exp_rotation, transform
+from dvrk_cmaes.geometry import Float64, exp_rotation, transform
 from dvrk_cmaes.io.csv_file import number_in, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 
@@ -30,7 +27,7 @@ _COLUMNS: Final = ("frame", *_ROTATION, *_TRANSLATION, *_JOINTS)
 class PublishedPose:
     """A frame's ``camera_from_root`` (4, 4), m, and ``joints`` wrist_pitch, wrist_yaw, jaw by name, rad."""
 
-    camera_from_root: NDArray[np.float64]
+    camera_from_root: Float64
     joints: dict[str, float]
 
 

@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.arguments import checked_array, checked_mask
 
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
 Mask = Bool | Mapping[str, Bool | None]
 """The mask (H, W) of a camera, or those of a rig's views by name; None for a view without one."""
 
@@ -68,12 +67,7 @@ def seen_views(
 
 
 def seen_by(
-    view: View,
-    mask: object,
-    *,
-    ignore: object = None,
-    image: NDArray[np.uint8] | None = None,
-    keypoints: object = None,
+    view: View, mask: object, *, ignore: object = None, image: NDArray[np.uint8] | None = None, keypoints: object = None
 ) -> SeenView:
     """Return a view with what its camera saw, converted to arrays; its mask is empty if None is given.
 

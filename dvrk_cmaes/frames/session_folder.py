@@ -40,14 +40,7 @@ from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.short_text import listed, natural, no_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.reading import (
-    TIME_TOLERANCE,
-    JointFile,
-    NoneNearError,
-    ReadAs,
-    frame_readings,
-    read_joint_file,
-)
+from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, NoneNearError, ReadAs, frame_readings, read_joint_file
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name

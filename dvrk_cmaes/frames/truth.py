@@ -14,8 +14,8 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.rounding import rounded_array, rounded_values
@@ -44,9 +44,9 @@ class FrameTruth:
     ``visible`` is the share of the jaws that the image shows.
     """
 
-    camera_from_root: NDArray[np.float64]
+    camera_from_root: Float64
     joints: Mapping[str, float]
-    tips: NDArray[np.float64] | None = None
+    tips: Float64 | None = None
     visible: float = 1.0
 
 
@@ -55,7 +55,7 @@ class SessionTruth:
     """Truth of the frames by name, and ``camera_from_base`` (4, 4) if it is known."""
 
     frames: Mapping[str, FrameTruth] = field(default_factory=dict)
-    camera_from_base: NDArray[np.float64] | None = None
+    camera_from_base: Float64 | None = None
 
 
 def read_golden(path: str | Path) -> SessionTruth:
@@ -95,10 +95,7 @@ def _read_frame(where: str, document: object) -> FrameTruth:
 
 
 def _entry(frame: FrameTruth) -> dict[str, Any]:
-    entry = {
-        "T_camera_roll_link": rounded_array(frame.camera_from_root),
-        "joints": rounded_values(frame.joints),
-    }
+    entry = {"T_camera_roll_link": rounded_array(frame.camera_from_root), "joints": rounded_values(frame.joints)}
     if frame.tips is not None:
         entry["tips_camera_m"] = rounded_array(frame.tips)
     return entry if frame.visible == 1 else {**entry, "visible": frame.visible}

@@ -16,10 +16,10 @@ from math import pi
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import inverse, skew
+from dvrk_cmaes.geometry import Float64, inverse, skew
 from dvrk_cmaes.io.arguments import described
 
 Arm = Literal["classic", "si"]
@@ -81,7 +81,7 @@ def dh_table(arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET) -> tuple
 
 def base_from_root(
     outer: Mapping[str, ArrayLike] | ArrayLike, arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
-) -> NDArray[np.float64]:
+) -> Float64:
     """Compute the forward kinematics of the arm: the pose of the instrument's root link in the PSM base frame.
 
     Parameters
@@ -113,8 +113,8 @@ def base_from_root(
 
 
 def base_from_root_and_jacobian(
-    outer: NDArray[np.float64], arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    outer: Float64, arm: Arm = "classic", *, roll_offset: float = ROLL_OFFSET
+) -> tuple[Float64, Float64]:
     """Compute the pose of `base_from_root` and its Jacobian (..., 6, 4) by the outer joints (..., 4), rad and m.
 
     The Jacobian is of small changes in the root's own axes, m and rad: each joint turns about or moves along the z axis
@@ -141,8 +141,8 @@ def root_from_tip(
     wrist_yaw: float,
     *,
     wrist_length: float = WRIST_LENGTH,
-    tooltip_offset: NDArray[np.float64] = TOOLTIP_OFFSET,
-) -> NDArray[np.float64]:
+    tooltip_offset: Float64 = TOOLTIP_OFFSET,
+) -> Float64:
     """Compute the pose (4, 4) of the dVRK's tool tip frame in the root link, from the wrist's angles, rad.
 
     ``base_from_root @ root_from_tip`` is the arm's ``local/measured_cp``. ``wrist_length`` (A of the wrist yaw joint,
@@ -167,8 +167,8 @@ def stated_kinematics(configs: Iterable[Mapping[str, Any]]) -> tuple[Arm, float]
 
 
 def find_camera_from_base(
-    camera_from_root: NDArray[np.float64], readings: Mapping[str, float], arm: Arm, *, roll_offset: float
-) -> NDArray[np.float64] | None:
+    camera_from_root: Float64, readings: Mapping[str, float], arm: Arm, *, roll_offset: float
+) -> Float64 | None:
     """Return camera_from_base (4, 4) from the root's pose (4, 4) and the outer joints' readings (rad, m).
 
     None if one of the outer joints has no reading. ``roll_offset`` is D of the tool's roll joint, m.
@@ -178,7 +178,7 @@ def find_camera_from_base(
     return np.asarray(camera_from_root @ inverse(base_from_root(readings, arm, roll_offset=roll_offset)))
 
 
-def _values(outer: Mapping[str, ArrayLike] | ArrayLike) -> NDArray[np.float64]:
+def _values(outer: Mapping[str, ArrayLike] | ArrayLike) -> Float64:
     """Convert joint values to an array (..., 4) in the order of ``OUTER_JOINTS``."""
     if isinstance(outer, Mapping):
         missing = [name for name in OUTER_JOINTS if name not in outer]
@@ -195,7 +195,7 @@ def _values(outer: Mapping[str, ArrayLike] | ArrayLike) -> NDArray[np.float64]:
     return values
 
 
-def _row_transform(row: DHJoint, value: NDArray[np.float64] | np.float64) -> NDArray[np.float64]:
+def _row_transform(row: DHJoint, value: Float64 | np.float64) -> Float64:
     """Compute the transforms (..., 4, 4) of one DH row at joint values (...)."""
     theta = np.full_like(value, row.theta) if row.prismatic else row.theta + value
     d = row.d + value if row.prismatic else np.full_like(value, row.d)

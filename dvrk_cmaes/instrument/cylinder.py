@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.sections import Section, Slicer, edges_of
 
 _SECTIONS = 96
@@ -40,17 +41,15 @@ class Cylinder(NamedTuple):
         Coordinates of the ends along ``direction`` from ``point``.
     """
 
-    point: NDArray[np.float64]
-    direction: NDArray[np.float64]
+    point: Float64
+    direction: Float64
     radius: float
     low: float
     high: float
 
 
 def find_cylinder(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    axis: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    vertices: Float64, faces: NDArray[np.int32], axis: tuple[Float64, Float64] | None = None
 ) -> Cylinder | None:
     """Find the longest straight circular cylinder in a mesh; None if none is at least three diameters long.
 
@@ -76,7 +75,7 @@ def find_cylinder(
     return cylinder
 
 
-def _direction_across_normals(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+def _direction_across_normals(vertices: Float64, faces: NDArray[np.int32]) -> Float64:
     """Return the direction (3,) most nearly perpendicular to the face normals, weighted by face area."""
     corners = vertices[faces]
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -86,10 +85,7 @@ def _direction_across_normals(vertices: NDArray[np.float64], faces: NDArray[np.i
 
 
 def _fit_about(
-    vertices: NDArray[np.float64],
-    edges: NDArray[np.int32],
-    direction: NDArray[np.float64],
-    fixed: NDArray[np.float64] | None = None,
+    vertices: Float64, edges: NDArray[np.int32], direction: Float64, fixed: Float64 | None = None
 ) -> Cylinder | None:
     """Fit a cylinder about an approximate direction; with a point `fixed` on the axis, the axis is not changed."""
     slicer = Slicer(vertices, edges, direction)
@@ -125,7 +121,7 @@ def _fit_about(
     return Cylinder(foot, refined, radius, low, high)
 
 
-def _matches(section: Section, radius: float, centre: NDArray[np.float64]) -> bool:
+def _matches(section: Section, radius: float, centre: Float64) -> bool:
     """Whether a section is round and has this radius and this centre (2,), within the tolerances."""
     return (
         section.roundness >= _ROUNDNESS

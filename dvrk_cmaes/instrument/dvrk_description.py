@@ -14,9 +14,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct, field
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed
@@ -79,7 +79,7 @@ class Tool:
     roll_offset: float
     limits: Mapping[str, tuple[float, float]]
     wrist_length: float
-    tooltip_offset: NDArray[np.float64]
+    tooltip_offset: Float64
 
 
 @dataclass(frozen=True)

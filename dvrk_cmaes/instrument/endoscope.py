@@ -12,12 +12,9 @@ from math import pi
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.geometry import Float64, transform
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, Arm, base_from_root_and_jacobian
-
-Float64 = NDArray[np.float64]
 
 TIP_OFFSET: Final = 0.3829 - 0.3822
 """Distance of the endoscope's tip from the remote centre of motion at an insertion of zero, m."""

@@ -12,9 +12,8 @@ from math import pi
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument.arm import (
     INSERTION_OFFSET,
     OUTER_JOINTS,
@@ -42,17 +41,17 @@ class JointSolution(NamedTuple):
         Why a pose is not reached; empty for the others.
     """
 
-    joints: NDArray[np.float64]
+    joints: Float64
     reasons: tuple[str, ...]
 
 
 def find_joints(
-    base_from_tip: NDArray[np.float64],
+    base_from_tip: Float64,
     arm: Arm = "classic",
     *,
     roll_offset: float = ROLL_OFFSET,
     wrist_length: float = WRIST_LENGTH,
-    tooltip_offset: NDArray[np.float64] = TOOLTIP_OFFSET,
+    tooltip_offset: Float64 = TOOLTIP_OFFSET,
     limits: Mapping[str, tuple[float, float]] | None = None,
 ) -> JointSolution:
     """Find the joints at which ``base_from_root @ root_from_tip`` is each of the poses (N, 4, 4) of the tip, m.
@@ -92,7 +91,7 @@ def find_joints(
     return JointSolution(joints, reasons)
 
 
-def _reason(joints: NDArray[np.float64], told: bool, limits: Mapping[str, tuple[float, float]]) -> str:
+def _reason(joints: Float64, told: bool, limits: Mapping[str, tuple[float, float]]) -> str:
     """Return why joints (6,) are not reached; empty if they are."""
     if not told:
         return "the remote centre of motion is on the wrist yaw axis: wrist yaw is not determined"

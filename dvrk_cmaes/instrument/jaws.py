@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.model import Instrument, JawTip
 from dvrk_cmaes.instrument.sections import Slicer, edges_of
 
@@ -66,7 +66,7 @@ def _opposite_pair(instrument: Instrument) -> tuple[int, int] | None:
     return None
 
 
-def _vector_to_farthest(vertices: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def _vector_to_farthest(vertices: Float64, axis: Float64) -> Float64:
     """Return the vector (3,) from an axis through the origin to the vertex farthest from the axis."""
     away = vertices - np.outer(vertices @ axis, axis)
     return np.asarray(away[np.argmax(np.linalg.norm(away, axis=1))])

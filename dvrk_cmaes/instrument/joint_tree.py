@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.kinematics import Joint, Motion
 
 _WIDEST = 1e3  # rad or m, of limits, origins and mimic relations
@@ -61,7 +61,7 @@ def joints_below(robot: Any, root: str, path: Path) -> list[Any]:
 
 def build_joints(
     robot: Any, tree: list[Any], root: str, with_geometry: set[str], path: Path
-) -> tuple[tuple[Joint, ...], tuple[str, ...], NDArray[np.float64]]:
+) -> tuple[tuple[Joint, ...], tuple[str, ...], Float64]:
     """Build the joints between the root link and the links with geometry.
 
     Parameters
@@ -147,14 +147,14 @@ def _mimic_relation(robot: Any, joint: Any, path: Path) -> tuple[str | None, flo
         joint = by_name[target]
 
 
-def _origin(joint: Any, path: Path) -> NDArray[np.float64]:
+def _origin(joint: Any, path: Path) -> Float64:
     origin = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=np.float64)
     if not (np.abs(origin) <= _WIDEST).all():
         raise InputError(f"{path}: joint {joint.name!r}: origin: expected finite numbers, at most {_WIDEST:g} m")
     return origin
 
 
-def _axis(joint: Any, path: Path) -> NDArray[np.float64]:
+def _axis(joint: Any, path: Path) -> Float64:
     """Return the axis (3,) of a joint: normalised for a revolute joint, as stated for a prismatic one (as yourdfpy)."""
     axis = np.asarray(joint.axis, dtype=np.float64)
     if joint.type == "fixed":

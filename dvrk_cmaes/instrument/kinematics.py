@@ -14,9 +14,10 @@ from math import prod
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes import _kernel
+from dvrk_cmaes.geometry import Float64
 
 Motion = Literal["fixed", "revolute", "prismatic"]
 
@@ -51,8 +52,8 @@ class Joint:
     child: str
     parent: int
     motion: Motion
-    parent_from_joint: NDArray[np.float64]
-    axis: NDArray[np.float64]
+    parent_from_joint: Float64
+    axis: Float64
     driver: int | None = None
     multiplier: float = 1.0
     offset: float = 0.0
@@ -63,13 +64,13 @@ class Joint:
         return self.motion != "fixed" and self.driver is not None and self.multiplier != 0.0
 
 
-def _cross_matrix(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cross_matrix(axis: Float64) -> Float64:
     """Return the cross-product matrix (3, 3) of a vector (3,)."""
     x, y, z = axis
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _terms(joint: Joint) -> NDArray[np.float64]:
+def _terms(joint: Joint) -> Float64:
     """Compute the matrices (3, 4, 4) whose sum with weights 1, sin q (or q) and cos q is the joint's transform."""
     origin = np.asarray(joint.parent_from_joint, dtype=np.float64)
     moving, cosine, constant = np.zeros((4, 4)), np.zeros((4, 4)), np.eye(4)
@@ -109,7 +110,7 @@ class Chain:
         """Take the joints."""
         object.__setattr__(self, "joints", joints)
 
-    def forward(self, joints: ArrayLike, selected: Sequence[int]) -> NDArray[np.float64]:
+    def forward(self, joints: ArrayLike, selected: Sequence[int]) -> Float64:
         """Compute the poses of selected links in the root link's frame.
 
         Parameters
@@ -128,9 +129,7 @@ class Chain:
         poses, _ = self._kernel.forward(_rows(values), selected, False)
         return poses.reshape(*values.shape[:-1], len(selected), 4, 4)
 
-    def forward_with_derivatives(
-        self, joints: NDArray[np.float64], selected: Sequence[int]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def forward_with_derivatives(self, joints: Float64, selected: Sequence[int]) -> tuple[Float64, Float64]:
         """Compute the poses of selected links as `forward`, and their derivatives (..., J, len(selected), 4, 4)."""
         poses, by_joint = self._kernel.forward(_rows(joints), selected, True)
         assert by_joint is not None
@@ -146,6 +145,6 @@ class Chain:
         return path[::-1]
 
 
-def _rows(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rows(values: Float64) -> Float64:
     """Return values (..., J) as rows (N, J)."""
     return np.ascontiguousarray(values.reshape(prod(values.shape[:-1]), values.shape[-1]))

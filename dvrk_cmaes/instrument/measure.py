@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument.cylinder import Cylinder, find_cylinder
 from dvrk_cmaes.instrument.jaws import find_jaw_tips
 from dvrk_cmaes.instrument.model import Instrument, Shaft
@@ -16,7 +15,7 @@ from dvrk_cmaes.instrument.symmetry import resembles_twin
 
 _RADII = (0.25e-3, 25e-3)  # m, of shafts; those of instruments have 1.5 to 8 mm
 
-Axis = tuple[NDArray[np.float64], NDArray[np.float64]]
+Axis = tuple[Float64, Float64]
 
 
 def with_measurements(instrument: Instrument, *, radius: float | None = None, axis: Axis | None = None) -> Instrument:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument.dae_size import check_dae_size
 from dvrk_cmaes.instrument.mesh_header import check_header_sizes
 from dvrk_cmaes.io.plain_xml import parse_xml
@@ -25,7 +25,7 @@ _LARGEST_COORDINATE = 1e9
 _WELD = 1e-8  # grid size for merging vertices, as a fraction of the bounding box's diagonal
 _FLAT = 1e-7  # height / longest side below which a triangle is degenerate; the resolution of float32
 
-Triangles = tuple[NDArray[np.float64], NDArray[np.int32]]
+Triangles = tuple[Float64, NDArray[np.int32]]
 
 
 def read_mesh(path: Path) -> Triangles:
@@ -65,7 +65,7 @@ def read_mesh(path: Path) -> Triangles:
     return vertices, faces
 
 
-def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read_ply(path: Path) -> tuple[Float64, NDArray[np.int64]]:
     """Read a PLY; polygons with more than three corners become triangle fans about their first corner."""
     from plyfile import PlyData, PlyElementParseError
 
@@ -94,7 +94,7 @@ def _fan(polygon: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack([first, polygon[1:-1][: len(first)], polygon[2:][: len(first)]], axis=1)
 
 
-def _read_with_trimesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read_with_trimesh(path: Path) -> tuple[Float64, NDArray[np.int64]]:
     """Read STL, OBJ or DAE; a DAE file states its unit and is converted to metres."""
     import trimesh
 
@@ -119,7 +119,7 @@ def _dae_unit(path: Path, data: bytes) -> float:
     return metres
 
 
-def weld(vertices: NDArray[np.float64], faces: NDArray[Any]) -> Triangles:
+def weld(vertices: Float64, faces: NDArray[Any]) -> Triangles:
     """Merge coincident vertices; remove degenerate and repeated faces, and vertices without a face.
 
     Parameters
@@ -151,7 +151,7 @@ def weld(vertices: NDArray[np.float64], faces: NDArray[Any]) -> Triangles:
     return places[used], renumbered.reshape(-1, 3).astype(np.int32)
 
 
-def to_link_frame(triangles: Triangles, link_from_mesh: NDArray[np.float64], scale: NDArray[np.float64]) -> Triangles:
+def to_link_frame(triangles: Triangles, link_from_mesh: Float64, scale: Float64) -> Triangles:
     """Scale a mesh and transform it into its link's frame.
 
     Parameters

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import ROLL_OFFSET, Arm
 from dvrk_cmaes.instrument.kinematics import Chain
 
@@ -39,7 +40,7 @@ class Link:
     """
 
     name: str
-    vertices: NDArray[np.float64]
+    vertices: Float64
     faces: NDArray[np.int32]
 
 
@@ -60,8 +61,8 @@ class Shaft:
         Coordinates of the ends of the straight part along `direction` from `point`, m; flange and wrist lie beyond.
     """
 
-    point: NDArray[np.float64]
-    direction: NDArray[np.float64]
+    point: Float64
+    direction: Float64
     radius: float
     distal_end: float
     proximal_end: float
@@ -76,7 +77,7 @@ class JawTip(NamedTuple):
     """Tip of one jaw: index into `Instrument.links` and position (3,) in that link's frame, m."""
 
     link: int
-    position: NDArray[np.float64]
+    position: Float64
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ class Instrument:
     root_link: str
     links: tuple[Link, ...]
     joint_names: tuple[str, ...]
-    limits: NDArray[np.float64]
+    limits: Float64
     shaft: Shaft | None
     jaw_tips: tuple[JawTip, ...]
     chain: Chain
@@ -132,7 +133,7 @@ class Instrument:
         links = ", ".join(link.name for link in self.links)
         return f"Instrument({self.name!r}, links: {links}, joints: {', '.join(self.joint_names)})"
 
-    def _values(self, joints: ArrayLike) -> NDArray[np.float64]:
+    def _values(self, joints: ArrayLike) -> Float64:
         """Check joint values (..., J) and convert them to an array."""
         values = np.asarray(joints, dtype=np.float64)
         if values.ndim == 0 or values.shape[-1] != len(self.joint_names):
@@ -142,7 +143,7 @@ class Instrument:
             )
         return values
 
-    def forward(self, joints: ArrayLike) -> NDArray[np.float64]:
+    def forward(self, joints: ArrayLike) -> Float64:
         """Compute root_from_link (..., L, 4, 4) in the order of `links` from joint values (..., J).
 
         Joint values beyond the limits are not clipped.
@@ -159,7 +160,7 @@ class Instrument:
         """
         return self.chain.forward(self._values(joints), self.link_joints)
 
-    def forward_with_derivatives(self, joints: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def forward_with_derivatives(self, joints: ArrayLike) -> tuple[Float64, Float64]:
         """Compute root_from_link as `forward`, and its derivatives by the joints, (..., J, L, 4, 4).
 
         Parameters
@@ -174,7 +175,7 @@ class Instrument:
         """
         return self.chain.forward_with_derivatives(self._values(joints), self.link_joints)
 
-    def tips(self, joints: ArrayLike) -> NDArray[np.float64]:
+    def tips(self, joints: ArrayLike) -> Float64:
         """Compute the jaw tips in the root link's frame, m, from joint values (..., J).
 
         The result has the shape (..., 2, 3), or (..., 0, 3) for an instrument without a pair of jaws.
@@ -187,7 +188,7 @@ class Instrument:
         values = self._values(joints)
         return self._points(self.jaw_tips, values) if self.jaw_tips else np.empty((*values.shape[:-1], 0, 3))
 
-    def ends(self, joints: ArrayLike) -> NDArray[np.float64]:
+    def ends(self, joints: ArrayLike) -> Float64:
         """Compute the jaw tips (..., 2, 3) as `tips`, or for an instrument without a pair of jaws its end (..., 1, 3).
 
         The end is the vertex of the last link that is farthest from the root's origin with all joints at zero.
@@ -203,7 +204,7 @@ class Instrument:
         farthest = np.linalg.norm(vertices @ pose[:3, :3].T + pose[:3, 3], axis=1).argmax()
         return self._points([JawTip(len(self.links) - 1, vertices[farthest])], self._values(joints))
 
-    def _points(self, points: Sequence[JawTip], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _points(self, points: Sequence[JawTip], values: Float64) -> Float64:
         """Compute points of links in the root link's frame, (..., K, 3) m, from joint values (..., J)."""
         poses = self.chain.forward(values, [self.link_joints[point.link] for point in points])
         positions = np.stack([point.position for point in points])
@@ -237,7 +238,7 @@ class Instrument:
             "roll_offset": self.roll_offset,
         }
 
-    def skeleton(self, joints: ArrayLike) -> NDArray[np.float64]:
+    def skeleton(self, joints: ArrayLike) -> Float64:
         """Compute the points of a skeleton of the instrument in one configuration, for drawing.
 
         The points are: points along the shaft from its proximal to its distal end, at most a centimetre apart; the
@@ -292,7 +293,7 @@ class Instrument:
             for k in below
         )
 
-    def half_turn(self) -> NDArray[np.float64]:
+    def half_turn(self) -> Float64:
         """Return the rotation by half a turn about the roll axis, (4, 4) in the root link's frame.
 
         The roll axis is the root link's z axis if the shaft lies on it (the dVRK's convention), otherwise the measured
@@ -308,7 +309,7 @@ class Instrument:
         turn[:3, 3] = point - turn[:3, :3] @ point
         return turn
 
-    def twin(self, camera_from_root: ArrayLike, joints: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def twin(self, camera_from_root: ArrayLike, joints: ArrayLike) -> tuple[Float64, Float64]:
         """Compute the mirror twin: the pose rolled by half a turn about the shaft, wrist pitch and yaw negated.
 
         If `has_twin` is true, the twin has nearly the same silhouette as the pose. The twin of the twin is the pose.

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
+
 
 class Section(NamedTuple):
     """Measures of the convex hull of a plane section.
@@ -21,12 +23,12 @@ class Section(NamedTuple):
         4 pi area / perimeter^2: 1 for a disc, 0.95 for an octagon, 0.79 for a square.
     """
 
-    centre: NDArray[np.float64]
+    centre: Float64
     half_width: float
     roundness: float
 
 
-def plane_basis(normal: NDArray[np.float64]) -> NDArray[np.float64]:
+def plane_basis(normal: Float64) -> Float64:
     """Return two unit vectors (2, 3) that form a right-handed basis with a unit normal (3,)."""
     first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     first /= np.linalg.norm(first)
@@ -54,7 +56,7 @@ class Slicer:
         Unit normal of the planes.
     """
 
-    def __init__(self, vertices: NDArray[np.float64], edges: NDArray[np.int32], direction: NDArray[np.float64]) -> None:
+    def __init__(self, vertices: Float64, edges: NDArray[np.int32], direction: Float64) -> None:
         self.basis = plane_basis(direction)
         heights = vertices @ direction
         self.low, self.high = float(heights.min()), float(heights.max())
@@ -82,7 +84,7 @@ class Slicer:
         return _section(outline - outline[0], outline[0])
 
 
-def _section(outline: NDArray[np.float64], start: NDArray[np.float64]) -> Section:
+def _section(outline: Float64, start: Float64) -> Section:
     """Measure a convex polygon (N, 2) with ordered corners relative to ``start`` (2,)."""
     following = np.roll(outline, -1, axis=0)
     cross = outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0]

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.typed_document import Transform, convert_document
@@ -27,7 +26,7 @@ class _SetupJoints(Struct):
     arms: tuple[_HeldArm, ...]
 
 
-def read_setup_joints(path: Path) -> dict[str, NDArray[np.float64]]:
+def read_setup_joints(path: Path) -> dict[str, Float64]:
     """Read the poses (4, 4), m, of the arms' bases in the set-up joints' frame, by name; none without the file.
 
     Raises
@@ -41,6 +40,6 @@ def read_setup_joints(path: Path) -> dict[str, NDArray[np.float64]]:
     return {arm.name: arm.measured_cp for arm in convert_document(str(path), document, _SetupJoints).arms}
 
 
-def setup_text(poses: Mapping[str, NDArray[np.float64]]) -> str:
+def setup_text(poses: Mapping[str, Float64]) -> str:
     """Return the text of the file with the poses (4, 4), m, of arms by name; 0.0 stands for -0.0."""
     return json_text({"arms": [{"name": name, "measured_cp": (pose + 0.0).tolist()} for name, pose in poses.items()]})

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument.model import TWIN_JOINTS, Instrument
 
 _QUERIES = 10_000  # points whose distance to the other surface is computed
@@ -40,11 +39,11 @@ def resembles_twin(instrument: Instrument) -> bool:
     return all(name in instrument.joint_names for name in TWIN_JOINTS) and twin_distance(instrument) < _TOLERANCE
 
 
-def _surface(instrument: Instrument, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+def _surface(instrument: Instrument, joints: Float64) -> Float64:
     """Sample points (N, 3) uniformly on wrist and jaws in the root link's frame; they are the same for all joints."""
     poses = instrument.forward(joints)
     closed = instrument.forward(np.zeros_like(joints))
-    corners: list[NDArray[np.float64]] = []
+    corners: list[Float64] = []
     for link, pose, zero in zip(instrument.links, poses, closed, strict=True):
         triangles = link.vertices[link.faces]
         if instrument.shaft is not None:

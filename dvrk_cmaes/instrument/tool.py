@@ -34,9 +34,5 @@ def with_tool(instrument: Instrument, tool: Tool) -> Instrument:
     for index, name in enumerate(instrument.joint_names):
         limits[index] = tool.limits.get(name, limits[index])
     return replace(
-        instrument,
-        limits=limits,
-        limits_from=tool.name,
-        roll_offset=tool.roll_offset,
-        roll_limits=tool.limits["roll"],
+        instrument, limits=limits, limits_from=tool.name, roll_offset=tool.roll_offset, roll_limits=tool.limits["roll"]
     )

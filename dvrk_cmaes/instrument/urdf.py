@@ -12,9 +12,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import measure
 from dvrk_cmaes.instrument.cache import cache_file, read_cached, write_cached
 from dvrk_cmaes.instrument.joint_tree import build_joints, joints_below
@@ -134,9 +135,7 @@ def load_instrument(
     return instrument
 
 
-def _checked_axis(
-    axis: tuple[ArrayLike, ArrayLike] | None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+def _checked_axis(axis: tuple[ArrayLike, ArrayLike] | None) -> tuple[Float64, Float64] | None:
     """Check an axis and return its point nearest to the origin and its unit direction; None for None."""
     if axis is None:
         return None

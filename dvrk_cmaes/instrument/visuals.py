@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.locate import find_mesh
 from dvrk_cmaes.instrument.meshes import LARGEST_EXTENT, Triangles, read_mesh, to_link_frame, weld
 
@@ -20,11 +20,7 @@ _LEAST_EXTENT = 1e-7  # m, of a primitive
 
 
 def link_triangles(
-    visuals: Sequence[Any],
-    link: str,
-    urdf: Path,
-    packages: Mapping[str, Path],
-    cache: dict[Path, Triangles],
+    visuals: Sequence[Any], link: str, urdf: Path, packages: Mapping[str, Path], cache: dict[Path, Triangles]
 ) -> Triangles | None:
     """Return the triangles of all visuals of one link in the link's frame; None if it has no geometry.
 
@@ -71,12 +67,7 @@ def link_triangles(
 
 
 def _mesh(
-    mesh: Any,
-    where: str,
-    urdf: Path,
-    packages: Mapping[str, Path],
-    cache: dict[Path, Triangles],
-    origin: NDArray[np.float64],
+    mesh: Any, where: str, urdf: Path, packages: Mapping[str, Path], cache: dict[Path, Triangles], origin: Float64
 ) -> Triangles:
     """Read the mesh of a visual and transform it into the link's frame."""
     if not mesh.filename:

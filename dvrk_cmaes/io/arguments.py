@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.short_text import shown
 
 PATH = (str, os.PathLike)
@@ -42,7 +43,7 @@ def checked_array(name: str, value: object, dtype: type, expected: str, dimensio
     raise InputError(f"{name}: expected {expected}, got {described(value)}")
 
 
-def checked_mask(name: str, value: object) -> NDArray[np.bool_]:
+def checked_mask(name: str, value: object) -> Bool:
     """Return a mask (H, W) as bool; InputError, which names the argument, for anything else, such as an image.
 
     An array of numbers may have two values, of which the one that is not zero is instrument.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.output import write_bytes
 
 
@@ -34,14 +35,12 @@ def write_json(path: str | Path, obj: Any) -> None:
     write_text(path, json_text(obj))
 
 
-def write_image(path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_], *, quality: int | None = None) -> None:
+def write_image(path: str | Path, image: NDArray[np.uint8] | Bool, *, quality: int | None = None) -> None:
     """Write an image in the format of its extension; images and errors as in ``encoded_image`` and ``write_bytes``."""
     write_bytes(path, encoded_image(path, image, quality=quality))
 
 
-def encoded_image(
-    path: str | Path, image: NDArray[np.uint8] | NDArray[np.bool_], *, quality: int | None = None
-) -> bytes:
+def encoded_image(path: str | Path, image: NDArray[np.uint8] | Bool, *, quality: int | None = None) -> bytes:
     """Encode an image in the format of a path's extension.
 
     Parameters

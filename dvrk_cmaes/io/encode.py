@@ -17,8 +17,8 @@ SIGNIFICANT: Final = {"significant": True}
 def encoded(value: Any) -> Any:
     """Return a value as JSON has it.
 
-    Dataclasses and mappings become mappings, sequences and arrays lists; numbers that are not whole are rounded to nine
-    decimals.
+    What has a document of its own becomes that, other dataclasses and mappings become mappings, sequences and arrays
+    lists; numbers that are not whole are rounded to nine decimals.
     """
     if value is None or isinstance(value, str | bool | int):
         return value
@@ -26,6 +26,8 @@ def encoded(value: Any) -> Any:
         return rounded_array(value)
     if isinstance(value, float):
         return rounded(value)
+    if hasattr(value, "to_dict"):
+        return value.to_dict()
     if is_dataclass(value):
         return encoded_fields(value, *(field.name for field in fields(value)))
     if isinstance(value, Mapping):

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from dvrk_cmaes.geometry import Float64
 
 
 def rounded(value: float) -> float:
@@ -19,11 +20,11 @@ def rounded_values(values: Mapping[str, float]) -> dict[str, float]:
     return {name: rounded(value) for name, value in values.items()}
 
 
-def rounded_array(array: NDArray[np.float64]) -> Any:
+def rounded_array(array: Float64) -> Any:
     """Round an array as `rounded` does, to nested lists."""
     return np.round(np.asarray(array, dtype=np.float64), 9).tolist()
 
 
-def rounded_matrix(matrix: NDArray[np.float64]) -> list[list[float]]:
+def rounded_matrix(matrix: Float64) -> list[list[float]]:
     """Round the numbers of a covariance to seven significant digits."""
     return [[float(f"{value:.6e}") for value in row] for row in matrix]

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_a
 
 import numpy as np
 from msgspec import Meta, ValidationError, convert
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.prepared_type import prepared
 from dvrk_cmaes.io.short_text import shown
 
 T = TypeVar("T")
-Float64 = NDArray[np.float64]
 
 _MAX = sys.float_info.max
 _LARGEST = 1e12  # of the numbers of an array; products of larger ones overflow
@@ -51,11 +50,11 @@ def _array_type(*shape: int) -> ABCMeta:
 
 
 if TYPE_CHECKING:  # arrays to a type checker, classes with a shape to msgspec
-    Transform = NDArray[np.float64]
-    Point = NDArray[np.float64]
-    Pixel = NDArray[np.float64]
-    PointPair = NDArray[np.float64]
-    SquareOfThree = NDArray[np.float64]
+    Transform = Float64
+    Point = Float64
+    Pixel = Float64
+    PointPair = Float64
+    SquareOfThree = Float64
 else:
     Transform = _array_type(4, 4)  # a rigid transform
     Point = _array_type(3)

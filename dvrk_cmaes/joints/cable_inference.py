@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 
 @dataclass(frozen=True, eq=False)

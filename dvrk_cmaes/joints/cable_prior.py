@@ -13,14 +13,12 @@ from typing import Final
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.joints.cables import CableModel
-
-Float64 = NDArray[np.float64]
 
 _WRIST: Final = ("wrist_pitch", "wrist_yaw")
 _OTHER_ARMS: Final = 0.5  # standard deviation of another arm's coefficient, relative to the mean of the fits,

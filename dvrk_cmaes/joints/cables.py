@@ -14,11 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.play import Play
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,10 @@ from dataclasses import fields, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.names import OUTER_JOINTS
-
-Float64 = NDArray[np.float64]
 
 _LEAST_FRAMES: Final = 5  # in which a joint has the same reading
 _SAME: Final = 1e-9  # rad

@@ -12,8 +12,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Times = NDArray[np.int64] | NDArray[np.float64]
-Known = NDArray[np.bool_]
+from dvrk_cmaes.geometry import Bool, Float64
+
+Times = NDArray[np.int64] | Float64
+Known = Bool
 Gaps = Callable[[Times, Times, Times], Known]
 
 _SPACINGS = 3.0  # in which the usual longest gap is measured

@@ -6,14 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.joints.gaps import Gaps, Times
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second. Times are integers, because a float of seconds since 1970 has a resolution of 200 ns."""
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,14 +61,14 @@ class TimedReadings:
         found[~self.known(times, gaps)] = np.nan
         return found
 
-    def known(self, times: Times, gaps: Gaps) -> NDArray[np.bool_]:
+    def known(self, times: Times, gaps: Gaps) -> Bool:
         """Whether readings are known at times (L,) by a rule for gaps, (L,); a known row may still have NaN."""
         if not len(self.times):
             return np.zeros(len(times), np.bool_)
         before, after = self.around(times)
         return gaps(times, self.times[before], self.times[after])
 
-    def around(self, times: Times) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def around(self, times: Times) -> tuple[Indices, Indices]:
         """Find the readings before (or at) and at (or after) times (L,): two indices (L,).
 
         Beyond the ends these are the two readings at that end; of a single reading, both are that one.

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from msgspec import Struct
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.rounding import rounded
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.typed_document import Number
 
-Float64 = NDArray[np.float64]
 Unit = Literal["s", "frames"]
 
 SIGN = "images late"
@@ -27,22 +25,6 @@ LARGEST_SECONDS, LARGEST_FRAMES = 60.0, 1800.0
 """Largest magnitudes of a lag that is given by hand."""
 
 _TEXT = re.compile(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?) ?(s|frames?)?")
-
-
-class LagDocument(Struct):
-    """The lag in ``session.json``; documents without ``sign`` count readings that are late as positive."""
-
-    frames: Number | None = None
-    seconds: Number | None = None
-    std_frames: Number | None = None
-    std_seconds: Number | None = None
-    drift: Number | None = None
-    std_drift: Number | None = None
-    middle: Number | None = None
-    wrist_frames: Number | None = None
-    std_wrist_frames: Number | None = None
-    sign: str | None = None
-    applied: bool = True
 
 
 @dataclass(frozen=True)
@@ -56,16 +38,16 @@ class Lag:
     that does not differ significantly from zero is not.
     """
 
-    frames: float | None
-    std_frames: float | None = None
-    seconds: float | None = None
-    std_seconds: float | None = None
+    frames: Number | None = None
+    std_frames: Number | None = None
+    seconds: Number | None = None
+    std_seconds: Number | None = None
     applied: bool = True
-    drift: float = 0.0
-    std_drift: float | None = None
-    middle: float = 0.0
-    wrist_frames: float | None = None
-    std_wrist_frames: float | None = None
+    drift: Number = 0.0
+    std_drift: Number | None = None
+    middle: Number = 0.0
+    wrist_frames: Number | None = None
+    std_wrist_frames: Number | None = None
 
     @classmethod
     def of(cls, value: float, std: float, unit: Unit, interval: float, *, applied: bool) -> Lag:
@@ -113,45 +95,11 @@ class Lag:
             raise InputError(f"{option}: expected at most {most:g} {unit} in magnitude, got {shown(text)}")
         return cls(value) if in_frames else cls(None, seconds=value)
 
-    @classmethod
-    def from_document(cls, document: LagDocument | None) -> Lag | None:
-        """Take a lag from its document; None, too, for a document with neither frames nor seconds."""
-        if document is None or (document.frames is None and document.seconds is None):
-            return None
-        sign = 1.0 if document.sign == SIGN else -1.0
-
-        def signed(value: float | None) -> float | None:
-            return None if value is None else sign * value
-
-        return cls(
-            signed(document.frames),
-            document.std_frames,
-            signed(document.seconds),
-            document.std_seconds,
-            document.applied,
-            document.drift or 0.0,
-            document.std_drift,
-            document.middle or 0.0,
-            document.wrist_frames,
-            document.std_wrist_frames,
-        )
-
     def to_dict(self) -> dict[str, Any]:
         """Return the lag in the documented schema, ready for JSON."""
-        drifts = self.drift != 0.0
-        values = {
-            "frames": self.frames,
-            "std_frames": self.std_frames,
-            "seconds": self.seconds,
-            "std_seconds": self.std_seconds,
-            "drift": self.drift if drifts else None,
-            "std_drift": self.std_drift,
-            "middle": self.middle if drifts else None,
-            "wrist_frames": self.wrist_frames,
-            "std_wrist_frames": self.std_wrist_frames,
-        }
-        numbers = {name: rounded(value) for name, value in values.items() if value is not None}
-        return {**numbers, "sign": SIGN, "applied": self.applied}
+        omitted = ("applied",) if self.drift else ("applied", "drift", "middle")
+        values = {name: value for name, value in vars(self).items() if value is not None and name not in omitted}
+        return {**{name: rounded(value) for name, value in values.items()}, "sign": SIGN, "applied": self.applied}
 
     def in_unit(self, unit: Unit) -> float:
         """Return the lag at ``middle`` in a unit; InputError if it is not known in this unit.
@@ -216,3 +164,17 @@ class Lag:
     def option(self) -> str:
         """The lag as an option of the command line: ``--lag 0.131s`` or ``--lag 3.94frames``."""
         return f"--lag {self.text.replace(' ', '')}"
+
+
+def current_document(document: object) -> object:
+    """Return the document of a lag with today's sign, null for one with neither frames nor seconds.
+
+    Documents without ``sign`` count readings that are late as positive.
+    """
+    if not isinstance(document, dict):
+        return document
+    fields = {name: value for name, value in document.items() if value is not None}
+    if fields.get("sign") != SIGN:
+        numbers = {name: fields.get(name) for name in ("frames", "seconds")}
+        fields |= {name: -value for name, value in numbers.items() if isinstance(value, int | float)}
+    return fields if {"frames", "seconds"} & fields.keys() else None

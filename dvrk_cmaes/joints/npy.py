@@ -7,9 +7,9 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.names import joints_by_count
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 
@@ -35,7 +35,7 @@ def read_joint_npy(path: str, data: bytes) -> JointFile:
     return JointFile(path, f"NumPy array of {values.size}", {Path(path).stem: JointRow(path, cells)}, "message")
 
 
-def read_small_array(path: str, data: bytes, *, expected: str) -> NDArray[np.float64]:
+def read_small_array(path: str, data: bytes, *, expected: str) -> Float64:
     """Read an array of 1 to 7 numbers, flattened to (N,), from the bytes of a .npy file.
 
     The shape is checked before the array is read, and pickled objects are refused.

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 NARROW: Final = 1 / 3
 """Width of the narrow band, relative to the wide one."""

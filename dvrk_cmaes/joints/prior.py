@@ -8,13 +8,10 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.names import ECM_JOINTS, OUTER_JOINTS, check_readings
-
-Float64 = NDArray[np.float64]
-
 
 LIMIT_SIGMA = float(np.deg2rad(3.0))
 """Standard deviation of the distance by which a joint may exceed its limits, rad."""

@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.gaps import usual_spacing
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, smooth_spline, straight_line
 from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.rows import JointFile, number_of
-
-Float64 = NDArray[np.float64]
 
 _LEAST_GAP = 0.1  # s, of the gaps that are not interpolated
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError, one_line
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.live.connection import Report
 from dvrk_cmaes.live.inputs import Decoded, LiveFrame
@@ -22,7 +23,7 @@ from dvrk_cmaes.live.outputs import Outputs, StepResult
 from dvrk_cmaes.live.stamps import LONGEST_GAP
 
 Pixels = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
+Mask = Bool
 DrawOverlay = Callable[[Pixels, StepResult], Pixels]
 
 OLD: Final = 1.0

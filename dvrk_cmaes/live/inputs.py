@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.frames.frame import with_tool
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Report
@@ -112,11 +113,11 @@ class Decoded:
     """The arrays of a frame: images by eye, (H, W, 3) BGR or (H, W) grey, and masks (H, W) by arm and eye."""
 
     images: Mapping[str, NDArray[np.uint8]]
-    masks: Mapping[str, Mapping[str, NDArray[np.bool_]]]
+    masks: Mapping[str, Mapping[str, Bool]]
 
-    def ignored(self, arm: str) -> dict[str, NDArray[np.bool_]]:
+    def ignored(self, arm: str) -> dict[str, Bool]:
         """Return the pixels of the other arms, and beside them, by eye: they are not known to be in front or behind."""
-        found: dict[str, NDArray[np.bool_]] = {}
+        found: dict[str, Bool] = {}
         for other, masks in self.masks.items():
             for eye, mask in masks.items() if other != arm else ():
                 found[eye] = with_tool(found.get(eye), mask)
@@ -154,7 +155,7 @@ class LiveFrame:
 
         An image of another size than its mask is resized.
         """
-        eyes, masks = self.topics.eyes, dict[str, dict[str, NDArray[np.bool_]]]()
+        eyes, masks = self.topics.eyes, dict[str, dict[str, Bool]]()
         for arm, of_arm in self.masks.items():
             masks[arm] = {
                 eye: np.asarray(read_pixels(eyes[eye].masks[arm], fields, grey=True) > _THRESHOLD)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import RosMessage, header, joint_message, pose_message, tf_message
 from dvrk_cmaes.export.ros_topics import FOUND
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.live.connection import Connection
 
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
@@ -32,11 +33,11 @@ class StepResult(Protocol):
     """What a tracker found in an image."""
 
     @property
-    def camera_from_root(self) -> NDArray[np.float64] | None:
+    def camera_from_root(self) -> Float64 | None:
         """Pose (4, 4) of the root link in the camera, m; None without one."""
 
     @property
-    def camera_from_base(self) -> NDArray[np.float64] | None:
+    def camera_from_base(self) -> Float64 | None:
         """Pose (4, 4) of the arm's base in the camera, m; None where it is not known."""
 
     @property
@@ -56,7 +57,7 @@ class StepResult(Protocol):
         """Reasons for another status than ok."""
 
     @property
-    def tips(self) -> NDArray[np.float64] | None:
+    def tips(self) -> Float64 | None:
         """Jaw tips (K, 3) in the camera, m; None without a pose."""
 
 

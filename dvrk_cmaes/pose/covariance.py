@@ -9,15 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
-from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.geometry import Float64, rotation_angle
 from dvrk_cmaes.pose.mode_probability import mode_weights
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.results.result import Quality
-
-Float64 = NDArray[np.float64]
 
 _NEAR = np.deg2rad(60.0)  # rotation between modes that are covered by one covariance
 _DISTAL_PX = 2.2  # distance of the contour at wrist and jaws, beyond which the standard deviations grow with it

@@ -13,16 +13,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.seen_view import SeenView
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.expected_error import jacobian
 from dvrk_cmaes.results.result import Place, Result
 from dvrk_cmaes.silhouette import Body, Renderer
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
 
 OPPOSITE: Final[dict[Place, Place]] = {
     "behind": "in front",
@@ -38,9 +34,7 @@ _SHARE: Final = 0.05  # ... by which it differs from zero at all but this share 
 
 
 def place_of_other(
-    results: tuple[Result, Result],
-    bodies: tuple[Body, Body],
-    views: tuple[Sequence[SeenView], Sequence[SeenView]],
+    results: tuple[Result, Result], bodies: tuple[Body, Body], views: tuple[Sequence[SeenView], Sequence[SeenView]]
 ) -> Place:
     """Return where the second of two tools is, as seen by the first, in all views of a frame together.
 
@@ -144,7 +138,7 @@ def _grown(mask: Bool, radius: int) -> Bool:
     return cv2.dilate(mask.astype(np.uint8), kernel).astype(np.bool_)
 
 
-def _nearest(silhouette: Bool, pixels: NDArray[np.intp]) -> Float64:
+def _nearest(silhouette: Bool, pixels: Indices) -> Float64:
     """Return the pixel (u, v) of a silhouette (H, W) that is nearest to each of some pixels (row, column), (N, 2)."""
     _, labels = cv2.distanceTransformWithLabels(
         (~silhouette).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL

@@ -10,14 +10,13 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import mirrored_place
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.straight_cut import shaft_width
-from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.geometry import Bool, Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.mode_probability import mode_weights
@@ -26,9 +25,6 @@ from dvrk_cmaes.pose.search.modes import Candidate, is_twin
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
 
 _LEAST_OVERLAP, _MIRRORED_OVERLAP = 0.3, 0.6  # IoU of a view, and of the view on the other side
 _FOLLOWED = 1.5
@@ -198,11 +194,7 @@ def _disagreement(check: ViewCheck, main: str, trust: TrustConfig) -> str | None
 
 
 def doubts_of_modes(
-    modes: Sequence[Fit],
-    evidence: Evidence,
-    readings: Readings,
-    instrument: Instrument,
-    trust: TrustConfig,
+    modes: Sequence[Fit], evidence: Evidence, readings: Readings, instrument: Instrument, trust: TrustConfig
 ) -> list[str]:
     """List the reasons, in words, for which the first of all modes contradicts outline or readings."""
     best, reasons = modes[0], []

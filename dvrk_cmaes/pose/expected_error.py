@@ -11,14 +11,12 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed, apply, frame_along
+from dvrk_cmaes.geometry import Float64, Posed, apply, frame_along
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import ExpectedError
 
-Float64 = NDArray[np.float64]
 Quantity = Callable[[Posed], Float64]
 """Function of C poses with values (C, n)."""
 Points = tuple[Float64, ...]

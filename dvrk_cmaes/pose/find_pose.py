@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
-from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings, reading_distance
 from dvrk_cmaes.pose.covariance import pose_covariance
@@ -25,8 +24,6 @@ from dvrk_cmaes.pose.search.modes import Candidate, is_twin
 from dvrk_cmaes.pose.views import FrameView, clearest_view
 from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, ViewCheck
 from dvrk_cmaes.silhouette import Body, Renderer
-
-Float64 = NDArray[np.float64]
 
 _AGAIN = 1_000_003  # added to the seed for the second search
 

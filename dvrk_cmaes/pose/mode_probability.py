@@ -12,12 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.geometry import Float64, rotation_angle
 from dvrk_cmaes.pose.search.modes import Candidate
-
-Float64 = NDArray[np.float64]
 
 SAME_MODE = np.deg2rad(30.0)
 """Largest rotation between two poses of one mode, rad."""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.distance_field import distance_field
@@ -15,7 +14,7 @@ from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.quantiles import median, quantile
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import Terms, dist_loss, mse_loss, scale_loss
 from dvrk_cmaes.pose.search.objective import pose_terms
@@ -23,14 +22,12 @@ from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Quality
 from dvrk_cmaes.silhouette.ray_check import trace_near_outlines
 
-Float64 = NDArray[np.float64]
-
 _BACK = 0.004  # m, from the root's origin to another point of its axis
 _FIELD = 160  # px, largest width and height of images of distances from a mask
 _FARTHEST = 15.0  # px, to which distances of the contour beyond the shaft are limited
 
 
-def _contour_distances(silhouette: NDArray[np.bool_], points: Float64) -> Float64:
+def _contour_distances(silhouette: Bool, points: Float64) -> Float64:
     """Compute signed distances, px, of points (N, 2) to a silhouette's outline, negative inside; inf without one."""
     if not len(points) or silhouette.all() or not silhouette.any():
         return np.full(len(points), np.inf)
@@ -118,9 +115,7 @@ def measure_overlap(view: FrameView, at: Posed) -> Quality:
     return _without_losses(view, Posed.stacked([seen]), view.silhouette(at)[None])[0]
 
 
-def _losses(
-    view: FrameView, readings: Readings, seen: Posed, masks: NDArray[np.bool_], config: EstimateConfig
-) -> list[Terms]:
+def _losses(view: FrameView, readings: Readings, seen: Posed, masks: Bool, config: EstimateConfig) -> list[Terms]:
     """Return the terms of the loss of C poses in a view's camera, whose silhouettes are ``masks`` (C, H, W)."""
     evidence, weights = view.evidence, config.weights
     window = _window(evidence, masks)
@@ -154,7 +149,7 @@ def _losses(
     return of_poses
 
 
-def _far(mask: NDArray[np.bool_], where: NDArray[np.bool_], method: str) -> Float64:
+def _far(mask: Bool, where: Bool, method: str) -> Float64:
     """Compute the distance field, px, of a mask in a window, of which only the pixels ``where`` are needed.
 
     It is that of a smaller image where the window is large: distances vary slowly.
@@ -168,13 +163,13 @@ def _far(mask: NDArray[np.bool_], where: NDArray[np.bool_], method: str) -> Floa
     return np.asarray(field[1:-1, 1:-1] * np.sqrt(mask.size / (width * height)))
 
 
-def _window(evidence: Evidence, masks: NDArray[np.bool_]) -> tuple[slice, slice]:
+def _window(evidence: Evidence, masks: Bool) -> tuple[slice, slice]:
     """Return the rows and columns of the window around a mask and silhouettes (C, H, W)."""
     left, top, width, height = window_around(np.logical_or(evidence.mask, masks.any(axis=0)), 2)
     return np.s_[top : top + height, left : left + width]
 
 
-def _overlaps(evidence: Evidence, masks: NDArray[np.bool_]) -> list[float]:
+def _overlaps(evidence: Evidence, masks: Bool) -> list[float]:
     """Return the intersection over union of each of C silhouettes (C, H, W) and the mask, without ignored pixels."""
     if not len(masks):
         return []
@@ -182,7 +177,7 @@ def _overlaps(evidence: Evidence, masks: NDArray[np.bool_]) -> list[float]:
     return [evidence.overlap_with(silhouette, window) for silhouette in masks]
 
 
-def _without_losses(view: FrameView, seen: Posed, masks: NDArray[np.bool_]) -> list[Quality]:
+def _without_losses(view: FrameView, seen: Posed, masks: Bool) -> list[Quality]:
     """Measure C poses in a view's camera, whose silhouettes are ``masks`` (C, H, W), but for their losses."""
     evidence, renderer = view.evidence, view.renderer
     window = _window(evidence, masks)

@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.silhouette import Renderer
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +22,7 @@ class FrameView:
     renderer: Renderer
     view_from_camera: Float64
 
-    def silhouette(self, at: Posed) -> NDArray[np.bool_]:
+    def silhouette(self, at: Posed) -> Bool:
         """Draw the silhouette (H, W) of one pose in the reference camera."""
         seen = at.seen_from(self.view_from_camera)
         return np.asarray(self.renderer.masks(seen.pose[None], seen.joints[None])[0])
@@ -45,7 +42,7 @@ def clearest_view(views: Sequence[FrameView]) -> FrameView:
     return max(views, key=seen)
 
 
-def overlap(views: Sequence[FrameView], drawn: Sequence[NDArray[np.bool_]]) -> float:
+def overlap(views: Sequence[FrameView], drawn: Sequence[Bool]) -> float:
     """Return the mean intersection over union of silhouettes and masks, one a view, without ignored pixels."""
     shares = [view.evidence.overlap_with(seen) for view, seen in zip(views, drawn, strict=True)]
     return float(np.mean(shares))

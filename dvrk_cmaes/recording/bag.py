@@ -13,7 +13,6 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.instrument.setup_joints import SETUP, setup_text
 from dvrk_cmaes.io.files import check_file
@@ -27,7 +26,7 @@ from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp, stamped_pose
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
-from dvrk_cmaes.recording.recording import RecordedImage, Recording
+from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 from dvrk_cmaes.recording.topics import IMAGES, NONE, TopicRequest, Topics, choose_topics, ecm_topic, setup_topics
 
 if TYPE_CHECKING:
@@ -40,16 +39,7 @@ _LARGEST_MESSAGE, _LARGEST_IMAGE = 2**20, 400_000_000  # bytes
 
 
 @contextmanager
-def open_bag(
-    path: Path,
-    requested: TopicRequest,
-    *,
-    recorded_times: bool = False,
-    camera: Path | None = None,
-    joints: Path | PoseTable | JointFile | None = None,
-    side: Side | None = None,
-    arms: Sequence[str] = (),
-) -> Iterator[Recording]:
+def open_bag(path: Path, requested: TopicRequest, asked: Asked) -> Iterator[Recording]:
     """Open a ROS recording; readings and camera are read at once, images during iteration.
 
     Parameters
@@ -57,17 +47,10 @@ def open_bag(
     path
         A .bag, .mcap or .db3 file, or a folder with such files of ROS 2.
     requested
-        Topics given by name; the others are found automatically.
-    recorded_times
-        Use the times at which messages were recorded instead of those in their headers. This is also done, with a note,
-        if the headers of a topic have no times, or times that do not advance.
-    camera, joints
+        Topics given by name, the others are found automatically; eye, arms, and the times that are used.
+    asked
         A camera file, and a file of time-stamped readings, to use instead of the recording's topics. A recording
         without images needs no camera.
-    side
-        The eye of a stereo endoscope, which is a word in the name of its images' topic; None for one camera.
-    arms
-        The arms whose topics are read, or whose joints of topics with those of several; none for the only one.
 
     Raises
     ------
@@ -76,7 +59,7 @@ def open_bag(
     """
     with _open(path) as reader:
         with _errors_as_input_errors(path):
-            recording = _recording(reader, path, requested, recorded_times, camera, joints, side, arms)
+            recording = _recording(reader, path, requested, asked.camera, asked.joints)
         yield recording  # outside the inner context: errors of the caller are not damage of the recording
 
 
@@ -84,35 +67,22 @@ def _recording(
     reader: AnyReader,
     path: Path,
     requested: TopicRequest,
-    recorded_times: bool,
     camera: Path | None,
     joints: Path | PoseTable | JointFile | None,
-    side: Side | None,
-    arms: Sequence[str],
 ) -> Recording:
     """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""
-    types = _types(reader)
+    types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
     has_images = requested.image is not None or any(kind in IMAGES for kind in types.values())
-    chosen = {
-        arm: choose_topics(
-            path,
-            types,
-            requested,
-            images=has_images,
-            camera=camera is None,
-            joints=joints is None,
-            side=side,
-            arm=arm or None,
-        )
-        for arm in arms or ("",)
-    }
+    own = {"images": has_images, "camera": camera is None, "joints": joints is None}
+    arms = requested.arms or ("",)
+    chosen = {arm: choose_topics(path, types, requested, **own, arm=arm or None) for arm in arms}
     topics = next(iter(chosen.values()))
     read = {
         arm: [_Readings.of(reader, path, name, arm or None) for name in (own.joints, own.jaw) if name is not None]
         for arm, own in chosen.items()
     }
     if (ecm := ecm_topic(types, topics.joints)) is not None:
-        of_ecm = _Readings.of_ecm(reader, path, ecm)
+        of_ecm = _Readings.of(reader, path, ecm, None, of_ecm=True)
         read = {arm: [*own, of_ecm] for arm, own in read.items()}
     stamps = {own.topic: own.stamps for of_arm in read.values() for own in of_arm}
     setup = {
@@ -132,11 +102,11 @@ def _recording(
         notes.append(f"camera: {camera or topics.camera}{changes}")
         stamps |= {topics.image: [stamp(m) for _, m in islice(_messages(reader, path, topics.image), _JUDGED)]}
     faults = [f"{name} {fault}" for name, each in stamps.items() if (fault := _fault(each))]
-    if faults and not recorded_times:
+    if faults and not requested.recorded_times:
         notes.append(f"times: those of recording, for the headers on {', and on '.join(faults)}")
     else:
-        notes.append(f"times: {'those of recording' if recorded_times else 'those of the headers'}")
-    by_recording = recorded_times or bool(faults)
+        notes.append(f"times: {'those of recording' if requested.recorded_times else 'those of the headers'}")
+    by_recording = requested.recorded_times or bool(faults)
     series = {arm: [own.series(recorded_times=by_recording) for own in of_arm] for arm, of_arm in read.items()}
     if joints is not None:
         series = {arm: [*own, *read_timed_joints(joints, arm or None)] for arm, own in series.items()}
@@ -162,7 +132,7 @@ def _recording(
 
 def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
     """Read the readings of an arm in a ROS recording as a file of readings with times; errors as `open_bag`."""
-    with open_bag(path, TopicRequest(image=NONE), arms=() if arm is None else (arm,)) as recording:
+    with open_bag(path, TopicRequest(image=NONE, arms=() if arm is None else (arm,)), Asked()) as recording:
         rows = {
             f"message {k + 1} of {series.source}": JointRow(
                 f"{path}: {series.source}: message {k + 1}",
@@ -197,11 +167,6 @@ def list_topics(path: Path) -> tuple[float, list[TopicSummary]]:
             for (name, kind), count in sorted(counts.items())
         ]
     return seconds, topics
-
-
-def _types(reader: AnyReader) -> dict[str, str]:
-    """Return the message type of each topic that has messages."""
-    return {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
 
 
 def _fault(stamps: Sequence[int]) -> str:
@@ -308,40 +273,25 @@ class _Readings:
     notes: tuple[str, ...]
 
     @staticmethod
-    def of(reader: AnyReader, path: Path, topic: str, arm: str | None) -> _Readings:
-        """Read a topic; messages without positions, as before an arm is up, are skipped."""
+    def of(reader: AnyReader, path: Path, topic: str, arm: str | None, *, of_ecm: bool = False) -> _Readings:
+        """Read a topic of an arm or of the endoscope's; messages without positions, as before it is up, are skipped."""
         where = f"{path}: {topic}"
-        places: dict[str, int] = {}
+        places = dict.fromkeys(ECM_JOINTS, 0) if of_ecm else {}
         values, stamps, recorded, skipped, unnamed = [], [], [], 0, False
         for time, message in _messages(reader, path, topic):
             places = places or joint_places(message, where, arm)
-            row = joint_values(message, places, where, arm)
+            row = ecm_values(message, where) if of_ecm else joint_values(message, places, where, arm)
             if row is None:
                 skipped += 1
                 continue
-            unnamed |= not message.name
+            unnamed |= not of_ecm and not message.name
             values.append(row)
             stamps.append(stamp(message))
             recorded.append(time)
         if not values:
             raise InputError(f"{where}: expected messages with positions, got {skipped} without")
-        notes = [IN_ORDER] if unnamed else []
-        if skipped:
-            notes.append(without_positions(skipped))
+        notes = [*([IN_ORDER] if unnamed else []), *([without_positions(skipped)] if skipped and not of_ecm else [])]
         return _Readings(topic, tuple(places), values, stamps, recorded, tuple(notes))
-
-    @staticmethod
-    def of_ecm(reader: AnyReader, path: Path, topic: str) -> _Readings:
-        """Read the joints of the endoscope's arm, or of its tip's poses; messages without any are skipped."""
-        where, values, stamps, recorded = f"{path}: {topic}", [], [], []
-        for time, message in _messages(reader, path, topic):
-            if (row := ecm_values(message, where)) is not None:
-                values.append(row)
-                stamps.append(stamp(message))
-                recorded.append(time)
-        if not values:
-            raise InputError(f"{where}: expected messages with positions, got none")
-        return _Readings(topic, ECM_JOINTS, values, stamps, recorded, ())
 
     def series(self, *, recorded_times: bool) -> TimedReadings:
         """Return the time series."""

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.camera.ros import read_camera_info
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.yaml_file import yaml_text
 
@@ -23,7 +21,7 @@ def read_camera_bytes(path: Path) -> bytes:
     return read_bytes(path, expected="a camera file", largest=_LARGEST)
 
 
-def with_pose(right: Mapping[str, Any], right_from_left: NDArray[np.float64]) -> bytes:
+def with_pose(right: Mapping[str, Any], right_from_left: Float64) -> bytes:
     """Return the camera file of a right eye, given its content, with the pose (4, 4), m, of raw cameras added."""
     return yaml_text({**right, "right_from_left": right_from_left.tolist()}).encode()
 

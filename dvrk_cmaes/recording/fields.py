@@ -6,9 +6,8 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from dvrk_cmaes.geometry import Image
 
 _COMB = 15.0  # grey levels by which a pixel of a comb differs from both neighbours above and below
 _ALIKE = 8.0  # grey levels by which it differs at most from the next rows of its own field

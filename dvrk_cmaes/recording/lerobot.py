@@ -24,12 +24,10 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading
-from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.parquet_file import read_columns
-from dvrk_cmaes.recording.reading_table import read_timed_joints
-from dvrk_cmaes.recording.recording import RecordedImage, Recording
-from dvrk_cmaes.recording.video import decoded_frame
+from dvrk_cmaes.recording.recording import Asked, Recording
+from dvrk_cmaes.recording.video import frames_at
 
 _STATE: Final = "observation.state"
 _ROWS: Final = ("episode_index", "frame_index", "timestamp")
@@ -54,31 +52,18 @@ class _Episode:
 
 
 @contextmanager
-def open_lerobot(
-    path: Path,
-    *,
-    episode: int = 0,
-    side: Side = "left",
-    arm: str | None = None,
-    camera: Path | None = None,
-    joints: Path | JointFile | None = None,
-) -> Iterator[Recording]:
+def open_lerobot(path: Path, asked: Asked, episode: int = 0) -> Iterator[Recording]:
     """Open an episode of a data set; readings are read at once, images during iteration.
 
     Parameters
     ----------
     path
         The folder.
+    asked
+        Eye and arm, of a set with several, and the camera file, which is required, because these sets have none. The
+        times of a file of readings are those of the episode.
     episode
         Number of the episode.
-    side
-        The eye whose video is read, of a set with several.
-    arm
-        Name of the arm, e.g. PSM1; None for a set of one arm.
-    camera
-        The camera file; required, because these sets have none.
-    joints
-        A file of readings by time (s, of the episode) to use instead of the set's.
 
     Raises
     ------
@@ -86,26 +71,28 @@ def open_lerobot(
         A file or field is missing or not valid, names of the readings are not those of joints, there is no camera file,
         or an arm or eye must be chosen.
     """
+    camera = asked.camera
     if camera is None:
         raise InputError(f"{path}: --camera: expected a camera file, for these data sets have none; got none")
     file = path / "meta" / "info.json"
     info = read_json_object(file, expected="a LeRobot data set's info.json")
-    key = _video_key(file, info, side)
+    key = _video_key(file, info, asked.side)
     where = _place(path, file, info, key, episode)
-    columns = read_columns(where.table, _ROWS if joints is not None else (*_ROWS, _STATE))
-    at = {k: _time(where.table, columns["timestamp"][k]) for k in _rows(columns, episode)}
+    columns = read_columns(where.table, _ROWS if asked.joints is not None else (*_ROWS, _STATE))
+    own = [k for k, number in enumerate(columns["episode_index"]) if number == episode]
+    seconds = {k: _number(where.table, "timestamp", columns["timestamp"][k], least=0.0) for k in own}
+    at = {k: round(second * NANOSECONDS) for k, second in seconds.items()}
     rows = sorted(at, key=at.__getitem__)
     times = [at[k] for k in rows]
     if not times or any(later <= before for before, later in pairwise(times)):
         raise InputError(
             f"{where.table}: timestamp: expected increasing times of episode {episode}, got others or none"
         )
-    if joints is None:
-        names, said = _fields(file, info, arm)
-        found = _readings(where.table, names, times, [columns[_STATE][k] for k in rows], said[0])
-        readings: tuple[TimedReadings, ...] = (found,)
-    else:
-        readings, said = read_timed_joints(joints), (f"{joints}",)
+    readings, _ = asked.given_readings()
+    said: tuple[str, ...] = (f"{asked.joints}",)
+    if asked.joints is None:
+        names, said = _fields(file, info, asked.arm)
+        readings = (_readings(where.table, names, times, [columns[_STATE][k] for k in rows], said[0]),)
     check_file(where.video, expected=EXPECTED)
     with open_capture(where.video) as capture:
         rate = capture.get(cv2.CAP_PROP_FPS)
@@ -119,7 +106,8 @@ def open_lerobot(
             *said,
             "times: timestamp",
         )
-        images = _images(where.video, capture, first, times)
+        count, numbered = first + len(times), dict(enumerate(times, start=first))
+        images = frames_at(where.video, capture, numbered, count, " by the readings", first)
         yield Recording(path, images, len(times), read_camera_bytes(camera), readings, notes)
 
 
@@ -242,23 +230,3 @@ def _number(path: Path, key: str, value: Any, least: float = 1.0) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < 1e9:
         raise InputError(f"{path}: {key}: expected a number of at least {least:g}, got {shown(value)}")
     return float(value)
-
-
-def _rows(columns: Mapping[str, Sequence[Any]], episode: int) -> list[int]:
-    """Return the numbers of an episode's rows."""
-    return [k for k, own in enumerate(columns["episode_index"]) if own == episode]
-
-
-def _time(path: Path, value: Any) -> int:
-    """Convert a timestamp, s, to ns."""
-    return round(_number(path, "timestamp", value, least=0.0) * NANOSECONDS)
-
-
-def _images(path: Path, capture: Any, first: int, times: Sequence[int]) -> Iterator[RecordedImage]:
-    """Yield the images of a video from ``first`` on, one for each time."""
-    for number in range(first + len(times)):
-        if not capture.grab():
-            raise InputError(f"{path}: expected {first + len(times)} images by the readings, got {number}")
-        if number >= first:
-            own = number - first
-            yield RecordedImage(own, times[own], lambda number=number: decoded_frame(path, capture, number))  # type: ignore[misc]

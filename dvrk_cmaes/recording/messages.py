@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import exp_rotation, transform
+from dvrk_cmaes.geometry import Float64, exp_rotation, transform
 from dvrk_cmaes.instrument.endoscope import joints_of_ecm_tip
 from dvrk_cmaes.io.image_header import MOST_PIXELS, read_header
 from dvrk_cmaes.io.short_text import listed, shown
@@ -131,7 +131,7 @@ def joint_places(message: Any, where: str, arm: str | None = None) -> dict[str, 
     return places
 
 
-def stamped_pose(message: Any) -> NDArray[np.float64]:
+def stamped_pose(message: Any) -> Float64:
     """Return the pose (4, 4) of a PoseStamped, m."""
     place, turn = message.pose.position, message.pose.orientation
     axis = np.array([turn.x, turn.y, turn.z], dtype=np.float64)

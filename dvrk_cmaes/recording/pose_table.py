@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import inverse, transform
+from dvrk_cmaes.geometry import Float64, inverse, transform
 from dvrk_cmaes.instrument.arm import ROLL_OFFSET, TOOLTIP_OFFSET, WRIST_LENGTH, Arm
 from dvrk_cmaes.instrument.dvrk_description import Tool
 from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS, find_joints
@@ -50,7 +49,7 @@ class PoseTable:
 
     path: Path
     point: PosePoint
-    reference_from_base: NDArray[np.float64]
+    reference_from_base: Float64
     arm: Arm = "classic"
     tool: Tool | None = None
 
@@ -80,7 +79,7 @@ class PoseTable:
             series.append(TimedReadings.of(str(self.path), ("jaw",), times, jaw))
         return tuple(series)
 
-    def _joints(self, poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    def _joints(self, poses: Float64) -> tuple[Float64, str]:
         """Find the joints (N, 6) of poses (N, 4, 4) in the table's reference frame, and say how."""
         offset = np.array(TOOLTIP_OFFSET if self.tool is None else self.tool.tooltip_offset)
         if self.point == "wrist-yaw":
@@ -109,7 +108,7 @@ def _in_order(rows: Rows) -> Rows:
     return sorted(rows, key=lambda row: parse_time(row[0], row[1]["time"]))
 
 
-def _poses(rows: Rows) -> NDArray[np.float64]:
+def _poses(rows: Rows) -> Float64:
     """Convert the cells of N rows to poses (N, 4, 4)."""
     from scipy.spatial.transform import Rotation  # imported late: most imports do without
 

@@ -6,7 +6,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.joints.interpolation import TimedReadings
+from dvrk_cmaes.joints.rows import JointFile
+from dvrk_cmaes.recording.pose_table import PoseTable
+from dvrk_cmaes.recording.reading_table import read_timed_joints
 
 _DIGITS = 6  # number of digits of a frame's name
 
@@ -14,6 +18,26 @@ _DIGITS = 6  # number of digits of a frame's name
 def frame_name(number: int) -> str:
     """Return the name in a session of the image of a number, from zero."""
     return f"{number:0{_DIGITS}d}"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What of a recording is read, and the files that are used instead of its own.
+
+    side : the eye whose images are read. arm : name of the arm, e.g. PSM1; None for the only one. camera, joints : a
+    camera file, and a file of readings by time. start : time of a video's first image in that of the readings, s.
+    """
+
+    side: Side = "left"
+    arm: str | None = None
+    camera: Path | None = None
+    joints: Path | PoseTable | JointFile | None = None
+    start: float = 0.0
+
+    def given_readings(self) -> tuple[tuple[TimedReadings, ...], list[str]]:
+        """Read ``joints``, and say which file each joint is from; none where no file is given."""
+        readings = () if self.joints is None else read_timed_joints(self.joints)
+        return readings, [f"{' '.join(series.joints)}: {self.joints}" for series in readings]
 
 
 @dataclass(frozen=True)

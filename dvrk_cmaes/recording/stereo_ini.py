@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.fields import Side, as_number, take_length
 from dvrk_cmaes.camera.stereo import pose_of_storage
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.files import read_text
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.io.yaml_file import yaml_text
@@ -77,7 +77,7 @@ def _camera(path: Path, section: SectionProxy, side: Side) -> dict[str, Any]:
     }
 
 
-def _pose(path: Path, section: SectionProxy) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+def _pose(path: Path, section: SectionProxy) -> tuple[Float64, tuple[str, ...]]:
     """Return ``right_from_left`` (4, 4), m, of the right eye's section, and notes on its unit."""
     where = f"{path}: {section.name}"
     rotation = [_number(where, section, f"R_{k}") for k in range(9)]

@@ -16,9 +16,7 @@ from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import SUFFIXES
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.joints.rows import JointFile
-from dvrk_cmaes.recording.pose_table import PoseTable
-from dvrk_cmaes.recording.recording import Recording
+from dvrk_cmaes.recording.recording import Asked, Recording
 from dvrk_cmaes.recording.video import open_video
 
 _SIDES: Final[tuple[Side, ...]] = ("left", "right")
@@ -30,31 +28,21 @@ def has_stereo_videos(path: Path) -> bool:
 
 
 @contextmanager
-def open_stereo_videos(
-    path: Path,
-    *,
-    side: Side = "left",
-    camera: Path | None = None,
-    joints: Path | PoseTable | JointFile | None = None,
-    start: float = 0.0,
-) -> Iterator[Recording]:
-    """Open the video of one eye; ``camera``, ``joints`` and ``start`` as in ``open_video``, by default the folder's.
+def open_stereo_videos(path: Path, asked: Asked) -> Iterator[Recording]:
+    """Open the video of one eye; camera and joints as in ``open_video``, by default the folder's.
 
     Raises
     ------
     InputError
         The folder has no video of this eye or several, or as in ``open_video``.
     """
-    videos = _videos(path, side)
+    side, videos = asked.side, _videos(path, asked.side)
     if len(videos) != 1:
         there = f"several: {listed(video.name for video in videos)}" if videos else "none"
         raise InputError(f"{path}: expected one video of the {side} eye, got {there}")
-    with open_video(
-        videos[0],
-        camera=camera or _first(path, f"{side}.yaml", "camera.yaml"),
-        joints=joints or _first(path, "joints.csv"),
-        start=start,
-    ) as recording:
+    camera = asked.camera or _first(path, f"{side}.yaml", "camera.yaml")
+    asked = replace(asked, camera=camera, joints=asked.joints or _first(path, "joints.csv"))
+    with open_video(videos[0], asked) as recording:
         yield replace(recording, path=path, notes=(f"images: {videos[0].name}", *recording.notes))
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,11 +33,8 @@ from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.io.yaml_file import read_yaml_by_frame
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import joint_reading, joints_by_count
-from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.pose_table import PoseTable
-from dvrk_cmaes.recording.reading_table import read_timed_joints
-from dvrk_cmaes.recording.recording import RecordedImage, Recording, frame_name
+from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, frame_name
 from dvrk_cmaes.recording.stereo_ini import read_stereo_ini
 from dvrk_cmaes.recording.surgpose_labels import Labels, arm_boxes, arm_labels
 from dvrk_cmaes.recording.video import decoded_frame
@@ -55,26 +53,15 @@ def is_surgpose(path: Path) -> bool:
 
 
 @contextmanager
-def open_surgpose(
-    path: Path,
-    *,
-    side: Side = "left",
-    arm: str | None = None,
-    camera: Path | None = None,
-    joints: Path | PoseTable | JointFile | None = None,
-) -> Iterator[Recording]:
+def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
     """Open a folder; readings and labels are read at once, images during iteration.
 
     Parameters
     ----------
     path
         The folder.
-    side
-        The eye whose images and labels are read.
-    arm
-        Name of the arm, e.g. PSM1; None for a folder with the readings of one arm.
-    camera, joints
-        A camera file, and a file of readings by time (s, that of the first image is 0), to use instead of the folder's.
+    asked
+        What is read. The time of the first image is 0 in that of a file of readings.
 
     Raises
     ------
@@ -83,13 +70,13 @@ def open_surgpose(
         arms were recorded and none was chosen.
     """
     rows = _by_frame(path / _READINGS, read_yaml_by_frame(path / _READINGS, expected="joints by frame (YAML)"))
-    chosen = _chosen_arm(path, rows, arm)
-    if joints is None:
+    chosen, side, camera = _chosen_arm(path, rows, asked.arm), asked.side, asked.camera
+    if asked.joints is None:
         readings, source = _readings(path / _READINGS, rows, chosen), f"{_READINGS}, {chosen}"
         jaw, of_jaw = _jaw(path, chosen) if "jaw" not in readings[0].joints else ((), [])
         readings += jaw
     else:
-        readings, source, of_jaw = read_timed_joints(joints), str(joints), []
+        (readings, _), source, of_jaw = asked.given_readings(), str(asked.joints), []
     if camera is None:
         lens, of_camera = read_stereo_ini(path / _CALIBRATION, side)
     else:
@@ -109,7 +96,7 @@ def open_surgpose(
             f"times: frame N at N/{_RATE} s",
             *of_labels,
         ]
-        if joints is None and total > 0 and total != len(rows):
+        if asked.joints is None and total > 0 and total != len(rows):
             notes.append(f"{_READINGS} has {len(rows)} frames, the video {total}")
         images = _images(video, capture)
         yield Recording(path, images, total if total > 0 else None, lens, readings, tuple(notes), kept)
@@ -218,7 +205,8 @@ def _images(path: Path, capture: Any) -> Iterator[RecordedImage]:
     """Yield the frames of a video."""
     number = 0
     while capture.grab():
-        yield RecordedImage(number, _time(number), lambda number=number: decoded_frame(path, capture, number))  # type: ignore[misc]
+        load = partial(decoded_frame, path, capture, number)
+        yield RecordedImage(number, _time(number), load)
         number += 1
 
 

@@ -14,7 +14,7 @@ neighbouring frames to the image's time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -29,12 +29,9 @@ from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.gaps import within
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
-from dvrk_cmaes.recording.pose_table import PoseTable
-from dvrk_cmaes.recording.reading_table import read_timed_joints
-from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
+from dvrk_cmaes.recording.recording import Asked, ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.surgsync_frame import FrameTimes, read_ecm, read_positions, read_times
 
 ECM: Final = "ECM"
@@ -45,8 +42,7 @@ _STEREO: Final = "stereo_calib_params.json"
 REGISTRATIONS: Final = "hand_eye_calibration"
 """Folder of the arms' registrations, in a clip and in a session."""
 _LARGEST: Final = 400_000_000  # bytes of an image
-LARGEST_REGISTRATION: Final = 1_000_000
-"""Bytes of a registration."""
+_LARGEST_REGISTRATION: Final = 1_000_000  # bytes
 _FARTHEST: Final = NANOSECONDS // 20  # of the readings of a frame from its image
 _WIDEST_GAP: Final = NANOSECONDS // 4  # between readings that are interpolated
 _IMAGES: Final = (".png", ".jpg")
@@ -58,44 +54,30 @@ def is_surgsync(path: Path) -> bool:
 
 
 @contextmanager
-def open_surgsync(
-    path: Path,
-    *,
-    side: Side = "left",
-    arm: str | None = None,
-    camera: Path | None = None,
-    joints: Path | PoseTable | JointFile | None = None,
-) -> Iterator[Recording]:
+def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
     """Open a clip; times and readings are read at once, images during iteration.
 
     Parameters
     ----------
     path
         The clip's folder.
-    side
-        The camera whose images are read.
-    arm
-        Name of the arm, e.g. PSM1; None for a clip of one patient-side arm.
-    camera, joints
-        A camera file, and a file of time-stamped readings, to use instead of the clip's.
+    asked
+        What is read; an arm is required of a clip of several patient-side arms.
 
     Raises
     ------
     InputError
         A file is missing or not valid, or several arms were recorded and none was chosen.
     """
-    images = _images(path, side)
-    lens = camera or path / _CAMERAS / f"{side}.yaml"
-    camera_bytes, source = camera_of_clip(
-        lens, path / _CAMERAS / _STEREO if camera is None and side == "right" else None
-    )
-    chosen = None if joints is not None else _chosen_arm(path, arm)
+    side, images = asked.side, _images(path, asked.side)
+    camera_bytes, source = camera_of_clip(path / _CAMERAS, asked)
+    arms = [folder.name for folder in (path / "kinematic").iterdir() if folder.is_dir()]
+    chosen = None if asked.joints is not None else chosen_arm(path, arms, asked.arm, "clip")
     times = {number: read_times(path / "time_syn" / f"{number}.json", side, chosen) for number in images}
     notes = [f"images: image/{side}", f"camera: {source}", "times: those of the images in time_syn"]
-    if chosen is None:
-        readings = () if joints is None else read_timed_joints(joints)
-        notes += [f"{' '.join(series.joints)}: {joints}" for series in readings]
-    else:
+    readings, said = asked.given_readings()
+    notes += said
+    if chosen is not None:
         readings = _readings(path / "kinematic" / chosen, times)
         notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
         if (folder := path / "kinematic" / ECM).is_dir() and chosen != ECM:
@@ -104,23 +86,31 @@ def open_surgsync(
                 notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
             except InputError as error:
                 notes.append(f"the endoscope's arm is not read: {error}")
-    kept = {
-        f"{REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=LARGEST_REGISTRATION)
-        for file in sorted((path / REGISTRATIONS).glob("*.json"))
-    }
-    if kept:
-        notes.append(f"registrations, kept: {listed(kept, 8)}")
+    kept, of_kept = registrations(path / REGISTRATIONS)
     recorded = (
         RecordedImage(number, times[number].image, lambda file=file: _load(file))  # type: ignore[misc]
         for number, file in images.items()
     )
-    yield Recording(path, recorded, len(images), camera_bytes, readings, tuple(notes), kept)
+    yield Recording(path, recorded, len(images), camera_bytes, readings, (*notes, *of_kept), kept)
 
 
-def camera_of_clip(lens: Path, stereo: Path | None) -> tuple[bytes, str]:
-    """Read a camera file, and say what was read; to that of a right eye without a pose, that of ``stereo`` is added."""
+def registrations(folder: Path) -> tuple[dict[str, bytes], list[str]]:
+    """Read the registrations of a clip's arms, and say that they are kept."""
+    kept = {
+        f"{REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=_LARGEST_REGISTRATION)
+        for file in sorted(folder.glob("*.json"))
+    }
+    return kept, [f"registrations, kept: {listed(kept, 8)}"] if kept else []
+
+
+def camera_of_clip(folder: Path, asked: Asked) -> tuple[bytes, str]:
+    """Read the given camera file or that of an eye in a clip's folder, and say what was read.
+
+    To that of a right eye without a pose, the one between the eyes is added.
+    """
+    lens, stereo = asked.camera or folder / f"{asked.side}.yaml", folder / _STEREO
     data = read_camera_bytes(lens)
-    if stereo is None or not stereo.is_file():
+    if asked.camera is not None or asked.side == "left" or not stereo.is_file():
         return data, str(lens)
     right = read_document(lens)
     if has_pose(str(lens), right):
@@ -144,23 +134,20 @@ def _load(file: Path) -> ImageFile:
     return stored_image(read_bytes(file, expected="an image (PNG or JPEG)", largest=_LARGEST), str(file))
 
 
-def _chosen_arm(path: Path, arm: str | None) -> str:
-    """Return the requested arm, or the only patient-side one."""
-    arms = sorted(folder.name for folder in (path / "kinematic").iterdir() if folder.is_dir())
+def chosen_arm(path: Path, arms: Sequence[str], arm: str | None, what: str) -> str:
+    """Return the requested arm, or the only patient-side one of a clip or episode."""
     if arm is not None and arm not in arms:
-        raise InputError(f"{path}: --arm: expected one of {listed(arms) or 'no arms'}, got {shown(arm)}")
-    patient_side = [name for name in arms if name.startswith("PSM")]
+        raise InputError(f"{path}: --arm: expected one of {listed(sorted(arms)) or 'no arms'}, got {shown(arm)}")
+    patient_side = sorted(name for name in arms if name.startswith("PSM"))
     if arm is None and len(patient_side) != 1:
-        there = listed(patient_side) or f"none in {path / 'kinematic'}"
-        raise InputError(f"{path}: --arm: expected the name of the arm to import, for this clip has {there}")
+        there = listed(patient_side) or "none"
+        raise InputError(f"{path}: --arm: expected the name of the arm to import, for this {what} has {there}")
     return arm or patient_side[0]
 
 
 def _readings(folder: Path, times: Mapping[int, FrameTimes]) -> tuple[TimedReadings, ...]:
     """Read the readings of all frames: a series of the arm's joints and one of the jaw, at the times of the images."""
-    rows = {number: read_positions(file) for number in times if (file := folder / f"{number}.json").is_file()}
-    if not rows:
-        raise InputError(f"{folder}: expected readings N.json of the images' numbers, got none")
+    rows = _rows(folder, times, read_positions)
     first = next(iter(rows.values()))
     arm, jaw = tuple(name for name in first if name != "jaw"), tuple(name for name in first if name == "jaw")
     images = {number: frame.image for number, frame in times.items()}
@@ -174,11 +161,19 @@ def _readings(folder: Path, times: Mapping[int, FrameTimes]) -> tuple[TimedReadi
     )
 
 
-def _ecm_readings(folder: Path, syn: Path, side: Side, times: Mapping[int, FrameTimes]) -> TimedReadings:
-    """Read the readings of the endoscope's arm of all frames, at the times of the images."""
-    rows = {number: read_ecm(file) for number in times if (file := folder / f"{number}.json").is_file()}
+def _rows(
+    folder: Path, numbers: Iterable[int], read: Callable[[Path], dict[str, float]]
+) -> dict[int, dict[str, float]]:
+    """Read the files of some frames; InputError if there are none."""
+    rows = {number: read(file) for number in numbers if (file := folder / f"{number}.json").is_file()}
     if not rows:
         raise InputError(f"{folder}: expected readings N.json of the images' numbers, got none")
+    return rows
+
+
+def _ecm_readings(folder: Path, syn: Path, side: Side, times: Mapping[int, FrameTimes]) -> TimedReadings:
+    """Read the readings of the endoscope's arm of all frames, at the times of the images."""
+    rows = _rows(folder, times, read_ecm)
     images = {number: frame.image for number, frame in times.items()}
     taken = {number: read_times(syn / f"{number}.json", side, ECM).arm or images[number] for number in rows}
     return at_images(str(folder), ECM_JOINTS, rows, images, taken)

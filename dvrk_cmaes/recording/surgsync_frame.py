@@ -63,10 +63,7 @@ def read_positions(path: Path) -> dict[str, float]:
     InputError
         The file is not readable, or has no measured_js, or one of another number of joints, or a wrong number.
     """
-    where = str(path)
-    document = read_json(path, expected=_KINEMATICS)
-    measured = _field(document, "measured_data") or document
-    values = _position(_field(measured, "measured_js") or _field(measured, "js"))
+    where, (document, values) = str(path), _measured(path)
     if values is None:
         raise InputError(f"{path}: measured_js: expected an object with position, a list of numbers, got none")
     cells = dict(zip(joints_by_count(f"{where}: measured_js", len(values)), values, strict=True))
@@ -79,13 +76,18 @@ def read_positions(path: Path) -> dict[str, float]:
 
 def read_ecm(path: Path) -> dict[str, float]:
     """Read ``kinematic/ECM/N.json``: the joints of the endoscope's arm, rad or m; errors as `read_positions`."""
-    document = read_json(path, expected=_KINEMATICS)
-    measured = _field(document, "measured_data") or document
-    values = _position(_field(measured, "measured_js") or _field(measured, "js"))
+    _, values = _measured(path)
     if values is None or len(values) != len(ECM_JOINTS):
         got = "none" if values is None else f"{len(values)} of them"
         raise InputError(f"{path}: measured_js: expected the positions of {', '.join(ECM_JOINTS)}, got {got}")
     return {name: joint_reading(str(path), name, cell) for name, cell in zip(ECM_JOINTS, values, strict=True)}
+
+
+def _measured(path: Path) -> tuple[Any, list[Any] | None]:
+    """Read the readings of an arm: the document, and the measured positions in it; None without any."""
+    document = read_json(path, expected=_KINEMATICS)
+    measured = _field(document, "measured_data") or document
+    return document, _position(_field(measured, "measured_js") or _field(measured, "js"))
 
 
 def _field(document: Any, name: str) -> Any:

@@ -23,19 +23,15 @@ from typing import Any, Final
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
-from dvrk_cmaes.io.files import check_file, read_bytes
+from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.names import joint_reading, joints_by_count
-from dvrk_cmaes.joints.rows import JointFile
-from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.parquet_file import field_names, read_columns
-from dvrk_cmaes.recording.pose_table import PoseTable
-from dvrk_cmaes.recording.reading_table import read_timed_joints
-from dvrk_cmaes.recording.recording import RecordedImage, Recording
-from dvrk_cmaes.recording.surgsync import LARGEST_REGISTRATION, REGISTRATIONS, at_images, camera_of_clip
-from dvrk_cmaes.recording.video import decoded_frame
+from dvrk_cmaes.recording.recording import Asked, Recording
+from dvrk_cmaes.recording.surgsync import at_images, camera_of_clip, chosen_arm, registrations
+from dvrk_cmaes.recording.video import frames_at
 
 _TIMES: Final = "timestamp.parquet"
 _META: Final = "episode_meta.json"
@@ -55,14 +51,7 @@ def is_packed(path: Path) -> bool:
 
 
 @contextmanager
-def open_packed(
-    path: Path,
-    *,
-    side: Side = "left",
-    arm: str | None = None,
-    camera: Path | None = None,
-    joints: Path | PoseTable | JointFile | None = None,
-) -> Iterator[Recording]:
+def open_packed(path: Path, asked: Asked) -> Iterator[Recording]:
     """Open an episode; times and readings are read at once, images during iteration.
 
     Parameters and errors are those of `open_surgsync`; rectified images need a camera file.
@@ -70,31 +59,19 @@ def open_packed(
     if not (path / _TIMES).is_file():
         episodes = sorted(found.parent.relative_to(path).as_posix() for found in path.glob(f"*/episodes/*/*/{_TIMES}"))
         raise InputError(f"{path}: expected the folder of one episode, one of {listed(episodes) or 'none'}")
-    video, rectified = _video(path, side, camera)
-    times = _times(path, side)
-    lens = camera or path / "calibration" / f"{side}.yaml"
-    stereo = path / "calibration" / "stereo_calib_params.json"
-    lens_bytes, source = (
-        (read_camera_bytes(lens), str(lens))
-        if camera is not None
-        else camera_of_clip(lens, stereo if side == "right" else None)
-    )
+    video, rectified = _video(path, asked.side, asked.camera)
+    times = _times(path, asked.side)
+    lens, source = camera_of_clip(path / "calibration", asked)
     kind = "rectified" if rectified else "raw"
     notes = [f"images: {video.relative_to(path)} ({kind})", f"camera: {source}", f"times: {_TIME}"]
-    if joints is None:
-        readings, said = _readings(path, _chosen_arm(path, arm), times)
-    else:
-        readings = read_timed_joints(joints)
-        said = [f"{' '.join(series.joints)}: {joints}" for series in readings]
-    kept = {
-        f"{REGISTRATIONS}/{file.name}": read_bytes(file, expected="a registration", largest=LARGEST_REGISTRATION)
-        for file in sorted((path / "calibration" / "hand_eye").glob("*.json"))
-    }
-    if kept:
-        said.append(f"registrations, kept: {listed(kept, 8)}")
+    readings, said = asked.given_readings()
+    if asked.joints is None:
+        arms = [file.stem for file in path.glob("*.parquet") if file.stem.startswith(("PSM", "ECM"))]
+        readings, said = _readings(path, chosen_arm(path, arms, asked.arm, "episode"), times)
+    kept, of_kept = registrations(path / "calibration" / "hand_eye")
     with open_capture(video) as capture:
-        recorded = _images(video, capture, times.images, len(times.left))
-        yield Recording(path, recorded, len(times.images), lens_bytes, readings, (*notes, *said), kept)
+        recorded = frames_at(video, capture, times.images, len(times.left), f", one for each row of {_TIMES}")
+        yield Recording(path, recorded, len(times.images), lens, readings, (*notes, *said, *of_kept), kept)
 
 
 def _video(path: Path, side: Side, camera: Path | None) -> tuple[Path, bool]:
@@ -154,18 +131,6 @@ def _times(path: Path, side: Side) -> _Times:
     return _Times({k: time + off for k, (time, off) in pairs if off is not None}, left, against)
 
 
-def _chosen_arm(path: Path, arm: str | None) -> str:
-    """Return the requested arm, or the only patient-side one."""
-    arms = sorted(file.stem for file in path.glob("*.parquet") if file.stem.startswith(("PSM", "ECM")))
-    if arm is not None and arm not in arms:
-        raise InputError(f"{path}: --arm: expected one of {listed(arms) or 'no arms'}, got {shown(arm)}")
-    patient_side = [name for name in arms if name.startswith("PSM")]
-    if arm is None and len(patient_side) != 1:
-        there = listed(patient_side) or "none"
-        raise InputError(f"{path}: --arm: expected the name of the arm to import, for this episode has {there}")
-    return arm or patient_side[0]
-
-
 def _readings(path: Path, arm: str, times: _Times) -> tuple[tuple[TimedReadings, ...], list[str]]:
     """Read an arm's table: a series of its joints and one of its jaw at the times of the images, and notes."""
     table = path / f"{arm}.parquet"
@@ -203,16 +168,3 @@ def _whole(path: Path, name: str, document: Mapping[str, Any]) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not _OLDEST < value < _LATEST:
         raise InputError(f"{path}: {name}: expected a whole number of nanoseconds, got {shown(value)}")
     return value
-
-
-def _images(path: Path, capture: Any, times: Mapping[int, int], count: int) -> Iterator[RecordedImage]:
-    """Yield the images of a video at the rows that have a time; the video has one for each of ``count`` rows."""
-    for number in range(count):
-        if not capture.grab():
-            raise InputError(f"{path}: expected {count} images, one for each row of {_TIMES}, got {number}")
-        if number in times:
-            yield RecordedImage(
-                number,
-                times[number],
-                lambda number=number: decoded_frame(path, capture, number),  # type: ignore[misc]
-            )

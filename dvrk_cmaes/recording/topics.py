@@ -32,7 +32,11 @@ _MOST_LISTED = 20
 class TopicRequest:
     """Topics given by name; None to find the topic automatically, ``none`` to use none.
 
-    ``option`` is that by which the images' topic is chosen, for messages.
+    ``option`` is that by which the images' topic is chosen, for messages. ``eye`` of a stereo endoscope is a word in
+    the name of its images' topic; None for one camera. ``arms`` are those whose topics are read, or whose joints of
+    topics with those of several; none for the only one. ``recorded_times`` uses the times at which messages were
+    recorded instead of those in their headers. This is also done, with a note, if the headers of a topic have no times,
+    or times that do not advance.
     """
 
     image: str | None = None
@@ -41,10 +45,14 @@ class TopicRequest:
     jaw: str | None = None
     image_right: str | None = None
     option: str = "--image-topic"
+    eye: Side | None = None
+    arms: tuple[str, ...] = ()
+    recorded_times: bool = False
 
     def of_right_eye(self) -> TopicRequest:
         """Return the request of the right eye's images, without readings; a camera found by the name of the images."""
-        return replace(self, image=self.image_right, camera=None, joints=NONE, jaw=NONE, option="--image-topic-right")
+        without = replace(self, camera=None, joints=NONE, jaw=NONE, arms=())
+        return replace(without, image=self.image_right, option="--image-topic-right")
 
 
 @dataclass(frozen=True)
@@ -65,7 +73,6 @@ def choose_topics(
     images: bool = True,
     camera: bool = True,
     joints: bool = True,
-    side: Side | None = None,
     arm: str | None = None,
 ) -> Topics:
     """Choose the topics to read among those of a recording that have messages.
@@ -80,8 +87,6 @@ def choose_topics(
         The topics given by name.
     images, camera, joints
         Whether they are read from the recording.
-    side
-        The eye of a stereo endoscope whose name is in that of its images; None for one camera.
     arm
         The arm, whose name is a part of those of its topics, or which is one of a topic with the joints of several.
 
@@ -90,7 +95,7 @@ def choose_topics(
     InputError
         A topic is missing or of another type, or none or several are suitable; the message lists the candidates.
     """
-    image = info = None
+    image, info, side = None, None, requested.eye
     if images and requested.image != NONE:
         eye = (
             None if side is None else [name for name, kind in types.items() if kind in IMAGES and side in _words(name)]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,13 +20,10 @@ from dvrk_cmaes.frames.session_folder import image_files
 from dvrk_cmaes.frames.video_frames import EyeWindow, Layout, Window, eye_window, open_capture
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.fields import looks_interlaced, of_fields
 from dvrk_cmaes.recording.messages import encode_png
-from dvrk_cmaes.recording.pose_table import PoseTable
-from dvrk_cmaes.recording.reading_table import read_timed_joints
-from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
+from dvrk_cmaes.recording.recording import Asked, ImageFile, RecordedImage, Recording
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
 _JUDGED = 30  # frames of which some show combs if the video is interlaced
@@ -51,24 +49,15 @@ class Pictures:
 
 
 @contextmanager
-def open_video(
-    path: Path,
-    *,
-    camera: Path | None,
-    joints: Path | PoseTable | JointFile | None,
-    start: float = 0.0,
-    pictures: Pictures = Pictures(),
-) -> Iterator[Recording]:
+def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Iterator[Recording]:
     """Open a video; images are decoded during iteration.
 
     Parameters
     ----------
     path
         The video.
-    camera, joints
-        Camera file, and file of time-stamped readings; both are required.
-    start
-        Time of the video's first frame in the time of the readings, s.
+    asked
+        Camera file, and file of time-stamped readings, which are both required, and the time of the first frame.
     pictures
         What its pictures are. Of interlaced ones, each field is an image of its own time.
 
@@ -78,18 +67,19 @@ def open_video(
         A file is missing or not valid, the video cannot be read, or its pictures do not fit the camera file.
     """
     check_file(path, expected=_EXPECTED)
-    if camera is None or joints is None:
+    camera = asked.camera
+    if camera is None or asked.joints is None:
         missing = "--camera" if camera is None else "--joints"
         raise InputError(f"{path}: {missing}: a video needs a camera file and a table of readings; got none")
-    lens, readings = read_camera_bytes(camera), read_timed_joints(joints)
+    lens, (readings, said) = read_camera_bytes(camera), asked.given_readings()
     with open_capture(path, expected=_EXPECTED) as capture:
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         window = pictures.window(path, camera, size)
         notes = [
             f"camera: {camera}",
-            *(f"{' '.join(series.joints)}: {joints}" for series in readings),
-            f"times: the video's, its first frame at {start:g} s of the readings' clock",
+            *said,
+            f"times: the video's, its first frame at {asked.start:g} s of the readings' clock",
         ]
         if window.part != (0, 0, *size):
             notes.append(
@@ -97,7 +87,7 @@ def open_video(
             )
         if pictures.first_field is not None:
             notes.append(f"images: the fields of interlaced frames, {pictures.first_field} first")
-        images = _images(path, capture, round(start * NANOSECONDS))
+        images = _images(path, capture, round(asked.start * NANOSECONDS))
         rate = float(capture.get(cv2.CAP_PROP_FPS)) or 30.0
         decoded = _of_eye(images, window, pictures.first_field, round(NANOSECONDS / rate / 2))
         recorded = (
@@ -111,9 +101,7 @@ def open_video(
 
 
 @contextmanager
-def open_pictures(
-    path: Path, *, camera: Path | None, joints: Path | PoseTable | JointFile | None, pictures: Pictures
-) -> Iterator[Recording]:
+def open_pictures(path: Path, asked: Asked, pictures: Pictures) -> Iterator[Recording]:
     """Open a folder of pictures, in the order of their names, one each second; arguments and errors as `open_video`.
 
     The readings may be missing.
@@ -121,11 +109,12 @@ def open_pictures(
     files = image_files(path)
     if not files:
         raise InputError(f"{path}: expected pictures (PNG or JPEG), or a recording, got none")
+    camera = asked.camera
     if camera is None:
         raise InputError(f"{path}: --camera: a folder of pictures needs a camera file; got none")
     first = read_image(next(iter(files.values())))
     window = pictures.window(path, camera, (first.shape[1], first.shape[0]))
-    readings = () if joints is None else read_timed_joints(joints)
+    readings, _ = asked.given_readings()
     notes = (f"images: {len(files)} pictures, {window.part[2]} x {window.part[3]} px each", f"camera: {camera}")
     recorded = (
         RecordedImage(number, number * NANOSECONDS, lambda file=file: encode_png(window.of(read_image(file))))  # type: ignore[misc]
@@ -178,6 +167,20 @@ def decoded_pixels(path: Path, capture: Any, number: int) -> NDArray[np.uint8]:
     if not decoded:
         raise InputError(f"{path}: frame {number}: expected an image, got one that cannot be decoded")
     return np.asarray(pixels, np.uint8)
+
+
+def frames_at(
+    path: Path, capture: Any, times: Mapping[int, int], count: int, expected: str, first: int = 0
+) -> Iterator[RecordedImage]:
+    """Yield the frames of a video whose numbers have times, ns, as images that are counted from ``first``.
+
+    The video has at least ``count`` frames, which InputError says are ``expected`` if it ends before.
+    """
+    for number in range(count):
+        if not capture.grab():
+            raise InputError(f"{path}: expected {count} images{expected}, got {number}")
+        if number in times:
+            yield RecordedImage(number - first, times[number], partial(decoded_frame, path, capture, number))
 
 
 def decoded_frame(path: Path, capture: Any, number: int) -> ImageFile:

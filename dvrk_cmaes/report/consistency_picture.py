@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evaluate.agreement import Agreement
+from dvrk_cmaes.geometry import Bool, Float64
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Float64 = NDArray[np.float64]
 Corner = Literal["lower right", "upper right", "lower left", "upper left"]
 
 _AXIS: Final = "#33658a"
@@ -164,7 +163,7 @@ def _place_legend(panel: Axes, row: _Row) -> None:
     points = row.nearest if row.rcm is None else np.concatenate([row.nearest, row.rcm])
     left = points[:, 0] < np.mean(panel.get_xlim())
     lower = points[:, 1] < np.mean(panel.get_ylim())
-    corners: dict[Corner, NDArray[np.bool_]] = {
+    corners: dict[Corner, Bool] = {
         "lower right": lower & ~left,
         "upper right": ~lower & ~left,
         "lower left": lower & left,

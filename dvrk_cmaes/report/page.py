@@ -17,13 +17,7 @@ from urllib.parse import quote
 
 from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.page_calibration import calibration_of, calibration_view, left_out_views
-from dvrk_cmaes.report.page_frames import (
-    STATUSES,
-    FrameCard,
-    LeaveOneOut,
-    doubt_key,
-    frame_card,
-)
+from dvrk_cmaes.report.page_frames import STATUSES, FrameCard, LeaveOneOut, doubt_key, frame_card
 from dvrk_cmaes.report.page_layers import EMBEDDED, embedded_layers, embedded_picture
 from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.masks_again import MasksAgain
@@ -20,7 +19,7 @@ from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
-from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.geometry import Float64, change_between
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
 from dvrk_cmaes.report.page_layers import embedded_picture
@@ -33,8 +32,6 @@ from dvrk_cmaes.report.plots.shafts import ShaftsPlot, shafts_plot
 from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder
 from dvrk_cmaes.results.paths import left_out_path
 from dvrk_cmaes.results.result import Result
-
-Float64 = NDArray[np.float64]
 
 MOST_PICTURES = 12
 """Number of predictions whose pictures are shown in the section, the worst first; all are shown with their frames."""

@@ -9,15 +9,12 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import log_rotation, rotation_angle
+from dvrk_cmaes.geometry import Float64, log_rotation, rotation_angle
 from dvrk_cmaes.report.page_layers import DrawnLayers
 from dvrk_cmaes.report.page_session import correction
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
 from dvrk_cmaes.results.result import Alternative, Result
-
-Float64 = NDArray[np.float64]
 
 NOTHING = "-"
 """Text shown for a missing number."""

@@ -6,12 +6,10 @@ import json
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.report.page_session import FrameBases
 from dvrk_cmaes.results.result import Result
-
-Float64 = NDArray[np.float64]
 
 _SHAFT = 0.08  # m, length of the shaft that is drawn where the arm's base is not known
 _AXIS = 0.02  # m, length of the base's axes

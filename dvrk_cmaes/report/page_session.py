@@ -11,13 +11,11 @@ from pathlib import PurePath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, PointSpread, converge_shafts, spread_of_bases
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.results.result import Result
-
-Float64 = NDArray[np.float64]
 
 _PLACE = re.compile(r"^(?:[^:]*(?:/|\.\w{2,5})[^:]*(?::\d+)?: )?(?:frame [^:]*: )?")
 """The path, line and frame at the beginning of a reason."""

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import __version__
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.page_session import KeyFigure, counted_reasons
 from dvrk_cmaes.report.page_template import render_template
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
-from dvrk_cmaes.report.plots.track import Chart, Float64, track_charts
+from dvrk_cmaes.report.plots.track import Chart, track_charts
 from dvrk_cmaes.report.track_events import DOUBTFUL, STATUSES, SWITCHED, TrackEvent, track_events
 from dvrk_cmaes.report.track_pictures import HIGH, MEDIAN
 

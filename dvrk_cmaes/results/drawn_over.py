@@ -6,13 +6,10 @@ from collections.abc import Mapping
 from typing import Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Bool, Float64, Image
 from dvrk_cmaes.io.arguments import checked_array
-
-Float64 = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _COLOURS = {"ok": (86, 180, 233), "doubtful": (240, 200, 60), "lost": (213, 94, 0)}  # RGB, of the silhouette's outline
 _TIPS = (255, 255, 255)
@@ -32,7 +29,7 @@ class SilhouetteModel(Protocol):
             Height of the images, px.
         """
 
-    def masks(self, camera_from_root: Float64, joints: Mapping[str, float]) -> NDArray[np.bool_]:
+    def masks(self, camera_from_root: Float64, joints: Mapping[str, float]) -> Bool:
         """Render the mask of a pose, (H, W).
 
         Parameters

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.results.result import POSE_AXES, Result
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 
@@ -40,7 +40,7 @@ def result_of_row(where: str, row: Mapping[str, Any]) -> Result:
     return Result.from_dict({"camera_from_root": None, "joints": {}, **known, "status": status}, where=where)
 
 
-def _covariance(std: Mapping[str, Any] | None, joints: list[str]) -> NDArray[np.float64] | None:
+def _covariance(std: Mapping[str, Any] | None, joints: list[str]) -> Float64 | None:
     """Return the covariance (6 + J, 6 + J), m and rad, of independent errors; None without standard deviations."""
     if std is None:
         return None

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.errors import InputError
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 
 class NamedLink(Protocol):

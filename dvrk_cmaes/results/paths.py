@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.results.result import Result
@@ -82,7 +83,7 @@ def check_writable(folder: Path, *, named: Path | None = None) -> None:
 
 
 def write_frame(
-    out: Path, result: Result, overlay: NDArray[np.uint8], found_masks: Mapping[str, NDArray[np.bool_]] | None = None
+    out: Path, result: Result, overlay: NDArray[np.uint8], found_masks: Mapping[str, Bool] | None = None
 ) -> tuple[Path, ...]:
     """Write the files of a frame, each atomically; the result is written last, when the others are complete.
 

@@ -15,9 +15,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import quaternion_xyzw
+from dvrk_cmaes.geometry import Float64, quaternion_xyzw
 from dvrk_cmaes.results.result import POSE_AXES, Result
 
 _PRISMATIC = ("insertion", "ecm_insertion")
@@ -71,7 +70,7 @@ def _row(result: Result, joints: Sequence[str], readings: Sequence[str], tips: i
     yield "unused", "; ".join(result.unused)
 
 
-def _pose(name: str, pose: NDArray[np.float64] | None) -> Iterator[tuple[str, float | None]]:
+def _pose(name: str, pose: Float64 | None) -> Iterator[tuple[str, float | None]]:
     """Yield the columns and values of a pose (4, 4), or None values without a pose."""
     translation = [None] * 3 if pose is None else np.round(1e3 * pose[:3, 3], _DIGITS).tolist()
     quaternion = [None] * 4 if pose is None else np.round(quaternion_xyzw(pose), 9).tolist()

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import __version__
+from dvrk_cmaes.geometry import Float64, Image
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_array, rounded_matrix, rounded_values
 from dvrk_cmaes.io.typed_document import (
@@ -26,7 +26,7 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.results.data_frame import data_frame
-from dvrk_cmaes.results.drawn_over import Image, drawn_over
+from dvrk_cmaes.results.drawn_over import drawn_over
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
 from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck
 
@@ -43,7 +43,6 @@ __all__ = [
     "ViewCheck",
 ]
 
-Float64 = NDArray[np.float64]
 Status = Literal["ok", "doubtful", "failed"]
 Source = Literal["frame", "session"]
 Place = Literal["behind", "in front", "unclear", "apart"]

@@ -6,15 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64, Image
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_values
 from dvrk_cmaes.results.data_frame import data_frame
-from dvrk_cmaes.results.drawn_over import Image, drawn_over
+from dvrk_cmaes.results.drawn_over import drawn_over
 from dvrk_cmaes.results.result import POSE_AXES
 
-Float64 = NDArray[np.float64]
 TrackStatus = Literal["ok", "doubtful", "lost"]
 
 

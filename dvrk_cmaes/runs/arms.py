@@ -13,6 +13,7 @@ from dvrk_cmaes.draw.arms_overlay import ArmDrawing, draw_arms, drawings
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of
 from dvrk_cmaes.frames.images import match_size
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.io.short_text import natural
@@ -79,9 +80,9 @@ def _image(files: FrameFiles) -> NDArray[np.uint8] | None:
         return None
 
 
-def _all_masks(frames: list[FrameFiles]) -> NDArray[np.bool_] | None:
+def _all_masks(frames: list[FrameFiles]) -> Bool | None:
     """Return the union of the arms' masks of a frame; None if none can be read."""
-    union: NDArray[np.bool_] | None = None
+    union: Bool | None = None
     for files in frames:
         try:
             if files.mask is None:

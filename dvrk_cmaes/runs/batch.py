@@ -365,12 +365,5 @@ def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:
     others = {name: _with_absolute_paths(other, folder) for name, other in files.others.items()}
     tools = tuple(replace(tool, mask=Path(os.path.abspath(tool.mask))) for tool in files.other_tools)
     return replace(
-        files,
-        mask=mask,
-        image=image,
-        ignore=ignore,
-        notes=notes,
-        problem=problem,
-        others=others,
-        other_tools=tools,
+        files, mask=mask, image=image, ignore=ignore, notes=notes, problem=problem, others=others, other_tools=tools
     )

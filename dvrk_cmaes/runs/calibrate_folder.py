@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,6 +20,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.masks_again import FindMasks
+from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import Solving
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.ros import write_camera_info
@@ -30,8 +30,6 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation.masks_again import ImagesOfFrame
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image, write_json
 from dvrk_cmaes.io.output import Output, changed_files, whole_folder, write_bytes
 from dvrk_cmaes.results.folder import ALONE, SESSION
@@ -48,7 +46,8 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import DrawTask, Pictures, draw_task
 from dvrk_cmaes.runs.digests import frame_digests, instrument_digest
-from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
+from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+from dvrk_cmaes.runs.instrument_processes import run_with_body
 from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
 from dvrk_cmaes.runs.processes import Processes
 from dvrk_cmaes.runs.worker import BatchSetup, hints_of
@@ -59,18 +58,15 @@ CAMERA = "camera.yaml"
 
 
 def solving_folder(
-    session: Session,
+    arm: ArmInSession,
     results: Mapping[str, Result],
-    instrument: Instrument,
     out: Path,
+    processes: Processes,
     *,
     alone: Path | None = None,
-    arm: Arm = "classic",
     refine_camera: bool = False,
     config: EstimateConfig,
     segment: SegmentSettings | None = None,
-    workers: int,
-    processes: Processes | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
     others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
     opened: Output | None = None,
@@ -80,12 +76,11 @@ def solving_folder(
 
     Run it by `solved_together` or `solved_alone`.
 
-    ``alone`` is the folder of those results; masks that were found in images, and overlays of frames that are left out,
-    are taken from there; with ``segment``, how they were found there, they are found again around the silhouettes that
-    the session expects. ``processes`` are those of `instrument_processes` or `worker_processes`, to use instead of
-    new ones, up to ``workers``; ``opened`` is the folder, if it is open already; ``others`` and ``places`` are as in
-    `solving_arm`. All files are written to a folder beside, which takes the place of an earlier one when
-    it is whole.
+    ``processes`` are those of `instrument_processes` or `worker_processes`. ``alone`` is the folder of those results;
+    masks that were found in images, and overlays of frames that are left out, are taken from there; with ``segment``,
+    how they were found there, they are found again around the silhouettes that the session expects. ``opened`` is the
+    folder, if it is open already; ``others`` and ``places`` are as in `solving_arm`. All files are written to a folder
+    beside, which takes the place of an earlier one when it is whole.
 
     Raises
     ------
@@ -94,6 +89,7 @@ def solving_folder(
     DvrkCmaesError
         A process died, or the disk is full.
     """
+    session, instrument = arm.session, arm.body.instrument
     files = {own.name: _with_mask(own, alone) for own in session.frames}
     finders = _finders(session, alone, segment)
     frames = []
@@ -108,25 +104,13 @@ def solving_folder(
             )
         reader = functools.partial(read_frame, own, session.rig)
         frames.append(SessionFrame(name, reader, result, own.keypoints, find_masks=finders.get(name)))
-    with ExitStack() as stack:
-        if processes is None:
-            processes = stack.enter_context(instrument_processes(instrument, workers, frames))
-        run = functools.partial(run_with_body, processes, instrument_digest(instrument), config)
-        solved, evidence = yield from solving_arm(
-            frames,
-            instrument,
-            series=session.reading_series(),
-            arm=arm,
-            refine_camera=refine_camera,
-            guessed_camera=session.guessed,
-            config=config,
-            run=run,
-            progress=progress,
-            others=others,
-            places=places,
-        )
-        progress("drawing", len(solved.leave_one_out))
-        masks = Path(stack.enter_context(TemporaryDirectory(prefix="dvrk-cmaes-")))
+    run = functools.partial(run_with_body, processes, instrument_digest(instrument), config)
+    series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
+    problem = SessionProblem(series, instrument, arm.kinematics, config, run, progress, *refined)
+    solved, evidence = yield from solving_arm(frames, problem, others, places)
+    progress("drawing", len(solved.leave_one_out))
+    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
+        masks = Path(folder)
         files |= _with_masks_again(solved, session, masks, {name: files[name] for name in solved.found_masks})
         corrected = Rig(solved.calibration.corrected_views(session.rig.views))
         views = tuple(ViewDocument.of(view) for view in corrected.views)
@@ -145,7 +129,7 @@ def solving_folder(
         with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,), opened_before=opened) as beside:
             for path in masks.rglob("*.png"):
                 write_bytes(beside / path.relative_to(masks), path.read_bytes())
-            _write(solved, pictures, session, instrument, beside, arm, config, alone)
+            _write(solved, pictures, replace(arm, session=session), beside, config, alone)
     return solved
 
 
@@ -192,14 +176,13 @@ def _with_masks_again(
 def _write(
     solved: SolvedSession,
     pictures: Mapping[str, Pictures],
-    session: Session,
-    instrument: Instrument,
+    arm: ArmInSession,
     out: Path,
-    arm: Arm,
     config: EstimateConfig,
     alone: Path | None,
 ) -> None:
     """Write results, pictures, tables and page; session.json after its frames."""
+    session = arm.session
     for name, result in solved.results.items():
         if name in pictures:
             write_bytes(overlay_path(out, name), pictures[name].overlay)
@@ -213,7 +196,7 @@ def _write(
     calibration = solved.calibration
     write_cameras(calibration, session.rig, out)
     write_json(out / SESSION, calibration.to_dict())
-    setup = BatchSetup(instrument, session.rig, config, arm, session.folder)
+    setup = BatchSetup(arm.body.instrument, session.rig, config, arm.kinematics, session.folder)
     digests = {files.name: frame_digests(files) for files in session.frames if files.name in solved.results}
     write_manifest(out, manifest_of(setup, digests) | {"solved": "together"})
     finish(out)

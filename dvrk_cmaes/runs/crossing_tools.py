@@ -27,14 +27,7 @@ from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Place, Result
 from dvrk_cmaes.runs.base_agreement import PREFIX
-from dvrk_cmaes.runs.batch import (
-    TIME_LIMIT,
-    BatchProgress,
-    BatchSummary,
-    finish,
-    outcomes,
-    summarize_shard,
-)
+from dvrk_cmaes.runs.batch import TIME_LIMIT, BatchProgress, BatchSummary, finish, outcomes, summarize_shard
 from dvrk_cmaes.runs.executor import ExternalExecutor
 from dvrk_cmaes.runs.frame import as_calibrated
 from dvrk_cmaes.runs.output import COMMAND, write_outcome
@@ -174,11 +167,7 @@ def _solved_again(
         results = summarize_shard(batch.folder, timing) if batch.shard is not None else finish(batch.folder, timing)
     document = results.summary or {}
     return replace(
-        batch,
-        interrupted=done < len(todo),
-        counts=document["counts"],
-        document=document,
-        results=results.frames,
+        batch, interrupted=done < len(todo), counts=document["counts"], document=document, results=results.frames
     )
 
 

@@ -19,6 +19,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import better_of, estimate_views
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.output import LONG, output
 from dvrk_cmaes.results.layers import FrameLayers
@@ -40,7 +41,7 @@ class SolvedFrame:
 
     data: FrameData
     result: Result
-    found_masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    found_masks: Mapping[str, Bool] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,10 +69,7 @@ def _start(instrument: Instrument) -> None:
 
 
 def _call(
-    key: str,
-    config: EstimateConfig,
-    function: Callable[[Body, EstimateConfig, Any], Any],
-    numbered: tuple[int, Any],
+    key: str, config: EstimateConfig, function: Callable[[Body, EstimateConfig, Any], Any], numbered: tuple[int, Any]
 ) -> Any:
     from dvrk_cmaes.runs.worker import prepared_body
     from dvrk_cmaes.silhouette.prepare import body_by

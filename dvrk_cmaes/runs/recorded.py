@@ -2,41 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import ecm_readings, outer_readings
 from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
+from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.sparse import Sparseness
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, Work, read_shown
+from dvrk_cmaes.track.histogram_ratio import ColourModel
+from dvrk_cmaes.track.image_frames import BlockTask, fit_block
 from dvrk_cmaes.track.reading_buffer import describe_frozen
-from dvrk_cmaes.track.recorded_frames import (
-    NO_READINGS,
-    BlockTask,
-    FittedFrame,
-    JudgeTask,
-    PredictedFrame,
-    fit_block,
-    judge_frame,
-)
+from dvrk_cmaes.track.recorded_frames import NO_READINGS, FittedFrame, JudgeTask, PredictedFrame, judge_frame
 from dvrk_cmaes.track.window import Told, WindowImage, result_of, solve_window, status_of
-
-Float64 = NDArray[np.float64]
 
 BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
@@ -75,7 +66,7 @@ def predict(
     return predicted, sparse
 
 
-def _continued(values: Float64, times: Float64, told: NDArray[np.bool_], nearest: NDArray[np.intp]) -> Float64:
+def _continued(values: Float64, times: Float64, told: Bool, nearest: Indices) -> Float64:
     """Return the readings (N, K) at all frames: those of the nearest one that has any, or as they go on from there."""
     found = values[nearest]
     for i in np.flatnonzero(~told):
@@ -114,39 +105,55 @@ def _sparseness(recorded: RecordedFrames, session: SessionCalibration) -> list[S
     return found
 
 
-def fit_all(
-    recorded: RecordedFrames,
-    session: SessionCalibration,
-    predicted: Prediction,
-    run: Run[Any, Any],
-) -> list[FittedFrame | None]:
-    """Fit every frame with the prediction as its prior."""
-    information = np.linalg.inv(predicted.spread)
-    rig = Rig(session.corrected_views(recorded.rig.views))  # a task needs no more of the recording and its calibration
-    frames = [
-        PredictedFrame(own.name, partial(read_shown, own, rig), Expected(predicted.at[i], information[i]))
-        for i, own in enumerate(recorded.files)
-    ]
-    tasks = [BlockTask(tuple(frames[k : k + BLOCK]), session.masks) for k in range(0, len(frames), BLOCK)]
-    return [fitted for block in run(fit_block, tasks) for fitted in block]
+@dataclass(frozen=True, eq=False)
+class RecordedSolution:
+    """A recording's frames and their calibration; with ``colours`` by view, masks are found in the images."""
+
+    recorded: RecordedFrames
+    calibration: SessionCalibration
+    colours: Mapping[str, ColourModel] | None = None
+
+    @cached_property
+    def rig(self) -> Rig:
+        """The cameras of the calibration; a task needs no more of the recording and its calibration."""
+        return Rig(self.calibration.corrected_views(self.recorded.rig.views))
+
+    def expected(self, predicted: Prediction, numbers: Iterable[int]) -> list[PredictedFrame]:
+        """Return some frames with what is predicted of them."""
+        information, files = np.linalg.inv(predicted.spread), self.recorded.files
+        read = read_shown if self.colours is None else read_seen
+        return [
+            PredictedFrame(files[i].name, partial(read, files[i], self.rig), Expected(predicted.at[i], information[i]))
+            for i in numbers
+        ]
+
+    def fits(self, predicted: Prediction, run: Run[Any, Any]) -> list[FittedFrame | None]:
+        """Fit every frame with the prediction as its prior."""
+        count = len(self.recorded.files)
+        frames, masks = self.expected(predicted, range(count)), self.calibration.masks
+        tasks = [BlockTask(tuple(frames[k : k + BLOCK]), masks, self.colours) for k in range(0, count, BLOCK)]
+        return [fitted for block in run(fit_block, tasks) for fitted in block]
 
 
-def follow_window(
-    recorded: RecordedFrames,
-    session: SessionCalibration,
-    predicted: Prediction,
-    sparse: Sequence[Sparseness],
-    fits: Sequence[FittedFrame | None],
-    body: Body,
-    config: EstimateConfig,
-    run: Run[Any, Any],
-    source: str = "mask",
-) -> list[TrackResult]:
-    """Solve all frames as one window, judge their poses, and describe them, in order.
+def read_seen(files: FrameFiles, rig: Rig) -> FrameData | None:
+    """Read a frame by its masks, where it has any, or else its images; None if it has neither.
 
-    ``sparse`` is as of `predict`; ``source`` is what the evidence is taken from, for reasons.
+    InputError for a file that is wrong.
     """
-    camera, instrument, images = recorded.rig.views[0].camera, body.instrument, []
+    if files.problem is not None:
+        raise InputError(files.problem)
+    if not files.has_mask and image_path(files) is None:
+        return None
+    return read_frame(files, rig, blank=True) if files.has_mask else read_frame_image(files, rig)
+
+
+def follow_window(solution: RecordedSolution, work: Work) -> list[TrackResult]:
+    """Fit all frames, solve them as one window, judge their poses, and describe them, in order."""
+    recorded, session, instrument = solution.recorded, solution.calibration, work.body.instrument
+    source = "mask" if solution.colours is None else "image"
+    predicted, sparse = predict(recorded, session, instrument.joint_names)
+    fits, config, run = solution.fits(predicted, work.run), work.config, work.run
+    camera, images = recorded.rig.views[0].camera, []
     for i, fitted in enumerate(fits):
         at, spread = predicted.at[i], predicted.spread[i]
         told = (

@@ -8,52 +8,38 @@ found around what is expected of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.masks_again import PackedMask
-from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame_image
 from dvrk_cmaes.frames.seen_view import SeenView
-from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.runs.recorded import BLOCK, predict
-from dvrk_cmaes.runs.recorded_keyframes import Keyframe, RecordedFrames, solve_together
+from dvrk_cmaes.geometry import Bool, Posed
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.recorded import RecordedSolution, predict, read_seen
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, Work, solve_together
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.shaft_pairs import prompt_in
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import (
-    AroundTask,
-    ImageBlockTask,
-    LearnTask,
-    around_task,
-    fit_image_block,
-    learn_task,
-    with_outside,
-)
+from dvrk_cmaes.track.image_frames import AroundTask, LearnTask, around_task, learn_task, with_outside
 from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
-from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, MaskShape, choose_keyframes
-from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, choose_keyframes
 
 _SEGMENTED: Final = 60  # images, at most, that are segmented by themselves
 _FEWEST: Final = 6  # keyframes whose masks were found, with which a recording is solved
@@ -64,7 +50,7 @@ _KEYFRAMES: Final = 40  # of these, at most, that are solved together
 
 
 @dataclass(frozen=True, eq=False)
-class FoundFrame:
+class PackedFrame:
     """A frame whose masks were found in its images: its views, without arrays, and the arrays of each, packed."""
 
     views: tuple[SeenView, ...]
@@ -73,7 +59,7 @@ class FoundFrame:
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, data: FrameData) -> FoundFrame:
+    def of(cls, data: FrameData) -> PackedFrame:
         """Pack a frame."""
         nothing = np.zeros((0, 0), np.bool_)
         return cls(
@@ -103,33 +89,31 @@ class SegmentTask:
     colours: Mapping[str, ColourModel]
 
 
-@dataclass(frozen=True, eq=False)
-class ImageSolution:
-    """The calibration of a recording's keyframes, and the colours of instrument and surroundings, by view."""
-
-    calibration: SessionCalibration
-    colours: Mapping[str, ColourModel]
-
-
-def segment_task(body: Body, config: EstimateConfig, task: SegmentTask) -> FoundFrame | None:
+def segment_task(body: Body, config: EstimateConfig, task: SegmentTask) -> PackedFrame | None:
     """Find the masks in the images of a frame; None where nothing is found, or only a guess.
 
-    Masks that the frame has are kept.
+    Masks that the frame has are kept. In further views the instrument of the first view's prompts is looked for.
     """
-    data = with_outside(read_seen(task.files, task.rig))
-    views = []
+    data = read_seen(task.files, task.rig)
+    if data is None:
+        return None
+    data = with_outside(data)
+    views: list[SeenView] = []
     for number, view in enumerate(data.views):
-        hints = Hints() if number else task.hints
+        hints = task.hints
+        if number:  # the prompts are pixels of the first view
+            chosen = hints != Hints() and views[0].given
+            hints = prompt_in(view, views[0].mask, views[0], body) if chosen else Hints()
         if view.image is None or (view.given and view.mask.any()):
             views.append(replace(view, image=None))
             continue
         mask = _first_mask(view, hints, task.colours.get(view.name))
         views.append(view if mask is None else replace(view, mask=mask, given=True))
     found = replace(data, views=tuple(views))
-    return FoundFrame.of(found) if any(view.given and view.shows for view in found.views) else None
+    return PackedFrame.of(found) if any(view.given and view.shows for view in found.views) else None
 
 
-def _first_mask(view: SeenView, hints: Hints, colours: ColourModel | None) -> NDArray[np.bool_] | None:
+def _first_mask(view: SeenView, hints: Hints, colours: ColourModel | None) -> Bool | None:
     """Find the mask of a view in its image; None where nothing is found, or only a guess.
 
     It is found by the colours of what moves in the recording; by those of this image alone where that gives a guess,
@@ -164,21 +148,9 @@ def _moving_colours(recorded: RecordedFrames, chosen: Sequence[int]) -> dict[str
     return {name: colours for name, colours in found.items() if colours is not None}
 
 
-def read_seen(files: FrameFiles, rig: Rig) -> FrameData:
-    """Read a frame by its masks, where it has any, or else its images; InputError for a file that is wrong."""
-    return read_frame(files, rig, blank=True) if files.has_mask else read_frame_image(files, rig)
-
-
 def solve_images(
-    recorded: RecordedFrames,
-    given: SessionCalibration | None,
-    hints: Hints,
-    body: Body,
-    arm: Arm,
-    config: EstimateConfig,
-    run: Run[Any, Any],
-    progress: Callable[[str, int], None],
-) -> tuple[RecordedFrames, ImageSolution | str]:
+    recorded: RecordedFrames, given: SessionCalibration | None, hints: Hints, work: Work
+) -> tuple[RecordedFrames, RecordedSolution | str]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
 
     With a calibration that is ``given``, the masks only tell the colours. Where few keyframes agree, masks are found in
@@ -190,73 +162,51 @@ def solve_images(
     chosen = choose_keyframes(there, times, names, readings, _SEGMENTED)
     if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to tell masks of another tool from the right ones
         return recorded, f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}"
-    progress("finding masks", len(chosen))
+    work.progress("finding masks", len(chosen))
     moving = _moving_colours(recorded, chosen)
     tasks = [
         SegmentTask(files[i], recorded.rig, _hints(files[i], hints if i == 0 else Hints()), moving) for i in chosen
     ]
-    found: dict[int, FoundFrame | None] = dict(zip(chosen, run(segment_task, tasks), strict=True))
+    found: dict[int, PackedFrame | None] = dict(zip(chosen, work.run(segment_task, tasks), strict=True))
     recorded = _measured(recorded, found)
     if given is not None:
-        tasks_of_colours = _predicted_colours(recorded, given, found, body)
-        colours = _pooled(recorded.rig, run(learn_task, tasks_of_colours))
-        return recorded, ImageSolution(given, colours) if colours else _NO_COLOURS
-    solved = solve_together(recorded, _keyframes(recorded, found), body, arm, config, run, progress, _FEWEST)
+        return recorded, _with_colours(RecordedSolution(recorded, given, {}), work, found=found)
+    solved = solve_together(recorded, _keyframes(recorded, found), work, _FEWEST)
     if isinstance(solved, str):
         return recorded, solved
-    solution = _solution(recorded, solved, body, run)
+    solution = _with_colours(RecordedSolution(recorded, solved.calibration, {}), work, results=solved.results)
     few = len(solved.calibration.frames) < _ENOUGH and len(recorded.rig.views) == 1
-    if isinstance(solution, ImageSolution) and few:
-        more = _found_around(recorded, solution, found, body, run)
+    if isinstance(solution, RecordedSolution) and few:
+        more = _found_around(solution, found, work)
         more_measured = _measured(recorded, more)
         keyframes = _keyframes(more_measured, more)
         if len(keyframes) > _MORE * len(solved.calibration.frames):
-            again = solve_together(more_measured, keyframes, body, arm, config, run, progress, _FEWEST)
+            again = solve_together(more_measured, keyframes, work, _FEWEST)
             if not isinstance(again, str) and len(again.calibration.frames) > len(solved.calibration.frames):
-                return more_measured, _solution(more_measured, again, body, run)
+                better = RecordedSolution(more_measured, again.calibration, {})
+                return more_measured, _with_colours(better, work, results=again.results)
     return recorded, solution
 
 
-def _keyframes(recorded: RecordedFrames, found: Mapping[int, FoundFrame | None]) -> list[Keyframe]:
+def _keyframes(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None]) -> list[RecordedKeyframe]:
     """Choose keyframes among the frames in which masks were found."""
     return [
-        Keyframe(i, recorded.files[i].changed(image=None), one.restored)
+        RecordedKeyframe(i, recorded.files[i].changed(image=None), one.restored)
         for i in recorded.keyframes(_KEYFRAMES)
         if (one := found[i]) is not None
     ]
 
 
-def _solution(recorded: RecordedFrames, solved: SolvedSession, body: Body, run: Run[Any, Any]) -> ImageSolution | str:
-    """Return the calibration of keyframes with the colours that they tell; a text where they tell none."""
-    colours = _pooled(recorded.rig, run(learn_task, _keyframes_colours(recorded, solved, body)))
-    return ImageSolution(solved.calibration, colours) if colours else _NO_COLOURS
-
-
 def _found_around(
-    recorded: RecordedFrames,
-    solution: ImageSolution,
-    found: Mapping[int, FoundFrame | None],
-    body: Body,
-    run: Run[Any, Any],
-) -> dict[int, FoundFrame | None]:
+    solution: RecordedSolution, found: Mapping[int, PackedFrame | None], work: Work
+) -> dict[int, PackedFrame | None]:
     """Find masks where few keyframes expect the instrument; those of the frames that agree are kept."""
-    session = solution.calibration
-    predicted, used = predict(recorded, session, body.instrument.joint_names)[0], set(session.frames)
-    information = np.linalg.inv(predicted.spread)
+    recorded, used = solution.recorded, set(solution.calibration.frames)
+    predicted, _ = predict(recorded, solution.calibration, work.body.instrument.joint_names)
     others = [i for i in found if recorded.files[i].name not in used]
-    tasks = [
-        AroundTask(
-            PredictedFrame(
-                recorded.files[i].name,
-                partial(_read_images, recorded.files[i], recorded.rig, session),
-                Expected(predicted.at[i], information[i]),
-            ),
-            solution.colours,
-        )
-        for i in others
-    ]
-    around: Sequence[FrameData | None] = run(around_task, tasks)
-    again = {i: None if data is None else FoundFrame.of(data) for i, data in zip(others, around, strict=True)}
+    tasks = [AroundTask(frame, solution.colours or {}) for frame in solution.expected(predicted, others)]
+    around: Sequence[FrameData | None] = work.run(around_task, tasks)
+    again = {i: None if data is None else PackedFrame.of(data) for i, data in zip(others, around, strict=True)}
     return {i: again.get(i, one) for i, one in found.items()}
 
 
@@ -265,82 +215,40 @@ def _hints(files: FrameFiles, first: Hints) -> Hints:
     return first if first != Hints() else hints_of(files) or Hints()
 
 
-def _measured(recorded: RecordedFrames, found: Mapping[int, FoundFrame | None]) -> RecordedFrames:
+def _measured(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None]) -> RecordedFrames:
     """Measure the masks that were found."""
-    count = len(recorded.files)
-    shapes, centres = [MaskShape(0.0, 1.0)] * count, np.full((count, 2), np.nan)
-    for i, one in found.items():
-        mask = None if one is None else one.masks[0].restored()
-        if mask is not None and mask.any():
-            shapes[i] = MaskShape.of(mask)
-            rows, columns = np.nonzero(mask)
-            centres[i] = columns.mean(), rows.mean()
-    return recorded.measured(shapes, centres)
+    return recorded.measured((i, None if one is None else one.masks[0].restored()) for i, one in found.items())
 
 
-def _keyframes_colours(recorded: RecordedFrames, solved: SolvedSession, body: Body) -> list[LearnTask]:
-    """Return the tasks that learn colours from the keyframes that agree, at their poses."""
-    used, tasks = set(solved.calibration.frames), []
-    for own in recorded.files:
-        if own.name in used and own.has_image:
-            result = solved.results[own.name]
-            assert result.camera_from_root is not None
-            joints = np.array([result.joints[name] for name in body.instrument.joint_names])
-            reader = partial(_read_images, own, recorded.rig, solved.calibration)
-            tasks.append(LearnTask(reader, Posed(result.camera_from_root, joints)))
-    return tasks
+def _with_colours(
+    solution: RecordedSolution,
+    work: Work,
+    *,
+    found: Mapping[int, PackedFrame | None] | None = None,
+    results: Mapping[str, Result] | None = None,
+) -> RecordedSolution | str:
+    """Return a calibration with the colours of instrument and surroundings; a text where the images tell none.
 
-
-def _predicted_colours(
-    recorded: RecordedFrames, given: SessionCalibration, found: Mapping[int, FoundFrame | None], body: Body
-) -> list[LearnTask]:
-    """Return the tasks that learn colours from masks where a calibration predicts the instrument."""
-    predicted, tasks = predict(recorded, given, body.instrument.joint_names)[0], []
-    for i, one in found.items():
-        own = recorded.files[i]
-        if one is not None and own.has_image:
-            masks = {view.name: mask for view, mask in zip(one.views, one.masks, strict=True) if view.given}
-            tasks.append(LearnTask(partial(_read_images, own, recorded.rig, given), predicted.at[i], masks))
-    return tasks
-
-
-def _pooled(rig: Rig, found: Sequence[Mapping[str, ColourModel]]) -> dict[str, ColourModel]:
-    """Return the colours of each view that was learned in any frame."""
-    of_views = {view: [of_frame[view] for of_frame in found if view in of_frame] for view in rig.names}
-    return {view: pooled_colours(models) for view, models in of_views.items() if models}
-
-
-def _read_images(files: FrameFiles, rig: Rig, session: SessionCalibration) -> FrameData:
-    """Read a frame's images, and its masks if it has any, with the camera or rig of the calibration."""
-    data = read_seen(files, rig)
-    return replace(data, views=session.corrected_views(data.views))
-
-
-def _read_for_fit(files: FrameFiles, rig: Rig, session: SessionCalibration) -> FrameData | None:
-    """Read a frame as `_read_images`; None if it has neither mask nor image."""
-    if files.problem is not None:
-        raise InputError(files.problem)
-    if not files.has_mask and image_path(files) is None:
-        return None
-    return _read_images(files, rig, session)
-
-
-def fit_images(
-    recorded: RecordedFrames, solution: ImageSolution, predicted: Prediction, run: Run[Any, Any]
-) -> list[FittedFrame | None]:
-    """Fit every frame by its images with the prediction as its prior."""
-    session = solution.calibration
-    information = np.linalg.inv(predicted.spread)
-    frames = [
-        PredictedFrame(
-            own.name,
-            partial(_read_for_fit, own, recorded.rig, session),
-            Expected(predicted.at[i], information[i]),
-        )
-        for i, own in enumerate(recorded.files)
-    ]
-    blocks: Sequence[ImageBlockTask] = [
-        ImageBlockTask(tuple(frames[k : k + BLOCK]), session.masks, solution.colours)
-        for k in range(0, len(frames), BLOCK)
-    ]
-    return [fitted for block in run(fit_image_block, blocks) for fitted in block]
+    They are learned at the poses of the ``results`` of keyframes that agree, or from masks that were ``found`` where
+    the calibration predicts the instrument.
+    """
+    recorded, calibration, names = solution.recorded, solution.calibration, work.body.instrument.joint_names
+    tasks = []
+    if results is not None:
+        for own in recorded.files:
+            if own.name in calibration.frames and own.has_image:
+                pose, joints = results[own.name].camera_from_root, results[own.name].joints
+                assert pose is not None
+                at = Posed(pose, np.array([joints[name] for name in names]))
+                tasks.append(LearnTask(partial(read_seen, own, solution.rig), at))
+    else:
+        predicted, _ = predict(recorded, calibration, names)
+        for i, one in (found or {}).items():
+            own = recorded.files[i]
+            if one is not None and own.has_image:
+                masks = {view.name: mask for view, mask in zip(one.views, one.masks, strict=True) if view.given}
+                tasks.append(LearnTask(partial(read_seen, own, solution.rig), predicted.at[i], masks))
+    learned = work.run(learn_task, tasks)
+    of_views = {view: [of_frame[view] for of_frame in learned if view in of_frame] for view in recorded.rig.names}
+    colours = {view: pooled_colours(models) for view, models in of_views.items() if models}
+    return replace(solution, colours=colours) if colours else _NO_COLOURS

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
+from dvrk_cmaes.calibration.calibrate import SolvedSession, solving_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.first_frames import predict_from_first
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
+from dvrk_cmaes.calibration.session_state import SessionProblem
+from dvrk_cmaes.calibration.together import solved_alone
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
@@ -43,8 +44,6 @@ from dvrk_cmaes.track.keyframes import (
     well_in_view,
 )
 from dvrk_cmaes.track.reading_buffer import frozen_frames
-
-Float64 = NDArray[np.float64]
 
 KEYFRAMES: Final = "keyframes.json"
 """Solution of keyframes with masks."""
@@ -71,22 +70,16 @@ class RecordedFrames:
     shapes: list[MaskShape]
     names: tuple[str, ...]
     readings: Float64
-    frozen: NDArray[np.bool_]
+    frozen: Bool
 
     @classmethod
     def of(
         cls, files: tuple[FrameFiles, ...], rig: Rig, series: ReadingSeries | None, times: Float64
     ) -> RecordedFrames:
         """Measure the masks of frames; InputError names a file that is wrong."""
-        shapes, centres = [], np.full((len(files), 2), np.nan)
-        for i, own in enumerate(files):
-            data = read_shown(own, rig)
-            mask = None if data is None else data.mask
-            shapes.append(MaskShape(0.0, 1.0) if mask is None else MaskShape.of(mask))
-            if mask is not None and mask.any():
-                rows, columns = np.nonzero(mask)
-                centres[i] = columns.mean(), rows.mean()
-        return cls.of_readings(files, rig, series, times).measured(shapes, centres)
+        shown = ((i, read_shown(own, rig)) for i, own in enumerate(files))
+        masks = ((i, None if data is None else data.mask) for i, data in shown)
+        return cls.of_readings(files, rig, series, times).measured(masks)
 
     @classmethod
     def of_readings(
@@ -98,14 +91,19 @@ class RecordedFrames:
         shapes, still = [MaskShape(0.0, 1.0)] * len(files), np.zeros(len(files), np.bool_)
         return cls(files, rig, series, times, shapes, names, readings, still)
 
-    def measured(self, shapes: list[MaskShape], centres: Float64) -> RecordedFrames:
-        """Return the frames with the shapes of their masks, and the centres (N, 2) px of these, NaN without one."""
+    def measured(self, masks: Iterable[tuple[int, Bool | None]]) -> RecordedFrames:
+        """Return the frames with the shapes of masks, which are given with the numbers of their frames."""
+        shapes, centres = [MaskShape(0.0, 1.0)] * len(self.files), np.full((len(self.files), 2), np.nan)
+        for i, mask in masks:
+            if mask is not None and mask.any():
+                shapes[i], (rows, columns) = MaskShape.of(mask), np.nonzero(mask)
+                centres[i] = columns.mean(), rows.mean()
         outer = outer_readings([own.readings for own in self.files])
         frozen = frozen_frames(outer, centres, self.rig.views[0].camera.width)
         return replace(self, shapes=shapes, frozen=frozen)
 
     @property
-    def trusted(self) -> NDArray[np.bool_]:
+    def trusted(self) -> Bool:
         """Which frames (N,) have readings of all outer joints that are not frozen."""
         return has_outer_joints(self.names, self.readings) & ~self.frozen
 
@@ -151,7 +149,22 @@ def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Keyframe:
+class Work:
+    """What solves a recording: its instrument and arm, the settings, and what runs tasks and is told of each stage."""
+
+    body: Body
+    arm: Arm
+    config: EstimateConfig
+    run: Run[Any, Any]
+    progress: Callable[[str, int], None] = lambda stage, count: None
+
+    def problem(self, series: ReadingSeries | None) -> SessionProblem:
+        """Return the problem of some frames of a recording with all its readings."""
+        return SessionProblem(series, self.body.instrument, self.arm, self.config, self.run, self.progress)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedKeyframe:
     """A keyframe: its number in the recording, its files, and the function that reads its data.
 
     That function is picklable.
@@ -169,7 +182,7 @@ class AloneTask:
     A pose found from there counts if its overlap with the mask is at least ``least_iou``.
     """
 
-    keyframe: Keyframe
+    keyframe: RecordedKeyframe
     arm: Arm
     start: Posed | None = None
     least_iou: float = 0.0
@@ -202,32 +215,16 @@ def _as_result(at: Posed, body: Body, name: str) -> Result:
     )
 
 
-def solve_keyframes(
-    recorded: RecordedFrames,
-    body: Body,
-    arm: Arm,
-    config: EstimateConfig,
-    run: Run[Any, Any],
-    progress: Callable[[str, int], None],
-) -> SessionCalibration | str:
+def solve_keyframes(recorded: RecordedFrames, work: Work) -> SessionCalibration | str:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
-    keyframes = [
-        Keyframe(i, own, partial(read_frame, own, recorded.rig))
-        for i, own in ((i, recorded.files[i]) for i in recorded.keyframes())
-    ]
-    solved = solve_together(recorded, keyframes, body, arm, config, run, progress)
+    chosen = {i: recorded.files[i] for i in recorded.keyframes()}
+    keyframes = [RecordedKeyframe(i, own, partial(read_frame, own, recorded.rig)) for i, own in chosen.items()]
+    solved = solve_together(recorded, keyframes, work)
     return solved if isinstance(solved, str) else solved.calibration
 
 
 def solve_together(
-    recorded: RecordedFrames,
-    keyframes: Sequence[Keyframe],
-    body: Body,
-    arm: Arm,
-    config: EstimateConfig,
-    run: Run[Any, Any],
-    progress: Callable[[str, int], None],
-    least: int = LEAST_KEYFRAMES,
+    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], work: Work, least: int = LEAST_KEYFRAMES
 ) -> SolvedSession | str:
     """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used.
 
@@ -237,13 +234,11 @@ def solve_together(
         since = recorded.files[int(recorded.frozen.argmax())].name
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
         return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
-    progress("estimating keyframes", len(keyframes))
-    frames = _estimated(recorded, keyframes, body, arm, config, run)
-    config = solved_with(config)
+    work.progress("estimating keyframes", len(keyframes))
+    frames = _estimated(recorded, keyframes, work)
+    problem = replace(work, config=solved_with(work.config)).problem(recorded.series)
     try:
-        solved = calibrate_session(
-            frames, body, series=recorded.series, arm=arm, config=config, run=run, progress=progress
-        )
+        solved, _ = solved_alone(solving_arm(frames, problem))
     except InputError as error:
         if not str(error).startswith(_REFUSED):
             raise  # a file that is missing or damaged
@@ -251,27 +246,19 @@ def solve_together(
     return bad_predictions(solved.calibration) or solved
 
 
-def _estimated(
-    recorded: RecordedFrames,
-    keyframes: Sequence[Keyframe],
-    body: Body,
-    arm: Arm,
-    config: EstimateConfig,
-    run: Run[Any, Any],
-) -> list[SessionFrame]:
+def _estimated(recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], work: Work) -> list[SessionFrame]:
     """Estimate keyframes alone: some by a search, the others from where these expect them."""
 
-    def in_session(one: Keyframe, result: Result) -> SessionFrame:
+    def in_session(one: RecordedKeyframe, result: Result) -> SessionFrame:
         return SessionFrame(one.files.name, one.read, result, one.files.keypoints, one.files.time)
 
     searched = set(recorded.keyframes(SEARCHED))
     some, rest = ([one for one in keyframes if (one.number in searched) == kind] for kind in (True, False))
+    run, arm = work.run, work.arm
     results = run(alone_task, [AloneTask(one, arm) for one in some])
     first = {one.number: in_session(one, result) for one, result in zip(some, results, strict=True)}
     readings = {one.files.name: one.files.readings for one in rest}
-    expected = predict_from_first(
-        list(first.values()), readings, body.instrument, series=recorded.series, arm=arm, config=config
-    )
+    expected = predict_from_first(list(first.values()), readings, work.problem(recorded.series))
     overlaps = [result.quality.iou for result in results if result.quality is not None]
     least = float(np.median(overlaps)) - _OVERLAP_LOSS if overlaps else 1.0
     tasks = [AloneTask(one, arm, expected.get(one.files.name), least) for one in rest]

@@ -7,10 +7,10 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
@@ -26,13 +26,7 @@ from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
 
 
 def write_track_arms(
-    out: Path,
-    arms: Mapping[str, ArmInSession],
-    *,
-    every: int,
-    frames_a_second: float,
-    video: bool,
-    page: bool,
+    out: Path, arms: Mapping[str, ArmInSession], *, every: int, frames_a_second: float, video: bool, page: bool
 ) -> None:
     """Write OUT/tracks.mp4 and OUT/report.html of arms whose results are in OUT/ARM.
 
@@ -75,10 +69,7 @@ def write_track_arms(
 
 
 def exchanged_arms(
-    out: Path,
-    readings: Mapping[str, Mapping[str, NDArray[np.float64]]],
-    arms: Mapping[str, ArmInSession],
-    config: EstimateConfig,
+    out: Path, readings: Mapping[str, Mapping[str, Float64]], arms: Mapping[str, ArmInSession], config: EstimateConfig
 ) -> list[str]:
     """Say which arms, whose results are in OUT/ARM, seem to be exchanged: from which frame on, or in all.
 

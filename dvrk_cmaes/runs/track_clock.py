@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.gaps import unbroken
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, straight_line
@@ -40,7 +40,7 @@ class TrackClock:
         """Whether each of the outer joints has a reading."""
         return set(OUTER_JOINTS) <= {name for _, row in self.readings for name in row}
 
-    def readings_at(self, times: NDArray[np.float64], gap: float) -> dict[str, NDArray[np.float64]]:
+    def readings_at(self, times: Float64, gap: float) -> dict[str, Float64]:
         """Interpolate the readings of each joint at times (F,), s; NaN before the first, after the last and in gaps.
 
         ``gap`` s is the longest time between two readings without a gap between them.

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.handles import not_written
 from dvrk_cmaes.io.output import appended, base, output, remove
@@ -43,7 +43,7 @@ from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
-from dvrk_cmaes.runs.track_recorded import follow_recorded, why_causal, with_lag
+from dvrk_cmaes.runs.track_recorded import follow_recorded, with_lag
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
@@ -64,7 +64,7 @@ class TrackSummary:
     interrupted: bool
     calibration: SessionCalibration | None
     frames_a_second: float
-    readings: Mapping[str, NDArray[np.float64]]
+    readings: Mapping[str, Float64]
 
     @property
     def counts(self) -> dict[str, int]:
@@ -84,28 +84,12 @@ class _Run:
     clock: TrackClock
     stop: threading.Event | None
     progress: Callable[[int, int, TrackResult | None], None]
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the run is to end."""
-        return self.stop is not None and self.stop.is_set()
+    notice: Callable[[str], None]
 
     @property
     def frames_a_second(self) -> float:
         """Frames a second that are followed."""
         return 1 / (self.clock.interval * self.settings.every)
-
-    def followed(self, tracker: Tracker, schedule: SolutionSchedule | None) -> Iterator[tuple[FrameFiles, TrackResult]]:
-        """Follow the frames."""
-        with_images = self.settings.evidence != "masks"
-        return followed(
-            tracker,
-            self.frames,
-            self.clock,
-            self.session.rig,
-            with_images=with_images,
-            schedule=schedule,
-        )
 
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
@@ -170,13 +154,13 @@ def track_folder(
     check_writable(out)
     with base(out), output(out, "track", replaces=not resume) as own:
         own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION))
-        manifest = _manifest(session, frames, body, settings)
+        run = _Run(session, out, body, settings, frames, clock, stop, progress, notice)
+        manifest = _manifest(run)
         old = read_manifest(out)
         if old is not None and resume:
             check_same_settings(out, old, manifest)
             names = list(manifest["frames"])
             check_same_frames(out, old, manifest["frames"], done=names, session=names)
-        run = _Run(session, out, body, settings, frames, clock, stop, progress)
         kept = old is not None and resume
         if not kept:
             for name in (KEYFRAMES, KEYFRAMES_BY_IMAGES):
@@ -185,7 +169,7 @@ def track_folder(
         for name in (SESSION, TABLE):
             remove(out / name)
         write_manifest(out, manifest)
-        followed = followed or _by_keyframes(run, notice)
+        followed = followed or _by_keyframes(run)
         if followed is None:
             tracker = settings.tracker(session.rig, body)
             rows = _forwards(run, tracker)
@@ -220,11 +204,12 @@ def _forwards(run: _Run, tracker: Tracker) -> list[dict[str, Any]]:
             solver = stack.enter_context(SolverProcess(run.body.instrument, threads=threads))
             schedule = SolutionSchedule(tracker, solver)
         append = stack.enter_context(_lines(run.out))
-        for files, result in run.followed(tracker, schedule):
+        shown, rig = run.settings.evidence != "masks", run.session.rig
+        for files, result in followed(tracker, run.frames, run.clock, rig, with_images=shown, schedule=schedule):
             rows.append(run.row(files, result))
             append(rows[-1])
             run.progress(len(rows), total, result)
-            if run.stopped:
+            if run.stop is not None and run.stop.is_set():
                 return rows
         if schedule is not None:
             schedule.finish()
@@ -242,20 +227,17 @@ def _finished(run: _Run) -> tuple[list[dict[str, Any]], SessionCalibration | Non
     return rows, read_calibration(session) if session.exists() else None
 
 
-def _by_keyframes(
-    run: _Run, notice: Callable[[str], None]
-) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
+def _by_keyframes(run: _Run) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
     """Follow a recording with the calibration of its keyframes, and write the rows, which are none if it is stopped.
 
     Returns None, after a line that says why, if every frame is to be followed from those before it only.
     """
     if run.settings.causal:
         return None
-    because = why_causal(run.settings)
-    if because is None:
-        done = follow_recorded(
-            run.session, run.frames, run.clock, run.body, run.settings, run.out, stop=run.stop, notice=notice
-        )
+    because = "without readings"
+    if run.settings.use_joints:
+        of_run = run.session, run.frames, run.clock, run.body, run.settings, run.out
+        done = follow_recorded(*of_run, stop=run.stop, notice=run.notice)
         if done is None:
             return [], None
         if not isinstance(done, str):
@@ -264,11 +246,11 @@ def _by_keyframes(
             run.progress(len(rows), len(rows), done.results[-1] if done.results else None)
             return rows, done.calibration
         because = done
-    notice(f"followed from image to image, as by --causal: {because}")
+    run.notice(f"followed from image to image, as by --causal: {because}")
     return None
 
 
-def _readings(run: _Run, late: float) -> dict[str, NDArray[np.float64]]:
+def _readings(run: _Run, late: float) -> dict[str, Float64]:
     """Return the readings of each joint at the times of the frames less a lag, s; NaN where there are none."""
     times = np.array([run.clock.times[files.name] for files in run.frames]) - late
     return run.clock.readings_at(times, run.settings.config.track.reading_gap)
@@ -277,7 +259,7 @@ def _readings(run: _Run, late: float) -> dict[str, NDArray[np.float64]]:
 def _show(
     run: _Run,
     rows: list[dict[str, Any]],
-    readings: Mapping[str, NDArray[np.float64]],
+    readings: Mapping[str, Float64],
     calibration: SessionCalibration | None,
     *,
     video: bool,
@@ -285,20 +267,13 @@ def _show(
     rerun: Path | None,
 ) -> None:
     """Write the overlay video, the page, and a recording for Rerun."""
-    rig = run.session.rig
-    recording = FollowedRecording(
-        rows,
-        run.session.folder.resolve().name,
-        run.body.instrument.name,
-        calibration,
-        readings,
-        video=VIDEO if video else "",
-    )
+    rig, instrument, name = run.session.rig, run.body.instrument, run.session.folder.resolve().name
+    film = VIDEO if video else ""
     write_outputs(
         seen_frames(run.frames, rows, rig, run.body),
-        recording,
+        FollowedRecording(rows, name, instrument.name, calibration, readings, video=film),
         rig,
-        run.body.instrument,
+        instrument,
         video=run.out / VIDEO if video else None,
         frames_a_second=run.frames_a_second,
         page=run.out if page else None,
@@ -306,16 +281,10 @@ def _show(
     )
 
 
-def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settings: TrackSettings) -> Manifest:
+def _manifest(run: _Run) -> Manifest:
     """Return what the results depend on."""
-    setup = BatchSetup(
-        body.instrument,
-        session.rig,
-        settings.config,
-        settings.arm,
-        session.folder,
-        calibration=settings.calibration,
-    )
+    session, settings = run.session, run.settings
+    own = run.body.instrument, session.rig, settings.config, settings.arm, session.folder
     followed = {
         "lag": settings.lag,
         "every": settings.every,
@@ -325,7 +294,8 @@ def _manifest(session: Session, frames: Sequence[FrameFiles], body: Body, settin
         "evidence": settings.evidence,
         "hints": None if settings.hints is None else settings.hints.to_dict(),
     }
-    return manifest_of(setup, {files.name: frame_digests(files) for files in frames}) | {"track": followed}
+    digests = {files.name: frame_digests(files) for files in run.frames}
+    return manifest_of(BatchSetup(*own, calibration=settings.calibration), digests) | {"track": followed}
 
 
 @contextmanager

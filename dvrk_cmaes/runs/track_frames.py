@@ -9,7 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Camera, Rig
@@ -18,6 +17,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
@@ -27,8 +27,7 @@ from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.sight import EvidenceKind
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 
-Mask = NDArray[np.bool_]
-Image = NDArray[np.uint8]
+Mask = Bool
 
 _SAME_TIME = 1e-9  # s
 

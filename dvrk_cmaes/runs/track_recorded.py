@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.processes import usable_cores
-from dvrk_cmaes.runs.recorded import fit_all, follow_window, predict
-from dvrk_cmaes.runs.recorded_images import ImageSolution, fit_images, solve_images
+from dvrk_cmaes.runs.recorded import RecordedSolution, follow_window
+from dvrk_cmaes.runs.recorded_images import solve_images
 from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
     KEYFRAMES_BY_IMAGES,
     RecordedFrames,
+    Work,
     read_kept_colours,
     read_keyframes,
     solve_keyframes,
@@ -39,8 +38,6 @@ from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.recorded_frames import FittedFrame
 
 _GROUP: Final = 24  # tasks after which a run looks whether it is to stop
 
@@ -55,13 +52,6 @@ class RecordedTracks:
 
     results: list[TrackResult]
     calibration: SessionCalibration
-
-
-def why_causal(settings: TrackSettings) -> str | None:
-    """Say why a recording cannot be solved by its keyframes at all; None if it can be tried."""
-    if not settings.use_joints:
-        return "without readings"
-    return None
 
 
 def follow_recorded(
@@ -111,39 +101,17 @@ def follow_recorded(
     with instrument_processes(body.instrument, workers, frames) as processes:
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         run = partial(_in_groups, by_body, stop)
-        of = _Recording(frames, session.rig, series, times, body, settings, out, run, notice)
+        work = Work(body, settings.arm, config, run, lambda stage, count: notice(f"{stage}: {count} frames"))
+        of = _Recording(frames, session.rig, series, times, settings, out, work, notice)
         try:
-            solved = of.solved()
+            solved = of.by_masks() if settings.evidence == "masks" else of.by_images()
             if isinstance(solved, str):
                 return solved
-            recorded, calibration = solved.recorded, solved.calibration
             notice(f"fitting {len(frames)} frames")
-            predicted, sparse = predict(recorded, calibration, body.instrument.joint_names)
-            fits = solved.fits(predicted, run)
-            results = follow_window(recorded, calibration, predicted, sparse, fits, body, config, run, solved.source)
+            results = follow_window(solved, work)
         except _StoppedError:
             return None
-    return RecordedTracks(results, with_lag(calibration, settings.lag, clock))
-
-
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """A recording's frames and their calibration; with ``colours``, masks are found in the images."""
-
-    recorded: RecordedFrames
-    calibration: SessionCalibration
-    colours: Mapping[str, ColourModel] | None = None
-
-    def fits(self, predicted: Prediction, run: Callable[..., list[Any]]) -> list[FittedFrame | None]:
-        """Fit all frames to what the calibration predicts."""
-        if self.colours is None:
-            return fit_all(self.recorded, self.calibration, predicted, run)
-        return fit_images(self.recorded, ImageSolution(self.calibration, self.colours), predicted, run)
-
-    @property
-    def source(self) -> str:
-        """What the evidence is taken from, for reasons."""
-        return "mask" if self.colours is None else "image"
+    return RecordedTracks(results, with_lag(solved.calibration, settings.lag, clock))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,35 +121,25 @@ class _Recording:
     frames: tuple[FrameFiles, ...]
     rig: Rig
     series: ReadingSeries | None
-    times: NDArray[np.float64]
-    body: Body
+    times: Float64
     settings: TrackSettings
     out: Path
-    run: Callable[..., list[Any]]
+    work: Work
     notice: Callable[[str], None]
 
-    def solved(self) -> _Solved | str:
-        """Solve the keyframes by the evidence that is used; a text says why that is not possible."""
-        if self.settings.evidence == "masks":
-            return self.by_masks()
-        return self.by_images()
+    def by_masks(self) -> RecordedSolution | str:
+        """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
 
-    @property
-    def config(self) -> EstimateConfig:
-        """The settings of a process."""
-        return replace(self.settings.config, threads=1)
-
-    def by_masks(self) -> _Solved | str:
-        """Return the calibration that was given, that an interrupted run has found, or that of the keyframes."""
+        A text says why that is not possible.
+        """
         recorded = RecordedFrames.of(self.frames, self.rig, self.series, self.times)
         path = self.out / KEYFRAMES
         found = self._given(recorded) or self._kept(path)
         if found is None:
-            found = solve_keyframes(recorded, self.body, self.settings.arm, self.config, self.run, self._progress)
-            found = write_keyframes(path, found)
-        return found if isinstance(found, str) else _Solved(recorded, found)
+            found = write_keyframes(path, solve_keyframes(recorded, self.work))
+        return found if isinstance(found, str) else RecordedSolution(recorded, found)
 
-    def by_images(self) -> _Solved | str:
+    def by_images(self) -> RecordedSolution | str:
         """Return the same of frames without masks, with the colours of instrument and surroundings."""
         recorded = RecordedFrames.of_readings(self.frames, self.rig, self.series, self.times)
         path = self.out / KEYFRAMES_BY_IMAGES
@@ -190,23 +148,14 @@ class _Recording:
             return given
         kept = self._kept(path)
         if kept is None:
-            recorded, found = solve_images(
-                recorded,
-                given,
-                self.settings.hints or Hints(),
-                self.body,
-                self.settings.arm,
-                self.config,
-                self.run,
-                self._progress,
-            )
+            recorded, found = solve_images(recorded, given, self.settings.hints or Hints(), self.work)
             if isinstance(found, str):
                 kept = write_keyframes(path, found)
             else:
                 kept = write_keyframes(path, found.calibration, found.colours)
         if isinstance(kept, str):
             return kept
-        return _Solved(recorded, kept if given is None else given, read_kept_colours(path))
+        return RecordedSolution(recorded, kept if given is None else given, read_kept_colours(path))
 
     def _given(self, recorded: RecordedFrames) -> SessionCalibration | str | None:
         """Return the calibration that was given; a text says why it cannot be used."""
@@ -223,9 +172,6 @@ class _Recording:
         if kept is not None:
             self.notice(f"keyframes: solved by an interrupted run ({path})")
         return kept
-
-    def _progress(self, stage: str, count: int) -> None:
-        self.notice(f"{stage}: {count} frames")
 
 
 def _in_groups(

@@ -25,6 +25,7 @@ from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Segmentation
 from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
+from dvrk_cmaes.segment.sizes import shrunk
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -58,6 +59,7 @@ _WEIGHT: Final = 4.0
 _EDGE: Final = 2.5  # px by which the outline is moved to an edge, at most
 _WINDOW: Final = 0.06  # of the longer side, about the mask, in which it is assessed
 _SMALLEST: Final = 8  # px, shorter side to which a smooth background is fitted
+_SURFACE: Final = 160  # px, longer side at which it is fitted
 _SURFACE_PASSES: Final = 8
 _NEAR_SURFACE: Final = 0.05  # logarithm of brightness
 _LEAST_SURFACE: Final = 0.4  # share of the pixels that a smooth background fits
@@ -71,7 +73,7 @@ def learn_background(images: Sequence[Image]) -> Image | None:
     """
     if len(images) < FEWEST or len({image.shape for image in images}) > 1:
         return None
-    stack = np.stack([_reduced(image) for image in images])
+    stack = np.stack([shrunk(image, _FINEST) for image in images])
     found, spread = np.empty(stack.shape[1:], np.uint8), np.empty(stack.shape[1:3], np.float32)
     for rows in _blocks(stack.shape[1]):
         found[rows], spread[rows] = _closest_values(stack[:, rows])
@@ -87,7 +89,7 @@ def learn_background(images: Sequence[Image]) -> Image | None:
 
 def smooth_background(image: Image) -> Image | None:
     """Fit a smooth background to one image (H, W, 3) uint8 BGR; None if it does not fit 40 % of the pixels."""
-    small = _reduced(image, 160)
+    small = shrunk(image, _SURFACE)
     height, width = small.shape[:2]
     if min(height, width) < _SMALLEST:
         return None
@@ -227,15 +229,6 @@ def _most_frequent(values: NDArray[np.float64]) -> float:
     counts, edges = np.histogram(values, bins=40)
     fullest = int(counts.argmax())
     return float(edges[fullest : fullest + 2].mean())
-
-
-def _reduced(image: Image, longest: int = _FINEST) -> Image:
-    """Return an image at a size of at most some pixels."""
-    scale = longest / max(image.shape)
-    if scale >= 1:
-        return image
-    size = max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1)
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _blocks(rows: int) -> Iterator[slice]:

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +19,7 @@ from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.pose.search import minimise_each
 from dvrk_cmaes.segment.appearance import Appearance
 from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs
+from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import decimated_body
 
@@ -81,14 +81,14 @@ def find_instruments(
     instrument = body.instrument
     if instrument.shaft is None:
         return []
-    lines, small = _resized(image, _LINES), _resized(image, _REDUCED)
-    own = camera.scaled(lines.shape[1], lines.shape[0])
-    pairs = find_pairs(lines.max(axis=2), own, instrument.shaft.radius, _resized_flags(outside, lines), _PAIRS)
+    (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, _REDUCED))
+    lines, small = shrunk(image, _LINES).max(axis=2), shrunk(image, _REDUCED)
+    pairs = find_pairs(lines, camera.scaled(*fine), instrument.shaft.radius, resized(outside, fine), _PAIRS)
     if not pairs:
         return []
-    coarse = camera.scaled(small.shape[1], small.shape[0])
+    coarse = camera.scaled(*size)
     decimated = decimated_body(body, _DETAIL)
-    appearance = Appearance(small, coarse, decimated, _resized_flags(outside, small))
+    appearance = Appearance(small, coarse, decimated, resized(outside, size))
     read = np.array([np.nan if joints is None else joints.get(name, np.nan) for name in instrument.joint_names])
     jaw = np.array([name == "jaw" for name in instrument.joint_names])
     straight = np.where(np.isnan(read), np.where(jaw, _JAW, 0.0), read)
@@ -198,16 +198,3 @@ def _distinct(at: Posed, scores: Float64, camera: Camera, most: int, near: float
         ):
             kept.append(k)
     return kept
-
-
-def _resized(image: Image, longest: int) -> Image:
-    scale = longest / max(image.shape)
-    if scale >= 1:
-        return image
-    size = max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1)
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _resized_flags(flags: Bool, image: Image) -> Bool:
-    size = (image.shape[1], image.shape[0])
-    return np.asarray(cv2.resize(flags.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)

@@ -26,6 +26,7 @@ from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation
 from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
+from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -65,16 +66,13 @@ def segment_classic(
     height, width = image.shape[:2]
     if min(height, width) < _SMALLEST:
         return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
-    scale = min(_REDUCED / max(height, width), 1.0)
-    size = max(round(width * scale), 1), max(round(height * scale), 1)
-    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    small, scale = shrunk(image, _REDUCED), size_within(image.shape, _REDUCED)[1]
     rough = _segment_reduced(
         measure_colours(small),
         draw_prompts(small.shape, scale, box, points, not_points).with_outside(outside_view(small)),
     )
-    enlarged = cv2.resize(rough.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     prompts = draw_prompts(image.shape, 1.0, box, points, not_points).with_outside(outside_view(image))
-    found = refine_outline(image, np.asarray(enlarged), prompts)
+    found = refine_outline(image, resized(rough, (width, height)), prompts)
     return found if prompts.outside is None else replace(found, mask=found.mask & ~prompts.outside)
 
 
@@ -104,7 +102,7 @@ def refine_outline(
         return Segmentation(np.zeros_like(rough), None, 0.0, ("no instrument found",))
     longer = max(rough.shape)
     if longer > _FINEST:
-        return _refine_reduced(image, rough, prompts, odds, _FINEST / longer)
+        return _refine_reduced(image, rough, prompts, odds)
     left, top, width, height = window_around(rough, max(round(_MARGIN * longer), 2))
     window = np.s_[top : top + height, left : left + width]
     colours, mask = measure_colours(np.ascontiguousarray(image[window])), rough[window]
@@ -131,21 +129,18 @@ def refine_outline(
     return Segmentation(refined, score, verdict.confidence, notes)
 
 
-def _refine_reduced(
-    image: NDArray[np.uint8], rough: Bool, prompts: Prompts, odds: Float32 | None, scale: float
-) -> Segmentation:
-    """Refine an outline in an image reduced by ``scale``, and return the result at the original size."""
+def _refine_reduced(image: NDArray[np.uint8], rough: Bool, prompts: Prompts, odds: Float32 | None) -> Segmentation:
+    """Refine an outline in a reduced image, and return the result at the original size."""
     height, width = rough.shape
-    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    size, scale = size_within(rough.shape, _FINEST)
     reduced = refine_outline(
-        np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8),
-        np.asarray(cv2.resize(rough.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5),
+        shrunk(image, _FINEST),
+        resized(rough, size),
         prompts.resized(*size, scale),
         None if odds is None else np.asarray(cv2.resize(odds, size, interpolation=cv2.INTER_AREA), np.float32),
     )
-    mask = cv2.resize(reduced.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
     score = None if reduced.score is None else np.asarray(cv2.resize(reduced.score, (width, height)), np.float32)
-    return replace(reduced, mask=np.asarray(mask), score=score)
+    return replace(reduced, mask=resized(reduced.mask, (width, height)), score=score)
 
 
 def local_colour_log_odds(table: ColourTable, mask: Bool) -> Float32:

@@ -27,6 +27,7 @@ from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes
 from dvrk_cmaes.segment.segmentation import Hints, Segmentation
 from dvrk_cmaes.segment.shaft_pairs import pair_of_mask
+from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
 
 Bool = NDArray[np.bool_]
@@ -60,10 +61,8 @@ class ReducedImage:
     @staticmethod
     def of(image: Image, prompts: Prompts) -> ReducedImage:
         """Reduce an image (H, W, 3) uint8 BGR, and the prompts in its pixels."""
-        height, width = image.shape[:2]
-        scale = min(_SIZE / max(height, width), 1.0)
-        size = max(round(width * scale), 1), max(round(height * scale), 1)
-        colours = measure_colours(np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8))
+        size, scale = size_within(image.shape, _SIZE)
+        colours = measure_colours(shrunk(image, _SIZE))
         return ReducedImage(colours, ColourTable(colours), prompts.resized(*size, scale))
 
     def mask_around(self, shaft: Bool, whole: Bool, width: float) -> Bool:
@@ -154,7 +153,7 @@ def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: C
 def _overlap(found: Candidate, mask: Bool) -> float:
     """Return the intersection over union of a candidate's silhouette and a mask (H, W)."""
     height, width = found.silhouette.shape
-    small = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.5
+    small = resized(mask, (width, height))
     return float((small & found.silhouette).sum() / max((small | found.silhouette).sum(), 1))
 
 
@@ -171,9 +170,8 @@ def _segmentation(
     if not whole.any() or whole.all():
         return None
     across = 2 * instrument.shaft.radius * float(np.sqrt(own.fx * own.fy)) / found.at.pose[2, 3]
-    rough = reduced.mask_around(shaft, whole, across).astype(np.float32)
-    enlarged = cv2.resize(rough, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR) > 0.5
-    mask = refine_outline(image, np.asarray(enlarged), prompts)
+    rough = resized(reduced.mask_around(shaft, whole, across), (image.shape[1], image.shape[0]))
+    mask = refine_outline(image, rough, prompts)
     return replace(mask, confidence=min(mask.confidence, found.confidence), before=None)
 
 

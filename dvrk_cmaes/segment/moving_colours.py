@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.segment.colours import measure_colours
+from dvrk_cmaes.segment.sizes import shrunk
 
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
@@ -57,8 +58,4 @@ def moving_pixels(images: Sequence[Image]) -> list[tuple[Image, Bool]] | None:
 
 def reduced(image: Image) -> Image:
     """Return an image at the size at which images are compared."""
-    scale = _REDUCED / max(image.shape)
-    if scale >= 1:
-        return image
-    size = max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1)
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return shrunk(image, _REDUCED)

@@ -162,7 +162,9 @@ def segment_sam2(
     not_points: Sequence[Pixel] = (),
     otherwise: Callable[[], Segmentation],
 ) -> Segmentation:
-    """Segment the instrument as `Sam2.segment` does; without a box or a point, in the box of the ``classic`` mask.
+    """Segment the instrument as `Sam2.segment` does; without a box or a point, by those of the ``classic`` mask.
+
+    Its point is the one farthest from its outline.
 
     Parameters and errors are as in `Sam2` and `Sam2.segment`, except that without a prompt InputError is raised only if
     ``otherwise``, which returns the ``classic`` mask, finds no instrument.
@@ -171,13 +173,16 @@ def segment_sam2(
     if box is not None or points:
         return model.segment(image, box=box, points=points, not_points=not_points)
     from dvrk_cmaes.evidence.gather import window_around
+    from dvrk_cmaes.segment.regions import distance_to
 
     guess = otherwise()
     if not guess.mask.any():
         raise InputError("prompt: Segment Anything 2 needs a box or a point; without one, classic found no instrument")
     left, top, width, height = window_around(guess.mask, margin=0)
-    segmentation = model.segment(image, box=(left, top, left + width - 1, top + height - 1), not_points=not_points)
-    note = f"no prompt: asked for what is in the box of the classic segmentation (confidence {guess.confidence:.2f})"
+    v, u = np.unravel_index(int(distance_to(~guess.mask).argmax()), guess.mask.shape)
+    box = left, top, left + width - 1, top + height - 1
+    segmentation = model.segment(image, box=box, points=[(float(u), float(v))], not_points=not_points)
+    note = f"no prompt: asked by box and point of the classic segmentation (confidence {guess.confidence:.2f})"
     confidence = min(segmentation.confidence, guess.confidence)
     return replace(segmentation, confidence=confidence, notes=(note, *segmentation.notes))
 

@@ -13,8 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, View
 from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges, shaft_axis
+from dvrk_cmaes.geometry import apply, inverse
+from dvrk_cmaes.segment.regions import distance_to
+from dvrk_cmaes.segment.segmentation import Hints
+from dvrk_cmaes.silhouette import Body
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -28,8 +32,10 @@ _ALIGNED: Final = np.cos(np.deg2rad(3.0))  # of segments on one line
 _NEAR: Final = 0.006  # of the longer side, from a line to the ends of segments on it
 _PARALLEL: Final = np.cos(np.deg2rad(17.0))  # of the two lines of a pair
 _DEPTHS: Final = 0.035, 0.45  # m, of the axis
+_NEAREST, _FARTHEST = 0.015, 0.5  # m, between which the instrument is looked for along it
 _NARROWEST: Final = 4.0  # px, width of a shaft
 _LEAST_OVERLAP: Final = 0.7  # of the width, of the stretch that has both lines
+_TRIED: Final = 50  # points along an axis, of which the one deepest in a mask is taken
 _AT_EDGE: Final = 3.0  # px beside what is outside the picture, whose own edge is no shaft's
 
 
@@ -82,6 +88,25 @@ def pair_of_mask(mask: Bool, camera: Camera, radius: float) -> Pair | None:
         stretch = np.array([[-length / 2, length / 2]])
         lines.append(_Line((last - first) / max(length, 1e-9), (first + last) / 2, stretch))
     return _pair(lines[0], lines[1], camera, radius, np.array([camera.width - 1, camera.height - 1]))
+
+
+def prompt_in(other: View, mask: Bool, view: View, body: Body) -> Hints:
+    """Return a point on the instrument in another view of its mask (H, W) in a view, where the shaft's edges tell one.
+
+    The distance of the point on the shaft's axis follows from the width between the edges.
+    """
+    shaft = body.instrument.shaft
+    shown = shaft is not None and mask.any() and not mask.all()
+    pair = pair_of_mask(mask, view.camera, shaft.radius) if shaft is not None and shown else None
+    if pair is None:
+        return Hints()
+    axis = pair.point + np.linspace(pair.begin, pair.end, _TRIED)[:, None] * pair.direction
+    u, v = np.clip(np.rint(view.camera.project(axis)).astype(int), 0, np.array(mask.shape[::-1]) - 1).T
+    deepest = axis[int(distance_to(~mask)[v, u].argmax())]
+    seen = apply(other.view_from_camera @ inverse(view.view_from_camera), deepest)
+    pixel = other.camera.project(seen)
+    within = seen[2] > 0 and (pixel >= 0).all() and (pixel < (other.camera.width, other.camera.height)).all()
+    return Hints(points=((float(pixel[0]), float(pixel[1])),)) if within else Hints()
 
 
 def _segments(image: Image, outside: Bool) -> Float64:
@@ -200,34 +225,24 @@ def _pair(first: _Line, second: _Line, camera: Camera, radius: float, limits: Fl
     focals, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     base = (across(upper) + across(lower)) / 2 * normal
 
-    def place(at: float) -> float:
-        """Return the coordinate, m, on the axis of its point nearest to the ray of a place along the pair, px."""
-        ray = np.array([*((base + at * along - centre) / focals), 1.0])
-        away = np.cross(ray, np.cross(direction, ray))
-        return float(-(away @ point) / (away @ direction))
+    def places(at: Float64) -> Float64:
+        """Return coordinates (N,), m, on the axis of its points nearest to the rays of places (N,) along the pair."""
+        pixels = (base + at[:, None] * along - centre) / focals
+        rays = np.concatenate([pixels, np.ones((len(at), 1))], axis=1)
+        away = np.cross(rays, np.cross(direction, rays))
+        return np.asarray(-(away @ point) / (away @ direction))
 
     if abs(direction[2]) > np.cos(np.deg2rad(4.0)):
         return None
-    # the stretch within the picture
+    # the stretch within the picture and before the camera: beyond its vanishing point an axis is behind it
     corners = np.array([[0, 0], [limits[0], 0], [0, limits[1]], limits]) @ along
-    steps = np.linspace(corners.min(), corners.max(), 200)
+    steps = np.append(np.linspace(corners.min(), corners.max(), 200), middle)
     pixels = base + steps[:, None] * along
-    seen = steps[((pixels >= 0) & (pixels <= limits)).all(axis=1)]
-    if len(seen) < 2:
+    seen = places(steps)
+    depths = point[2] + seen * direction[2]
+    if not _DEPTHS[0] < depths[-1] < _DEPTHS[1]:
         return None
-    begin, end = sorted((place(float(seen[0])), place(float(seen[-1]))))
-    depths = [(point + at * direction)[2] for at in (begin, end, place(middle))]
-    if not _DEPTHS[0] < depths[2] < _DEPTHS[1]:
+    kept = seen[((pixels >= 0) & (pixels <= limits)).all(axis=1) & (depths > _NEAREST) & (depths < _FARTHEST)]
+    if len(kept) < 2:
         return None
-    begin, end = _before_camera(direction, point, begin, end, place(middle))
-    return Pair(direction, point, begin, end, overlap + 0.25 * (high - low))
-
-
-def _before_camera(direction: Float64, point: Float64, begin: float, end: float, middle: float) -> tuple[float, float]:
-    """Limit a stretch of an axis to what is at least 15 mm before the camera."""
-    if abs(direction[2]) < 1e-6:
-        return begin, end
-    nearest = (0.015 - point[2]) / direction[2]
-    if direction[2] > 0:
-        return max(begin, nearest), max(end, middle)
-    return min(begin, middle), min(end, nearest)
+    return Pair(direction, point, float(kept.min()), float(kept.max()), overlap + 0.25 * (high - low))

@@ -12,11 +12,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette.renderer import kernel_camera
-
-Float64 = NDArray[np.float64]
 
 
 class FixedPoints(Protocol):

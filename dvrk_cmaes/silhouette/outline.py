@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 
 @dataclass(frozen=True, eq=False)

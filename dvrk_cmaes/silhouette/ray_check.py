@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.silhouette.renderer import Renderer
 
 
 def trace_near_outlines(
-    renderer: Renderer,
-    camera_from_root: NDArray[np.float64],
-    joints: NDArray[np.float64],
-    masks: NDArray[np.bool_],
-) -> tuple[NDArray[np.bool_], int]:
+    renderer: Renderer, camera_from_root: Float64, joints: Float64, masks: Bool
+) -> tuple[Bool, int]:
     """Retrace the pixels on both sides of the outlines of C masks, (C, H, W).
 
     Returns the masks with the traced values and the number of rays.

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float32, Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.arguments import check_type, checked_array, described
 from dvrk_cmaes.silhouette.decimate import decimate
@@ -27,7 +27,6 @@ from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.sliced_call import worked
 from dvrk_cmaes.silhouette.span_rays import SpanRays
 
-Float64 = NDArray[np.float64]
 T = TypeVar("T")
 S = TypeVar("S", bound=np.generic)
 Joints = Float64 | Mapping[str, ArrayLike]
@@ -229,7 +228,7 @@ class Renderer:
 
         return _joined(self._in_batches(camera_from_root, joints, add, _SUMMED))
 
-    def coverage(self, camera_from_root: Float64, joints: Joints, *, lines_per_pixel: int = 4) -> NDArray[np.float32]:
+    def coverage(self, camera_from_root: Float64, joints: Joints, *, lines_per_pixel: int = 4) -> Float32:
         """Render antialiased silhouettes of C poses: the covered fraction of each pixel, (C, H, W).
 
         Parameters
@@ -243,7 +242,7 @@ class Renderer:
         """
         camera, mesh = kernel_camera(self.camera), self.body.mesh
 
-        def draw(links: Float64) -> NDArray[np.float32]:
+        def draw(links: Float64) -> Float32:
             return mesh.coverage(camera, links, lines_per_pixel, self.threads, self._rays(links, lines_per_pixel))
 
         poses, values = self._arrays(camera_from_root, joints)
@@ -320,7 +319,7 @@ class Renderer:
         self._count(poses=len(links))
         return found
 
-    def masks(self, camera_from_root: Float64, joints: Joints) -> NDArray[np.bool_]:
+    def masks(self, camera_from_root: Float64, joints: Joints) -> Bool:
         """Render masks of C poses: whether each pixel's centre is covered, (C, H, W).
 
         Parameters
@@ -332,13 +331,13 @@ class Renderer:
         """
         camera, mesh = kernel_camera(self.camera), self.body.mesh
 
-        def draw(links: Float64) -> NDArray[np.bool_]:
+        def draw(links: Float64) -> Bool:
             return mesh.masks(camera, links, self.threads, self._rays(links, 1, to_pixel=True))
 
         poses, values = self._arrays(camera_from_root, joints)
         return _like(camera_from_root, _joined(self._in_batches(poses, values, draw, _DRAWN)))
 
-    def trace(self, camera_from_root: Float64, joints: Joints) -> NDArray[np.bool_]:
+    def trace(self, camera_from_root: Float64, joints: Joints) -> Bool:
         """Trace one ray through the centre of every pixel: the reference for ``masks``, (C, H, W).
 
         Parameters

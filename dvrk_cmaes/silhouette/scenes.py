@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Bool, Float32, Float64, Indices
 from dvrk_cmaes.instrument import Instrument, Link
 
 NEAR = 1e-3
@@ -63,19 +64,14 @@ class LinkScenes:
     def __len__(self) -> int:
         return len(self._links)
 
-    def hit(self, link: int, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def hit(self, link: int, origins: Float32, directions: Float32) -> Bool:
         """Return whether each ray, (N, 3) in the link's frame, hits the link, (N,)."""
         if len(origins) == 0:
             return np.zeros(0, dtype=np.bool_)
         found: NDArray[np.int32] = self._scenes[link].run(origins, directions, query="OCCLUDED")
         return np.asarray(found == 0)
 
-    def covered(
-        self,
-        camera_from_link: NDArray[np.float64],
-        pose: NDArray[np.intp],
-        directions: NDArray[np.float64],
-    ) -> NDArray[np.bool_]:
+    def covered(self, camera_from_link: Float64, pose: Indices, directions: Float64) -> Bool:
         """Return whether any link covers each viewing direction, (N,).
 
         ``camera_from_link`` is (C, L, 4, 4); ``pose`` (N,), ascending, is the index of the pose of each ray;
@@ -97,9 +93,7 @@ class LinkScenes:
             rest, left = rest[~hit], left[~hit]
         return result
 
-    def depths(
-        self, camera_from_link: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    def depths(self, camera_from_link: Float64, directions: Float64) -> tuple[Float64, Indices]:
         """Return the depth of the nearest surface along viewing directions, and the link that it belongs to, (N,) each.
 
         ``camera_from_link`` is (L, 4, 4), of one pose; ``directions`` (N, 3) are in the camera's frame with z = 1, so

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.silhouette.scenes import LinkScenes
 
 METHODS = ("count", "rays")
@@ -31,7 +32,7 @@ class SpanRays:
         self,
         scenes: LinkScenes,
         camera: Camera,
-        camera_from_link: NDArray[np.float64],
+        camera_from_link: Float64,
         lines_per_pixel: int,
         *,
         to_pixel: bool,
@@ -44,9 +45,7 @@ class SpanRays:
         self._to_pixel = to_pixel
         self._count = count
 
-    def __call__(
-        self, pose: int, columns: bool, line: NDArray[np.int32], along: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
+    def __call__(self, pose: int, columns: bool, line: NDArray[np.int32], along: Float64) -> Bool:
         """Find whether the instrument covers the line from each crossing of a pose to the next, (N,).
 
         ``line`` (N,) and the place ``along`` it (N,), px, are those of the crossings in their order. A span that holds

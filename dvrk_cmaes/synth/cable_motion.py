@@ -7,13 +7,11 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.joints.play import Play, play_of
-
-Float64 = NDArray[np.float64]
 
 _UNMEASURED: Final = 1 / 3
 """Couplings of joints that were not measured, relative to the standard deviation that is assumed of them."""

@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.synth.masks import signed_distance, smooth_noise
 from dvrk_cmaes.synth.truth import Truth
 from dvrk_cmaes.synth.views import NOTHING, LinkView, trace_links
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 
 # colours are BGR, from 0 to 1
 DARK_TISSUE: Final = np.array([0.10, 0.09, 0.34], np.float32)

@@ -14,11 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Bool, Float32, Indices
 from dvrk_cmaes.synth.levels import Mistakes
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
-
 
 SLIGHT: Final = Mistakes(cell=2, wave=0.6, wavelength=36.0, lumps=2, holes=1)
 MEDIUM: Final = Mistakes(cell=3, wave=1.0, wavelength=30.0, lumps=6, holes=2)
@@ -54,7 +51,7 @@ def simulate_segmentation(
     return SimulatedMask(_through_coarse_cells(logits, mistakes.cell) > 0, holes)
 
 
-def _inner(places: NDArray[np.intp], shape: tuple[int, ...]) -> NDArray[np.intp]:
+def _inner(places: Indices, shape: tuple[int, ...]) -> Indices:
     """Return the positions (N, 2), (row, column), that are more than 6 px from the image's border."""
     return places[np.all((places > 6) & (places < np.array(shape) - 7), axis=1)]
 
@@ -70,9 +67,7 @@ def _through_coarse_cells(logits: Float32, cell: int, limit: float = 8.0) -> Flo
     """Clip logits (H, W) to the limit, average them over square cells, and interpolate them to (H, W) again."""
     height, width = logits.shape
     coarse = cv2.resize(
-        np.clip(logits, -limit, limit),
-        (-(-width // cell), -(-height // cell)),
-        interpolation=cv2.INTER_AREA,
+        np.clip(logits, -limit, limit), (-(-width // cell), -(-height // cell)), interpolation=cv2.INTER_AREA
     )
     return np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC), dtype=np.float32)
 

@@ -11,19 +11,16 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.geometry import apply, inverse
+from dvrk_cmaes.geometry import Float64, apply, inverse
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, Arm, base_from_root
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.cable_motion import pulled
 from dvrk_cmaes.synth.poses import ViewLimits, arm_session
 from dvrk_cmaes.synth.truth import Truth
-
-Float64 = NDArray[np.float64]
 
 FRAMES_A_SECOND: Final = 30.0
 
@@ -70,13 +67,7 @@ MOTION_LEVELS: Final[Mapping[str, MotionLevel]] = {
 
 
 def moving_arm(
-    body: Body,
-    camera: Camera,
-    rng: np.random.Generator,
-    frames: int,
-    level: MotionLevel,
-    *,
-    arm: Arm = "classic",
+    body: Body, camera: Camera, rng: np.random.Generator, frames: int, level: MotionLevel, *, arm: Arm = "classic"
 ) -> tuple[Float64, list[Truth]]:
     """Draw the smooth motion of an arm: ``camera_from_base`` (4, 4) and the truth of each frame.
 

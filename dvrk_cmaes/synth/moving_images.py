@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.synth.images import SHAFT, blend_over, draw_lump, draw_tissue, shaded_links, vignette
 from dvrk_cmaes.synth.masks import signed_distance, smooth_noise
 from dvrk_cmaes.synth.passing import Occluder
 from dvrk_cmaes.synth.truth import Truth
 from dvrk_cmaes.synth.views import NOTHING, pixel_rays, trace_rays
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 
 _TISSUE_DEPTH: Final = 0.16  # m
 _BREATH: Final = 3.7  # s, period of the breathing
@@ -98,12 +96,7 @@ class RecordingImages:
     """
 
     def __init__(
-        self,
-        camera: Camera,
-        level: ImageLevel,
-        seed: Sequence[int],
-        interval: float,
-        baseline: float = 0.0,
+        self, camera: Camera, level: ImageLevel, seed: Sequence[int], interval: float, baseline: float = 0.0
     ) -> None:
         self._camera, self._level = camera, level
         self._seed, self._interval = tuple(seed), interval

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.synth.masks import tissue_region
 from dvrk_cmaes.synth.truth import Truth
 
@@ -19,7 +19,7 @@ def tissue_over_jaw(
     radius: float = 62.0,
     hidden: float = 0.0035,
     jaw: int = 0,
-) -> NDArray[np.bool_]:
+) -> Bool:
     """Draw a region of tissue (H, W) in front of the end of a jaw.
 
     Parameters
@@ -43,13 +43,13 @@ def tissue_over_jaw(
     return tissue_region((camera.height, camera.width), rng, tip + (radius - inside) * away, radius)
 
 
-def dilate_region(region: NDArray[np.bool_], width: int = 4) -> NDArray[np.bool_]:
+def dilate_region(region: Bool, width: int = 4) -> Bool:
     """Dilate a region (H, W) by ``width`` px, as a region marked by hand would be larger than what it covers."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * width + 1, 2 * width + 1))
     return np.asarray(cv2.dilate(region.astype(np.uint8), disc) > 0)
 
 
-def outside_lens_circle(camera: Camera, share: float) -> NDArray[np.bool_]:
+def outside_lens_circle(camera: Camera, share: float) -> Bool:
     """Return the pixels (H, W) outside a central circle whose radius is ``share`` times half the image's diagonal."""
     v, u = np.mgrid[: camera.height, : camera.width]
     away = np.hypot(u - (camera.width - 1) / 2, v - (camera.height - 1) / 2)

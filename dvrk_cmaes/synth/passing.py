@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.synth.masks import tissue_region
 from dvrk_cmaes.synth.truth import Truth
 
@@ -24,7 +24,7 @@ class Occluder:
     """What is before the instrument in a frame, and the pixels (H, W) that it covers."""
 
     kind: Literal["shaft", "tissue"]
-    region: NDArray[np.bool_]
+    region: Bool
 
 
 def passing_occluder(

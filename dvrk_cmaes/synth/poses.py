@@ -10,19 +10,16 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
+from dvrk_cmaes.geometry import Float64, frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root
 from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth, pose_from_view
 from dvrk_cmaes.synth.views import links_at, window_of_links
-
-Float64 = NDArray[np.float64]
 
 _SWING: Final = 0.25  # rad, largest yaw and pitch of the arm, of either sign
 _ROLL: Final = 2.0  # rad, largest roll, of either sign

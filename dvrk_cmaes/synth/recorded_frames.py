@@ -8,18 +8,15 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MOTION_LEVELS
 from dvrk_cmaes.synth.passing import Occluder, passing_occluder
 from dvrk_cmaes.synth.session import SessionPlan
 from dvrk_cmaes.synth.truth import Truth, exact_coverage
 from dvrk_cmaes.synth.views import links_at, window_of_links
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 
 _SHADOW: Final = (7.0, 70.0)  # px at 640 x 480, shift of the shadow, and radius about the wrist in which it counts
 _VISIBLE_SHRINK: Final = 4  # factor on the size of the image in which the visible share of the jaws is counted
@@ -37,7 +34,7 @@ class RecordedFrame:
     truth: Truth
     mask: Bool
     visible: float
-    coverage: NDArray[np.float32]
+    coverage: Float32
     occluder: Occluder | None
     shadow: float | None
 

@@ -10,8 +10,8 @@ from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import encoded_image, write_image, write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
@@ -37,7 +37,6 @@ from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, check_shaft, frame_
 from dvrk_cmaes.synth.steering import Steering
 from dvrk_cmaes.synth.truth import Truth
 
-Float64 = NDArray[np.float64]
 Pictures = Literal["none", "files", "video"]
 
 VIDEO: Final = "video.mp4"

@@ -21,7 +21,7 @@ from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import Marker, place_markers
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
-from dvrk_cmaes.geometry import transform
+from dvrk_cmaes.geometry import Bool, Float64, transform
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
@@ -36,8 +36,6 @@ from dvrk_cmaes.synth.poses import ViewLimits, arm_session, free_poses
 from dvrk_cmaes.synth.readings import sample_readings
 from dvrk_cmaes.synth.truth import Truth, exact_mask
 
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 Motion = Literal["free", "rcm", "video"]
 Cables = Literal["independent", "measured"]
 

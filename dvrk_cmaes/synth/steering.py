@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import exp_rotation, inverse, log_rotation, rotation_about_z, transform
+from dvrk_cmaes.geometry import Float64, exp_rotation, inverse, log_rotation, rotation_about_z, transform
 from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.synth.files import rounded, rounded_joints
-
-Float64 = NDArray[np.float64]
 
 MOVES: Final = 3
 _TILTS: Final = np.deg2rad([0.0, 30.0, -30.0])  # of the camera: a straight endoscope, and one that looks up or down

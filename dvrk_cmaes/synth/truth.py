@@ -6,14 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import apply, rotation_about_z, transform
+from dvrk_cmaes.geometry import Bool, Float32, Float64, apply, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette import Body, Renderer
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +53,12 @@ class Truth:
         return apply(self.camera_from_root, points)
 
 
-def exact_mask(body: Body, camera: Camera, truth: Truth) -> NDArray[np.bool_]:
+def exact_mask(body: Body, camera: Camera, truth: Truth) -> Bool:
     """Render the mask (H, W) of the pixels that the instrument covers by more than half."""
     return np.asarray(exact_coverage(body, camera, truth) > 0.5)
 
 
-def exact_coverage(body: Body, camera: Camera, truth: Truth) -> NDArray[np.float32]:
+def exact_coverage(body: Body, camera: Camera, truth: Truth) -> Float32:
     """Render the share (H, W) of each pixel that the instrument covers, 0 to 1."""
     coverage = Renderer(body, camera, threads=1).coverage(
         truth.camera_from_root[None], truth.values[None], lines_per_pixel=4

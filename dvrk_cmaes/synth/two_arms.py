@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.frames.session_toml import ToolEntry
+from dvrk_cmaes.geometry import Bool, Float32, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.output import whole_folder
@@ -28,10 +29,6 @@ from dvrk_cmaes.synth.readings import sample_readings
 from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, frame_name, make_truths, write_cameras
 from dvrk_cmaes.synth.truth import Truth
 from dvrk_cmaes.synth.views import NOTHING, trace_links
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 ARMS: Final = ("PSM1", "PSM2")
 ALONE: Final = "alone"

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.session_toml import ToolEntry
+from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.synth.moving_arm import MotionLevel
@@ -47,9 +48,6 @@ from dvrk_cmaes.synth.two_arms import (
     tool_depth,
     tools_of_arms,
 )
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 
 _CANDIDATES: Final = 6  # motions of the second arm, of which that whose tool crosses most is taken
 _SAMPLES: Final = 8  # frames, and a fourth of the image's size, in which crossing is measured

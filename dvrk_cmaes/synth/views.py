@@ -16,7 +16,7 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import apply
+from dvrk_cmaes.geometry import Bool, Float32, Float64, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette import NEAR
 
@@ -35,16 +35,16 @@ class LinkView:
 
     link: NDArray[np.int32]
     """Index of the link, or ``NOTHING``."""
-    depth: NDArray[np.float32]
+    depth: Float32
     """z in the camera's frame, m."""
-    normal: NDArray[np.float32]
+    normal: Float32
     """Outward unit normal in the camera's frame, (..., 3)."""
-    direction: NDArray[np.float32]
+    direction: Float32
     """Unit vector of the ray in the camera's frame, (..., 3)."""
 
 
 @lru_cache(maxsize=4)
-def pixel_rays(camera: Camera) -> NDArray[np.float32]:
+def pixel_rays(camera: Camera) -> Float32:
     """Return the rays through the pixels' centres, (H, W, 3): points of the camera's frame at z = 1; not to be changed.
 
     Those of the last few cameras are kept, because the frames of a session share theirs.
@@ -57,20 +57,14 @@ def pixel_rays(camera: Camera) -> NDArray[np.float32]:
     return np.asarray(rays, np.float32)
 
 
-def trace_links(
-    instrument: Instrument, camera: Camera, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]
-) -> LinkView:
+def trace_links(instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64) -> LinkView:
     """Trace a ray through every pixel's centre, for a pose ``camera_from_root`` (4, 4) and joints (J,)."""
     surface = _Surface.of(instrument, camera_from_root, joints)
     return _traced(surface, pixel_rays(camera), _window(camera, surface.corners.reshape(-1, 3)))
 
 
 def links_at(
-    instrument: Instrument,
-    camera: Camera,
-    camera_from_root: NDArray[np.float64],
-    joints: NDArray[np.float64],
-    where: NDArray[np.bool_],
+    instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64, where: Bool
 ) -> NDArray[np.int32]:
     """Return the index (H, W) of the link that is seen at the pixels ``where`` (H, W); ``NOTHING`` at the others."""
     surface = _Surface.of(instrument, camera_from_root, joints)
@@ -82,24 +76,15 @@ def links_at(
 
 
 def window_of_links(
-    instrument: Instrument,
-    camera: Camera,
-    camera_from_root: NDArray[np.float64],
-    joints: NDArray[np.float64],
-    links: Sequence[int],
-) -> NDArray[np.bool_]:
+    instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64, links: Sequence[int]
+) -> Bool:
     """Return a window (H, W) of the image outside which none of these links can be seen, given by their indices."""
     poses = camera_from_root @ instrument.forward(joints)
     points = [apply(poses[k], instrument.links[k].vertices) for k in links]
     return _window(camera, np.concatenate(points)) if points else np.zeros((camera.height, camera.width), np.bool_)
 
 
-def trace_rays(
-    instrument: Instrument,
-    rays: NDArray[np.float32],
-    camera_from_root: NDArray[np.float64],
-    joints: NDArray[np.float64],
-) -> LinkView:
+def trace_rays(instrument: Instrument, rays: Float32, camera_from_root: Float64, joints: Float64) -> LinkView:
     """Trace rays (..., 3) from the camera's origin, as of `pixel_rays`, for a pose (4, 4) and joints (J,)."""
     surface = _Surface.of(instrument, camera_from_root, joints)
     return _traced(surface, rays, np.ones(rays.shape[:-1], dtype=np.bool_))
@@ -109,7 +94,7 @@ def trace_rays(
 class _Surface:
     """The triangles of all links at a pose."""
 
-    points: NDArray[np.float64]
+    points: Float64
     """The vertices (V, 3) in the camera's frame, m."""
     faces: NDArray[np.int32]
     """Indices (F, 3) of the triangles' corners."""
@@ -117,7 +102,7 @@ class _Surface:
     """Index (F,) of the link of each triangle."""
 
     @classmethod
-    def of(cls, instrument: Instrument, camera_from_root: NDArray[np.float64], joints: NDArray[np.float64]) -> _Surface:
+    def of(cls, instrument: Instrument, camera_from_root: Float64, joints: Float64) -> _Surface:
         """Place the links by ``camera_from_root`` (4, 4) and joints (J,)."""
         poses = camera_from_root @ instrument.forward(joints)
         points, faces, owner, before = [], [], [], 0
@@ -129,7 +114,7 @@ class _Surface:
         return cls(np.concatenate(points), np.concatenate(faces), np.concatenate(owner))
 
     @property
-    def corners(self) -> NDArray[np.float64]:
+    def corners(self) -> Float64:
         """The corners (F, 3, 3) of the triangles, m."""
         return self.points[self.faces]
 
@@ -138,7 +123,7 @@ class _Surface:
         return _scene(self.points.astype(np.float32).tobytes(), self.faces.tobytes())
 
 
-def _traced(surface: _Surface, rays: NDArray[np.float32], inside: NDArray[np.bool_]) -> LinkView:
+def _traced(surface: _Surface, rays: Float32, inside: Bool) -> LinkView:
     """Trace the rays (..., 3) for which ``inside`` (...) is true; the others see nothing."""
     corners = surface.corners
     traced = np.ascontiguousarray(rays[inside])
@@ -172,7 +157,7 @@ def _scene(points: bytes, faces: bytes) -> EmbreeScene:
     return scene
 
 
-def _window(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _window(camera: Camera, points: Float64) -> Bool:
     """Return a window (H, W) of the image that contains the projections of points (N, 3).
 
     It is the whole image if a point is nearer than the near plane or behind the camera.

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float32, Float64
 
 MOST_CLEARANCE: Final = 10
 """Longest piece of a line on either side of the outline that is looked at, in pixels of the image as it is sampled."""

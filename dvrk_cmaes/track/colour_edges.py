@@ -16,17 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float32, Float64, Indices, Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.histogram_ratio import REACH, ColourModel, EdgeModel, bins_of, changes_along
 from dvrk_cmaes.track.outline_model import OutlineModel
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
-Float32 = NDArray[np.float32]
 
 PARTS: Final = 2
 """Parts of the instrument whose colours are learned apart: the shaft, and what follows it."""
@@ -72,8 +68,8 @@ class Appearance:
 
 
 def pixels_along(
-    image: NDArray[np.uint8], at: Float64, normals: Float64, along: Float32, seen: NDArray[np.bool_] | None = None
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    image: NDArray[np.uint8], at: Float64, normals: Float64, along: Float32, seen: Bool | None = None
+) -> tuple[NDArray[np.uint8], Bool]:
     """Return the nearest pixels of an image (H, W, 3) on N lines, (N, K, 3), and whether they are in it, (N, K).
 
     ``at`` (N, 2) are points of the lines, ``normals`` (N, 2) their directions, ``along`` (K,) px the distances from
@@ -90,7 +86,7 @@ def pixels_along(
     return image.reshape(-1, 3).take(index, axis=0), inside
 
 
-def _parts_of(outline: DrawnOutline) -> NDArray[np.intp]:
+def _parts_of(outline: DrawnOutline) -> Indices:
     """Return the part of the instrument of each point (N,)."""
     return np.minimum(outline.link, PARTS - 1)
 

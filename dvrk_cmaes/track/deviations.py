@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.silhouette.threads import single_blas_thread
-
-Float64 = NDArray[np.float64]
 
 SLOW_SHARE: Final = 0.8
 SLOW_SECONDS: Final = 0.5

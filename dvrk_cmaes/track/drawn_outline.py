@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.track.clearance import Clearance
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +29,7 @@ class DrawnOutline:
     views: tuple[int, ...]
     at: Posed
     parts: Mapping[int, slice]
-    link: NDArray[np.intp]
+    link: Indices
     points: Float64
     normals: Float64
     lengths: Float64

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_growth import change_by_margin
@@ -20,7 +19,7 @@ from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.seen_view import seen_views
-from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.pose.doubts import doubts_of_tips, outside_image
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -33,8 +32,6 @@ from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, judged
 from dvrk_cmaes.track.sight import Seen, Sight
 from dvrk_cmaes.track.window import LIMITS, Told, WindowImage, result_of, solve_window, status_of
-
-Float64 = NDArray[np.float64]
 
 BASE_MOVED: Final = (
     "calibration contradicted: {count} images in a row disagree with it; the base or the camera may have moved"

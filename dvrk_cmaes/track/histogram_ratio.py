@@ -13,7 +13,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-Float32 = NDArray[np.float32]
+from dvrk_cmaes.geometry import Float32
 
 _FLOOR = 0.05  # of the probability, spread evenly over all bins: what was not seen tells nothing
 _LARGEST = 3.0  # log-odds of a single pixel

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.session_masks import SessionMasks
@@ -20,15 +19,12 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_masks import learned_colours, mask_around
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame, fit_followed
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
 
 _ROUNDS = 3  # of masks and fits of a frame, at most
 _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from which on the mask is not found again
@@ -47,7 +43,7 @@ class LearnTask:
     Where that is only predicted, ``masks`` (H, W), by view, are those that were found in them.
     """
 
-    read: Callable[[], FrameData]
+    read: Callable[[], FrameData | None]
     at: Posed
     masks: Mapping[str, PackedMask] | None = None
 
@@ -57,8 +53,8 @@ def learn_task(body: Body, config: EstimateConfig, task: LearnTask) -> dict[str,
 
     Of a pose that is predicted, they are learned about the mask, if that overlaps the silhouette well enough.
     """
-    found = {}
-    for view in with_outside(task.read()).views:
+    data, found = task.read(), {}
+    for view in () if data is None else with_outside(data).views:
         if view.image is None:
             continue
         shown = silhouette_of(task.at, view, body)
@@ -74,26 +70,29 @@ def learn_task(body: Body, config: EstimateConfig, task: LearnTask) -> dict[str,
 
 
 @dataclass(frozen=True, eq=False)
-class ImageBlockTask:
-    """Arguments of `fit_image_block`: consecutive frames, the masks' margins, and the views' colours, by name.
+class BlockTask:
+    """Arguments of `fit_block`: consecutive frames, and the margins that are taken off their masks, by view.
 
-    Views of a frame that have masks keep them.
+    With ``colours`` of the views, by name, masks are found in the images of views that have none.
     """
 
     frames: tuple[PredictedFrame, ...]
     masks: SessionMasks | None
-    colours: Mapping[str, ColourModel]
+    colours: Mapping[str, ColourModel] | None = None
 
 
-def fit_image_block(body: Body, config: EstimateConfig, task: ImageBlockTask) -> list[FittedFrame | None]:
-    """Fit consecutive frames by their images, as `fit_block` does by masks.
+def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[FittedFrame | None]:
+    """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
 
-    None stands for a frame whose images show nothing of the instrument where it is expected.
+    None stands for a frame whose masks or images show nothing of the instrument where it is expected.
     """
     found: list[FittedFrame | None] = []
     deviation: Float64 | None = None
     for frame in task.frames:
-        fitted = _fit_by_images(body, config, frame, deviation, task)
+        if task.colours is None:
+            fitted = fit_followed(body, config, frame, deviation, task.masks)
+        else:
+            fitted = _fit_by_images(body, config, frame, deviation, task.masks, task.colours)
         found.append(fitted)
         deviation = None
         if fitted is not None and fitted.fit.explains_mask and not fitted.doubts:
@@ -121,7 +120,12 @@ def around_task(body: Body, config: EstimateConfig, task: AroundTask) -> FrameDa
 
 
 def _fit_by_images(
-    body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, task: ImageBlockTask
+    body: Body,
+    config: EstimateConfig,
+    frame: PredictedFrame,
+    before: Float64 | None,
+    masks: SessionMasks | None,
+    colours: Mapping[str, ColourModel],
 ) -> FittedFrame | None:
     """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction."""
     data = frame.read()
@@ -133,10 +137,10 @@ def _fit_by_images(
     fitted: FittedFrame | None = None
     seconds, drawn = 0.0, [silhouette_of(at, view, body) for view in data.views]
     for _ in range(_ROUNDS):
-        masked, unsupported = _masked(data, drawn, task.colours, spread)
+        masked, unsupported = _masked(data, drawn, colours, spread)
         if masked is None:
             return None
-        fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, task.masks)
+        fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, masks)
         if fitted is None:
             return None
         seconds += fitted.seconds

@@ -13,10 +13,10 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.classic import refine_outline
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
@@ -24,11 +24,8 @@ from dvrk_cmaes.segment.moving_colours import moving_pixels
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Segmentation
+from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 from dvrk_cmaes.track.histogram_ratio import ColourModel, bins_of
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
-Image = NDArray[np.uint8]
 
 _BLURRED = 2.0  # px from the outline, within which pixels have colours of both sides
 _AROUND = 40.0  # px from the outline, within which colours are learned
@@ -117,7 +114,7 @@ def mask_around(
         return None
     longer = max(silhouette.shape)
     if longer > _FINEST:
-        return _in_reduced(image, silhouette, colours, outside, spread, _FINEST / longer, passes)
+        return _in_reduced(image, silhouette, colours, outside, spread, passes)
     band = _FREE_BAND + spread
     left, top, width, height = window_around(silhouette, round(band + _FAR) + _MARGIN)
     window = np.s_[top : top + height, left : left + width]
@@ -160,15 +157,12 @@ def moving_colours(images: Sequence[Image]) -> ColourModel | None:
 def mask_by_colours(image: Image, colours: ColourModel, prompts: Prompts) -> Segmentation:
     """Segment the instrument in an image (H, W, 3) uint8 BGR by colours that other images of the recording tell."""
     height, width = image.shape[:2]
-    scale = min(_REDUCED / max(height, width), 1.0)
-    size = max(round(width * scale), 1), max(round(height * scale), 1)
-    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    small, (size, scale) = shrunk(image, _REDUCED), size_within(image.shape, _REDUCED)
     fixed = prompts.resized(*size, scale)
     odds = _COLOURS_WEIGHT * cv2.GaussianBlur(colours.log_odds[0].take(bins_of(small)), (0, 0), _NOISE)
     rough = cut(np.asarray(odds, np.float32), _guide(small), background=fixed.background, tool=fixed.tool)
     rough = fill_holes(instrument_region(rough, _GAP * max(size), fixed))
-    enlarged = cv2.resize(rough.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
-    return refine_outline(image, np.asarray(enlarged), prompts)
+    return refine_outline(image, resized(rough, (width, height)), prompts)
 
 
 def _within(mask: Bool, near: Bool) -> Bool:
@@ -182,22 +176,15 @@ def _within(mask: Bool, near: Bool) -> Bool:
 
 
 def _in_reduced(
-    image: Image, silhouette: Bool, colours: ColourModel, outside: Bool | None, spread: float, scale: float, passes: int
+    image: Image, silhouette: Bool, colours: ColourModel, outside: Bool | None, spread: float, passes: int
 ) -> FoundMask | None:
-    """Find a mask in an image reduced by a scale, and return it at the original size."""
+    """Find a mask in a reduced image, and return it at the original size."""
     height, width = silhouette.shape
-    size = max(round(width * scale), 1), max(round(height * scale), 1)
-
-    def small(flags: Bool) -> Bool:
-        return np.asarray(cv2.resize(flags.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5)
-
-    reduced = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-    beside = None if outside is None else small(outside)
-    found = mask_around(reduced, small(silhouette), colours, beside, spread * scale, passes)
-    if found is None:
-        return None
-    mask = cv2.resize(found.mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.5
-    return FoundMask(np.asarray(mask), found.unsupported)
+    size, scale = size_within(silhouette.shape, _FINEST)
+    beside = None if outside is None else resized(outside, size)
+    small = shrunk(image, _FINEST)
+    found = mask_around(small, resized(silhouette, size), colours, beside, spread * scale, passes)
+    return None if found is None else FoundMask(resized(found.mask, (width, height)), found.unsupported)
 
 
 def _guide(image: Image) -> Float32:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Bool
 
-Mask = NDArray[np.bool_]
+Mask = Bool
 
 FROZEN = "frozen image: the {source} is that of the image before, but the arm moved"
 """Problem of an image; ``source`` is what the evidence is taken from, mask or image."""
@@ -25,7 +26,7 @@ class ImageCheck:
         self.last: int | None = None
         """Checksum of the latest mask; None without one."""
 
-    def check_size(self, name: str, array: NDArray[np.bool_] | NDArray[np.uint8] | None) -> None:
+    def check_size(self, name: str, array: Bool | NDArray[np.uint8] | None) -> None:
         """Raise an InputError for an array that is not of the camera's size, or for an image that is not (H, W, 3)."""
         if array is None:
             return

@@ -20,6 +20,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import seen_views
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -28,8 +29,6 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.keyframes import solved_with
 from dvrk_cmaes.track.quick_fit import LINES_PER_PIXEL
-
-Bool = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

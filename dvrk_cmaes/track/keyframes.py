@@ -8,13 +8,10 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
 
 MOST_KEYFRAMES: Final = 60
 LEAST_KEYFRAMES: Final = 12

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.moving_points import MovingPoints, moving_points
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
-
-Float64 = NDArray[np.float64]
 
 _DRAWN_WIDTH = 640  # px; larger outlines are drawn about this wide, since their points are as exact
 _BORDER = 2.0  # px from the image's border; points closer to it are not used

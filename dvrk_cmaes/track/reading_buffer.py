@@ -9,19 +9,16 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.quantiles import median
+from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
 from dvrk_cmaes.joints.gaps import Times, extrapolated
 from dvrk_cmaes.joints.interpolation import TimedReadings, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, check_readings
 from dvrk_cmaes.joints.sparse import Sparseness
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
 
 _KEPT = 3.0  # s; older readings are dropped
 _RATE_HALF_WIDTH = 0.2  # s, of the readings from which rates are computed
@@ -135,7 +132,7 @@ class ReadingRows:
         times, values = self.series.times[known], self.series.values[known]
         return np.array([np.interp(time, times, column) for column in values.T])
 
-    def keep(self, kept: NDArray[np.bool_] | slice) -> None:
+    def keep(self, kept: Bool | slice) -> None:
         """Drop all readings but some (N,)."""
         times, values = self.series.times[kept], self.series.values[kept]
         self._count = len(times)
@@ -204,7 +201,7 @@ class ReadingBuffer(ReadingRows):
         ecm = None if self.ecm is None else self.ecm.held_at(time)
         return ReadingAt(row[:outer], row[outer:], rate[:outer], rate[outer:], still, sparse, ecm)
 
-    def _read_together(self) -> Iterator[tuple[NDArray[np.intp], TimedReadings]]:
+    def _read_together(self) -> Iterator[tuple[Indices, TimedReadings]]:
         """Give the columns of joints that are read at the same times, and their readings, without missing ones."""
         series = self.series
         if self._complete:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import FOLLOWED, FrameFit, fit_frame
 from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
@@ -21,7 +20,7 @@ from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView, shown_views
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
@@ -30,8 +29,6 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError, Quality
 from dvrk_cmaes.silhouette import Body, Renderer
-
-Float64 = NDArray[np.float64]
 
 EMPTY = "lost: the {source} shows nothing of the instrument"
 NO_READINGS = "no readings: none of the outer joints at the time of the image less the lag"
@@ -46,14 +43,6 @@ class PredictedFrame:
     name: str
     read: Callable[[], FrameData | None]
     expected: Expected
-
-
-@dataclass(frozen=True, eq=False)
-class BlockTask:
-    """Arguments of `fit_block`: consecutive frames, and the margins that are taken off their masks, by view."""
-
-    frames: tuple[PredictedFrame, ...]
-    masks: SessionMasks | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,22 +80,6 @@ def starts_of(expected: Expected, before: Float64 | None) -> list[Posed]:
     return [near, expected.mean] if apart > _ANOTHER_START else [near]
 
 
-def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[FittedFrame | None]:
-    """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
-
-    None stands for a frame whose mask shows nothing.
-    """
-    found: list[FittedFrame | None] = []
-    deviation: Float64 | None = None
-    for frame in task.frames:
-        fitted = fit_followed(body, config, frame, deviation, task.masks)
-        found.append(fitted)
-        deviation = None
-        if fitted is not None and fitted.fit.explains_mask:
-            deviation = fitted.fit.at.minus(frame.expected.mean)
-    return found
-
-
 def fit_followed(
     body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, masks: SessionMasks | None
 ) -> FittedFrame | None:
@@ -127,10 +100,7 @@ def fit_followed(
     fit, own = fit_frame(views, limits, config, expected, starts, None, margins=margins, preset=FOLLOWED)
     stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
     return FittedFrame(
-        StoredFrame(tuple(stored), data.camera, own),
-        fit,
-        own.noises[0].inflation,
-        time.perf_counter() - started,
+        StoredFrame(tuple(stored), data.camera, own), fit, own.noises[0].inflation, time.perf_counter() - started
     )
 
 

@@ -13,7 +13,7 @@ from dvrk_cmaes.camera import Rig, View
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Image, Posed
 from dvrk_cmaes.io.arguments import check_type, checked_mask
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.segment import segment
@@ -28,8 +28,6 @@ from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
 from dvrk_cmaes.track.outline_model import OutlineModel
 
 A = TypeVar("A", bound=NDArray[Any])
-Float64 = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Masks = Mask | Mapping[str, Mask | None] | Sequence[Mask | None]
 """The mask (H, W) of a camera, or those of a rig's views: by name, or in the rig's order; None for a missing one."""
 Images = Image | Mapping[str, Image | None] | Sequence[Image | None]

@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import CALIBRATION_EXPECTED, SessionCalibration, check_made_for
 from dvrk_cmaes.calibration.prediction import FoundLag
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm
 from dvrk_cmaes.io.arguments import check_type, checked_number
@@ -29,8 +29,6 @@ from dvrk_cmaes.track.known_base import KnownBase
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 from dvrk_cmaes.track.sight import EvidenceKind, Images, Masks, Seen, Sight
 from dvrk_cmaes.track.unknown_base import UnknownBase
-
-Float64 = NDArray[np.float64]
 
 _GIVEN_LAG_STD = 1e-6  # s, of a lag that is given
 
@@ -228,11 +226,7 @@ class Tracker:
         self._time = time
 
     def step(
-        self,
-        time: float,
-        mask: Masks | None = None,
-        image: Images | None = None,
-        ignore: Masks | None = None,
+        self, time: float, mask: Masks | None = None, image: Images | None = None, ignore: Masks | None = None
     ) -> TrackResult:
         """Follow the instrument to the image of a later time.
 

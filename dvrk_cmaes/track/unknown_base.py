@@ -15,7 +15,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import (
@@ -31,7 +30,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.results.result import Result
@@ -44,8 +43,6 @@ from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.sight import Seen, Sight
 from dvrk_cmaes.track.window import CORRELATED_FRAMES
-
-Float64 = NDArray[np.float64]
 
 NOT_FOUND: Final = "not found: the first image could not be solved"
 STEP_OF_SEARCH: Final = 6000.0
@@ -65,12 +62,7 @@ _WALK = (0.02, 0.5, 1.0)  # m, rad about the root's x and y, about its z and of 
 
 
 def wide_calibration(
-    at: Posed,
-    covariance: Float64,
-    reading: ReadingAt,
-    instrument: Instrument,
-    arm: Arm,
-    config: EstimateConfig,
+    at: Posed, covariance: Float64, reading: ReadingAt, instrument: Instrument, arm: Arm, config: EstimateConfig
 ) -> SessionCalibration:
     """Return the calibration that a pose with a covariance (D, D) makes of the readings at its time."""
     names = instrument.joint_names

@@ -10,12 +10,13 @@ from helpers.session_worlds import EXPECTED_OFFSETS, NAMES, PRIOR, SEEN, World, 
 
 from dvrk_cmaes.calibration.clock import Clock, Delay
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
-from dvrk_cmaes.calibration.lag import LagCurve, LagCurveDocument, LagRefiner, Refined, describe_lag, search_lag
+from dvrk_cmaes.calibration.lag import LagCurve, LagRefiner, Refined, describe_lag, search_lag
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.terms.term import Quadratic
@@ -182,7 +183,7 @@ def test_disagreement_is_least_at_the_lag() -> None:
     assert curve is not None
     assert (curve.unit, curve.lags[curve.misfit.argmin()]) == ("frames", 4.0)
     assert curve.misfit[curve.lags == 0.0] > 2 * curve.misfit.min()
-    assert LagCurve.from_document(LagCurveDocument("frames", tuple(curve.to_dict()["points"]))) is not None
+    np.testing.assert_allclose(convert_document("", curve.to_dict(), LagCurve).points, curve.points, atol=1e-9)
 
 
 @pytest.mark.parametrize("drift", [1.5e-3, -1.5e-3])
@@ -280,7 +281,7 @@ def test_fits_do_not_tell_that_there_is_no_lag_where_the_modes_agree_on_another(
     """Fits are near what a session without a lag expects, and hardly tell others; the modes do not know of it."""
     world, clock, modes = moving_world(0.0, seed=1)
     estimate = LagEstimate.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
-    curve = LagCurve("frames", np.arange(-2.0, 6.0), np.array([3.0, 2.0, 1.0, 0.7, 0.4, 0.2, 0.5, 1.0]))
+    curve = LagCurve.of("frames", np.arange(-2.0, 6.0), np.array([3.0, 2.0, 1.0, 0.7, 0.4, 0.2, 0.5, 1.0]))
     estimate = replace(estimate, curve=curve)
     found = find_consensus(world.model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
     before = estimate.change_of_predictions(world.model, found.calibration)
@@ -310,9 +311,9 @@ def test_arms_that_agree_share_their_lag_and_others_do_not() -> None:
 
 def test_curve_tells_how_large_the_lag_may_be() -> None:
     lags = 0.1 * np.arange(-3.0, 6.0)
-    sharp = LagCurve("s", lags, 50.0 * (lags - 0.0) ** 2)
-    flat = LagCurve("s", lags, np.full(len(lags), 1.0))
-    late = LagCurve("s", lags, 50.0 * (lags - 0.3) ** 2)
+    sharp = LagCurve.of("s", lags, 50.0 * (lags - 0.0) ** 2)
+    flat = LagCurve.of("s", lags, np.full(len(lags), 1.0))
+    late = LagCurve.of("s", lags, 50.0 * (lags - 0.3) ** 2)
     assert sharp.root_mean_square(60, 0.1) < 0.03
     assert flat.root_mean_square(60, 0.1) == pytest.approx(0.1, rel=0.1)
     assert late.root_mean_square(60, 0.1) == 0.1  # no more than what is expected beforehand
@@ -322,11 +323,11 @@ def test_curve_tells_how_large_the_lag_may_be() -> None:
 
 def test_lag_of_a_flat_curve_has_a_least_standard_deviation() -> None:
     lags = np.arange(-8.0, 13.0) / 30
-    flat, sharp = (LagCurve("s", lags, weight * (lags - 0.1) ** 2) for weight in (0.1, 200.0))
+    flat, sharp = (LagCurve.of("s", lags, weight * (lags - 0.1) ** 2) for weight in (0.1, 200.0))
     assert sharp.least_std(8, 0.1, 0.1, applied=True) == 0
     assert flat.least_std(8, 0.1, 0.0, applied=False) == pytest.approx(0.07, rel=0.2)
     assert flat.least_std(8, 0.1, -0.15, applied=True) > 0.08  # an accidental minimum, far from what is likely
-    assert LagCurve("s", lags[:1], lags[:1]).least_std(8, 0.1, 0.0, applied=True) == 0
+    assert LagCurve.of("s", lags[:1], lags[:1]).least_std(8, 0.1, 0.0, applied=True) == 0
 
 
 def test_counted_frames_whose_readings_jump_have_no_known_times() -> None:

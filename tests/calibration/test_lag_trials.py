@@ -13,7 +13,7 @@ STEP = 1 / 30
 def curve(*misfit: float, first: float = -2.0) -> LagCurve:
     """A curve with a misfit at each lag, a step apart, from ``first`` steps on."""
     lags = STEP * (first + np.arange(len(misfit)))
-    return LagCurve("s", lags, np.array(misfit))
+    return LagCurve.of("s", lags, np.array(misfit))
 
 
 def test_minima_of_the_curve_are_tried_the_lowest_first() -> None:

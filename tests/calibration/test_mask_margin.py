@@ -12,7 +12,7 @@ import pytest
 from helpers.session_worlds import PRIOR, SEEN, World, make_frames_in_memory, make_world
 
 from dvrk_cmaes.calibration.calibrate import calibrate_session
-from dvrk_cmaes.calibration.constants import Constant, SessionOutlines
+from dvrk_cmaes.calibration.constants import Constant, FramesAt, SessionOutlines
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.session_camera import CameraChange, file_deviations
@@ -101,7 +101,7 @@ def test_poses_with_a_margin_are_those_with_the_camera_of_the_file() -> None:
     """A change of the camera that is estimated beside it is not used: poses with that would be centimetres off."""
     world = make_world(80)
     outlines = cast("SessionOutlines", FarCamera(world))
-    margin, _, at = estimate_margin(world.model, world.truth, PRIOR, world.at, outlines)
+    margin, _, at = estimate_margin(FramesAt(world.model, world.truth, PRIOR, world.at), outlines)
     assert margin.applied
     constants = {"camera": np.zeros(3), MARGIN: np.array([margin.px])}
     with_file = FarCamera(world).near(at, constants).at_constants()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_in_memory
 
-from dvrk_cmaes.calibration.constants import SessionOutlines
+from dvrk_cmaes.calibration.constants import FramesAt, SessionOutlines
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
@@ -69,7 +69,8 @@ def check(
     of_camera = outlines.near(at, {one.name: one.start for one in outlines.constants}).outlines
     fits = FrameFits(at, Quadratic(of_camera.information[:, :-4, :-4], of_camera.slope[:, :-4]))
     solution = solve(model, fits, Calibration(base, np.zeros(len(EXPECTED_OFFSETS))), PRIOR)
-    return check_camera(model, solution.calibration, PRIOR, config, at, outlines), solution
+    frames = FramesAt(model, solution.calibration, PRIOR, at)
+    return check_camera(frames, config, outlines), solution
 
 
 def estimate(change: tuple[float, float, float], std: tuple[float, float, float]) -> CameraEstimate:

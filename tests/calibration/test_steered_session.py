@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, near_the_truth, with_result
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session, solving_arm
+from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session, in_threads, solving_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place, in_tip
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import (
     RelativeBase,
     Solving,
@@ -95,6 +96,10 @@ def test_camera_in_the_tip_and_bases_are_found(
     assert sum(result.status == "ok" for result in solved.results.values()) >= FRAMES - 3
 
 
+def problem_of(body: Body) -> SessionProblem:
+    return SessionProblem(None, body.instrument, "classic", QUICK, partial(in_threads, body, QUICK))
+
+
 def test_arms_in_one_solution_share_the_endoscope(
     bundled_body: Body, world: tuple[RecordedArm, list[SessionFrame]], alone: SolvedSession
 ) -> None:
@@ -104,7 +109,7 @@ def test_arms_in_one_solution_share_the_endoscope(
     states = []
 
     def solving(own: list[SessionFrame], places: Sequence[Place]) -> Solving[SolvedSession]:
-        steps = solving_arm(own, bundled_body, config=QUICK, places=places)
+        steps = solving_arm(own, problem_of(bundled_body), places=places)
         states.append(next(steps))
         others = yield states[-1]
         with pytest.raises(StopIteration) as end:
@@ -147,11 +152,11 @@ def test_an_arm_that_fails_leaves_the_first_one_solved(
     done = []
 
     def first(_: Sequence[Place]) -> Solving[SolvedSession]:
-        done.append((yield from solving_arm(frames[:4], bundled_body, config=QUICK))[0])
+        done.append((yield from solving_arm(frames[:4], problem_of(bundled_body)))[0])
         return done[0]
 
     def second(_: Sequence[Place]) -> Solving[SolvedSession]:
-        return (yield from solving_arm(frames[:2], bundled_body, config=QUICK))[0]
+        return (yield from solving_arm(frames[:2], problem_of(bundled_body)))[0]
 
     with pytest.raises(InputError, match="at least 3 usable frames"):
         solved_together({"PSM1": first, "PSM2": second})

@@ -14,12 +14,15 @@ import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import Ran, run_command
 from helpers.drawn_tools import draw_tool
+from helpers.sam2_graphs import TOOL, write_export
 
 from dvrk_cmaes.frames.images import read_image, read_mask
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.folder_lock import locked
 from dvrk_cmaes.io.handles import Folder
+from dvrk_cmaes.segment import Segmentation
 
 cli_segment = import_module("dvrk_cmaes.cli.segment")
 
@@ -243,6 +246,29 @@ def test_mask_excludes_segmentation_options(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[object], expected: str
 ) -> None:
     assert estimated(capsys, tmp_path, *arguments).refusal == expected
+
+
+def test_masks_by_sam2_are_those_of_the_session(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, found = tmp_path / "session", np.zeros((480, 640), np.bool_)
+    found[100:300, 50:400] = True
+    monkeypatch.setattr("dvrk_cmaes.segment.model_masks.segment_by_model", lambda *_: Segmentation(found, None, 0.7))
+    bar = np.full((480, 640, 3), (90, 90, 170), np.uint8)
+    bar[150:250, 60:560] = TOOL[::-1]
+    write_image(session / "images" / "0000.png", bar)
+    for name in ("camera.yaml", "joints.csv"):
+        shutil.copy(DEMO / name, session / name)
+    weights, out = write_export(tmp_path / "sam2", "onnx-community"), tmp_path / "sam2-masks"
+    ran = run_command(capsys, "segment", session, "--model", "sam2", "--weights", weights, "--out", out)
+    assert ran.code == 0, ran.err
+    assert "asked by box and point of the classic segmentation (confidence 0.70)" in ran.out
+    shutil.copytree(out / "masks", session / "masks")
+    frame = read_session(session).frames[0]
+    assert frame.mask is not None
+    mask = read_mask(frame.mask)
+    assert mask[155:245, 65:395].all()  # what is in the box of the mask that was found
+    assert mask.sum() < 1.05 * 100 * 340
 
 
 def test_batch_without_masks(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

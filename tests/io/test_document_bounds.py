@@ -19,6 +19,7 @@ from dvrk_cmaes.io.toml_file import read_toml
 from dvrk_cmaes.io.yaml_file import check_yaml, read_yaml_by_frame, read_yaml_mapping
 from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.recording.bag import open_bag
+from dvrk_cmaes.recording.recording import Asked
 from dvrk_cmaes.recording.topics import TopicRequest
 
 MOST_MB = 300
@@ -176,7 +177,7 @@ def test_metadata_of_a_recording_is_bounded_before_rosbags_reads_it(tmp_path: Pa
     requested = TopicRequest(None, None, None, None)
 
     def opened() -> None:
-        with open_bag(tmp_path, requested):
+        with open_bag(tmp_path, requested, Asked()):
             raise AssertionError("opened")
 
     assert "metadata.yaml: expected metadata of a ROS 2 recording of at most 1 MB" in refused(opened)

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.joints.lag import Lag, LagDocument
+from dvrk_cmaes.io.typed_document import convert_document
+from dvrk_cmaes.joints.lag import Lag, current_document
+
+
+def read(document: dict[str, object]) -> Lag:
+    return convert_document("lag", current_document(document), Lag)
 
 
 def test_document_states_lag_in_frames_and_seconds_with_its_sign() -> None:
@@ -24,14 +29,14 @@ def test_document_states_lag_in_frames_and_seconds_with_its_sign() -> None:
     assert lag.describe() == "images are 4.02 frames (0.134 s) later than the readings, std 0.30 frames"
     early = Lag.of(-2.0, 0.1, "frames", 1.0, applied=True)
     assert early.describe() == "images are 2.00 frames earlier than the readings, std 0.10 frames"
-    assert Lag.from_document(LagDocument(4.02, 0.134, 0.3, 0.01, sign="images late")) == replace(lag, frames=4.02)
+    assert read(lag.to_dict()) == replace(lag, frames=4.02, std_frames=0.3)
 
 
 def test_document_without_sign_counts_late_readings_as_positive() -> None:
-    old = Lag.from_document(LagDocument(frames=2.0, seconds=0.066667))
-    assert old is not None
+    old = read({"frames": 2.0, "seconds": 0.066667})
     assert (old.frames, old.seconds, old.std_frames, old.applied) == (-2.0, -0.066667, None, True)
-    assert Lag.from_document(None) is None
+    assert current_document({"std_frames": 1.0, "frames": None}) is None
+    assert current_document(None) is None
 
 
 def test_lag_that_drifts_is_that_of_its_middle() -> None:

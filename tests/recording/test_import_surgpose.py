@@ -26,11 +26,15 @@ from helpers.made_surgpose import (
     write_yaml,
 )
 
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.runs.recorded_images import SegmentTask, segment_task
+from dvrk_cmaes.segment.segmentation import Hints
+from dvrk_cmaes.silhouette.prepare import prepare
 
 Run = Callable[..., Ran]
 
@@ -307,6 +311,18 @@ def test_labels_of_other_frames_are_refused(run: Run, made: Path, arms: MadeArms
 
 def test_points_need_labels(run: Run) -> None:
     assert run("compare", "a", "b", "--points", "c").refusal == "--points: expected --labels SESSION with it, got none"
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_box_in_the_left_eye_chooses_the_arm_in_the_right_one(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
+    run("import", made, "--arm", arm, "--side", "both", "--out", "session")
+    session = read_session("session")
+    task = SegmentTask(session.frames[4], session.rig, session.frames[4].prompts or Hints(), {})
+    found = segment_task(prepare("lnd"), EstimateConfig(), task)
+    assert found is not None
+    for mask, right in zip(found.masks, (False, True), strict=True):
+        true = arms.coverages(4, right)[arm] > 0.5
+        assert (mask.restored() & true).sum() > 0.95 * (mask.restored() | true).sum()
 
 
 @pytest.mark.parametrize("arm", ARMS)

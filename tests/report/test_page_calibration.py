@@ -101,7 +101,7 @@ def test_what_needs_action_comes_first_then_the_calibration_then_what_it_cannot_
 def test_lag_is_shown_with_the_curve_of_disagreement(tmp_path: Path) -> None:
     frames = solved(NAMES)
     lags = np.arange(-5.0, 16.0)
-    curve = LagCurve("frames", lags, np.minimum(0.2 * (lags - 4) ** 2, 4.0))
+    curve = LagCurve.of("frames", lags, np.minimum(0.2 * (lags - 4) ** 2, 4.0))
     page = page_of(write_calibrated(tmp_path, frames, calibration(frames, lag=Lag(3.9, 0.1), lag_curve=curve)))
     assert (
         "Images later than readings 3.90 frames standard deviation 0.10 frames; taken out of the readings" in page.text

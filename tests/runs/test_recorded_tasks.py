@@ -15,7 +15,7 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.runs import recorded
-from dvrk_cmaes.track.recorded_frames import BlockTask
+from dvrk_cmaes.track.image_frames import BlockTask
 
 RIG = Rig.of_camera(Camera(640, 480, 880, 880, 330, 250))
 
@@ -34,7 +34,7 @@ def tasks_of(count: int, monkeypatch: pytest.MonkeyPatch) -> list[BlockTask]:
         sent.extend(tasks)
         return [[None] * len(task.frames) for task in tasks]
 
-    fitted = recorded.fit_all(whole, session, predicted, run)
+    fitted = recorded.RecordedSolution(whole, session).fits(predicted, run)
     assert len(fitted) == count
     return sent
 

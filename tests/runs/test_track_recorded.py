@@ -23,15 +23,13 @@ from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import recorded_keyframes
-from dvrk_cmaes.runs.recorded_keyframes import AloneTask, RecordedFrames, solve_keyframes, with_keyframes
+from dvrk_cmaes.runs.recorded_keyframes import AloneTask, RecordedFrames, Work, solve_keyframes, with_keyframes
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
-from dvrk_cmaes.runs.track_recorded import why_causal
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.truth import Truth
-from dvrk_cmaes.track.sight import EvidenceKind
 
 FRAMES = 14
 EMPTY = "0005"
@@ -157,13 +155,6 @@ def test_given_calibration_is_used_instead_of_keyframes(
     assert read_calibration(tmp_path / "session.json").status == "doubtful"
 
 
-@pytest.mark.parametrize("evidence", ["masks", "images", None])
-def test_recording_without_readings_is_followed_from_image_to_image(evidence: EvidenceKind | None) -> None:
-    settings = replace(SETTINGS, evidence=evidence)
-    assert why_causal(replace(settings, use_joints=False)) == "without readings"
-    assert why_causal(settings) is None
-
-
 def test_share_of_a_recording_is_chosen_for_calibration(made: tuple[Path, dict[str, Truth]]) -> None:
     chosen = with_keyframes(read_session(made[0]), 6)
     names = [files.name for files in chosen.frames]
@@ -195,7 +186,7 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
     def run(function: Any, tasks: Sequence[Any]) -> list[Any]:
         return [function(body, config, task) for task in tasks]
 
-    solved = solve_keyframes(recorded, body, "classic", config, run, lambda stage, count: None)
+    solved = solve_keyframes(recorded, Work(body, "classic", config, run))
     assert isinstance(solved, SessionCalibration)
     assert [task.start is None for task in tried] == [True] * 7 + [False] * (len(tried) - 7)
     for task in tried[7:]:

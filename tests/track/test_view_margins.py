@@ -20,8 +20,9 @@ from dvrk_cmaes.geometry import Posed, transform
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import exact_mask
+from dvrk_cmaes.track.image_frames import BlockTask, fit_block
 from dvrk_cmaes.track.quick_fit import quick_fit
-from dvrk_cmaes.track.recorded_frames import BlockTask, PredictedFrame, fit_block
+from dvrk_cmaes.track.recorded_frames import PredictedFrame
 
 RIGHT = Camera(320, 240, 513, 513, 159, 121)
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])

@@ -7,7 +7,6 @@ from time import perf_counter
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import __version__
@@ -17,13 +16,12 @@ from dvrk_cmaes.estimation.pnp.tips import solve_tips
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.markers import Marker, place_markers
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.results.result import Result
 
-Float64 = NDArray[np.float64]
 Points = Literal["markers", "tips"]
 
 LARGEST_ERROR_PX: Final = 15.0

@@ -12,12 +12,9 @@ from typing import Final, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import apply, exp_rotation, transform
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64, Indices, apply, exp_rotation, transform
 
 Solver = Literal["sqpnp", "ransac"]
 SOLVERS: Final[Mapping[Solver, str]] = {
@@ -57,7 +54,7 @@ def solve_points(camera: Camera, pixels: Float64, points: Float64, solver: Solve
     if len(points) < LEAST_POINTS:
         return f"{len(points)} of the points that are known were seen, at least {LEAST_POINTS} are needed"
     seen, K, no_lens = undistort(camera, pixels), camera.matrix, np.zeros(4)
-    used: NDArray[np.intp] = np.arange(len(points), dtype=np.intp)
+    used: Indices = np.arange(len(points), dtype=np.intp)
     try:
         if solver == "ransac":
             solved, turn, shift, inliers = cv2.solvePnPRansac(

@@ -10,18 +10,15 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.estimation.pnp.points import PointPose, undistort
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, shaft_axis
-from dvrk_cmaes.geometry import Posed, frame_along, moved, project_cylinder, rotation_about_z, transform
+from dvrk_cmaes.geometry import Float64, Posed, frame_along, moved, project_cylinder, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.search.losses import keypoint_loss
 from dvrk_cmaes.pose.search.objective import project_tips
-
-Float64 = NDArray[np.float64]
 
 _TURNS: Final = 48  # start angles about the axis
 _SLIDES: Final = np.linspace(-0.03, 0.03, 31)  # m, start positions of the root along the axis, relative to the tips

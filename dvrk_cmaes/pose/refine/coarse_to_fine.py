@@ -240,11 +240,7 @@ class LocalSearch:
         config = self._config
         if config.refine.method == "gauss-newton":
             return self._refine(
-                coverage,
-                modes,
-                iterations=config.refine.full_steps,
-                selection=self._last_selection,
-                continued=True,
+                coverage, modes, iterations=config.refine.full_steps, selection=self._last_selection, continued=True
             )
         loss = loss_of_views(self._views, self._readings, config)
         scale = 0.3 * scale_of_change(self._readings)

@@ -10,13 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.search.nlopt_run import run_nlopt
 
-Float64 = NDArray[np.float64]
 Loss = Callable[[Float64], Float64]
 
 _NLOPT_LOCAL = {"bobyqa": "LN_BOBYQA", "sbplx": "LN_SBPLX"}

@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.pose.terms.term import Quadratic
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

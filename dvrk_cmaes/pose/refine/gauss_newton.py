@@ -12,20 +12,15 @@ from dataclasses import dataclass, fields
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.config import OutlineConfig
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.search.modes import Candidate
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.profiles import Profiles
 from dvrk_cmaes.pose.terms.term import Approximation, Quadratic, Term, sum_of_costs, sum_of_locals
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _DAMPING = (1e-4, 1e-2, 10.0)  # least, first and largest of the Levenberg-Marquardt steps
 _DAMPING_STEP = 8.0  # factor on the damping by which it grows or falls

@@ -13,18 +13,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, sampled
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.contour import is_rough
 from dvrk_cmaes.pose.terms.shared_errors import without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints
-
-Float64 = NDArray[np.float64]
 
 # Largest standard deviations of position, m, and of angles, rad; they keep the information invertible.
 _POSITION_SIGMA, _ANGLE_SIGMA = 1.0, np.pi

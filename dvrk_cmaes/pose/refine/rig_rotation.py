@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera.rig import turned_place
-from dvrk_cmaes.geometry import Posed, adjoint, inverse
+from dvrk_cmaes.geometry import Float64, Posed, adjoint, inverse
 from dvrk_cmaes.pose.refine.elimination import eliminate
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views
@@ -25,7 +24,6 @@ from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 
-Float64 = NDArray[np.float64]
 Rotation = tuple[Float64, Float64]
 """Rotation (3,), rad, of a view about the reference camera's axes, and its covariance (3, 3)."""
 

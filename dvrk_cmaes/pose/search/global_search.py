@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search import minimise_each
 from dvrk_cmaes.pose.search.modes import Candidate, first_of_modes
@@ -16,8 +15,6 @@ from dvrk_cmaes.pose.search.screening import screened, screening_size
 from dvrk_cmaes.pose.search.starts import draw_starts
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import decimated_body
-
-Float64 = NDArray[np.float64]
 
 _POSE_SCALE = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
 """Expected errors of a start: along the root's x, y and z axes, m, and about them, rad."""
@@ -75,7 +72,7 @@ def find_candidates(
 
     begin = Posed.stacked([start.at for start in starts])
 
-    def loss(index: NDArray[np.intp], change: Float64) -> Float64:
+    def loss(index: Indices, change: Float64) -> Float64:
         return fine.cost(begin[index].moved(change * scale))
 
     known = [start.score for start in starts]

@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import LossWeights
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 
 @dataclass(frozen=True, eq=False)

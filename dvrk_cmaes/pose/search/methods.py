@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Float64, Indices
 from dvrk_cmaes.pose.search.nlopt_run import run_nlopt
 
-Float64 = NDArray[np.float64]
 Loss = Callable[[Float64], Float64]
 """A function of candidates (n, D) that returns their losses (n,)."""
 
@@ -22,7 +21,7 @@ NLOPT_GLOBAL = {"crs2": "GN_CRS2_LM", "esch": "GN_ESCH", "isres": "GN_ISRES", "d
 METHODS = ("cmaes", *NLOPT_GLOBAL)
 """Names of the optimisers."""
 
-LossOfStarts = Callable[[NDArray[np.intp], Float64], Float64]
+LossOfStarts = Callable[[Indices, Float64], Float64]
 """A function of the index (n,) of a start, and of candidates (n, D) beside that start, that returns the losses (n,)."""
 _Search = Generator[Float64, Float64, "Found"]
 """A search that gives candidates (n, D), takes their losses (n,), and returns what it found."""

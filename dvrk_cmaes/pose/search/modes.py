@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Posed, rotation_angle
+from dvrk_cmaes.geometry import Bool, Posed, rotation_angle
 from dvrk_cmaes.instrument import Instrument
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +29,7 @@ _ANGLE, _JOINT = float(np.deg2rad(15)), float(np.deg2rad(25))  # between poses o
 _TWIN_ANGLE = np.deg2rad(40)  # between a mode and the mirror twin of another that count as the same
 
 
-def are_distinct(a: Posed, b: Posed, angle: float = _ANGLE, joint: float = _JOINT) -> NDArray[np.bool_]:
+def are_distinct(a: Posed, b: Posed, angle: float = _ANGLE, joint: float = _JOINT) -> Bool:
     """Return whether poses differ by more than ``angle`` in rotation or more than ``joint`` in any joint, rad, (...).
 
     ``a`` is one pose, ``b`` may be several.

@@ -6,9 +6,8 @@ import contextlib
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 _LARGE = 1e12
 

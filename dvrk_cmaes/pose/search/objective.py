@@ -6,20 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LossWeights
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.geometry import Posed, apply, project_cylinder
+from dvrk_cmaes.geometry import Float64, Posed, apply, project_cylinder
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import Terms, cylinder_loss, dist_loss, keypoint_loss, mse_loss, scale_loss
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import PixelSums, Renderer
-
-Float64 = NDArray[np.float64]
 
 
 class Objective:
@@ -98,11 +95,7 @@ def loss_of_views(views: Sequence[FrameView], readings: Readings, config: Estima
 
 
 def pose_terms(
-    evidence: Evidence,
-    instrument: Instrument,
-    readings: Readings,
-    weights: LossWeights,
-    at: Posed,
+    evidence: Evidence, instrument: Instrument, readings: Readings, weights: LossWeights, at: Posed
 ) -> tuple[Float64, Float64, Float64]:
     """Compute the terms of shaft edges, jaw tips and readings, (C,) each, which need no silhouette.
 

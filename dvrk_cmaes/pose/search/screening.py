@@ -11,14 +11,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import SearchConfig
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.search.objective import Objective
-
-Float64 = NDArray[np.float64]
 
 _SHOWING = 0.6  # share of the mask's area that a very small image must show as instrument
 _OF_UNREAD = 6  # one candidate without readings for so many others is scored again
@@ -32,19 +29,19 @@ class Scored:
     """
 
     at: Posed
-    unread: NDArray[np.bool_]
+    unread: Bool
     losses: Float64
     by_image: Float64
 
     @staticmethod
-    def by(objective: Objective, at: Posed, unread: NDArray[np.bool_]) -> Scored:
+    def by(objective: Objective, at: Posed, unread: Bool) -> Scored:
         """Score candidates."""
         terms, weights = objective.terms(at), objective.weights
         losses = terms.total(weights)
         return Scored(at, unread, losses, np.where(unread, losses - weights.readings * terms.readings, np.inf))
 
 
-def screened(coarse: Iterable[Objective], fine: Objective, at: Posed, unread: NDArray[np.bool_], most: int) -> Scored:
+def screened(coarse: Iterable[Objective], fine: Objective, at: Posed, unread: Bool, most: int) -> Scored:
     """Score candidates by each of the ``coarse`` objectives, and those that are among the best by the ``fine`` one.
 
     The best are ``most``, and a sixth as many of the ``unread`` ones without the readings' term; they stay in order.

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LookAtRange
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, shaft_axis
-from dvrk_cmaes.geometry import Posed, cross, exp_rotation, frame_along, rotation_about_z, transform
+from dvrk_cmaes.geometry import Bool, Float64, Posed, cross, exp_rotation, frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
-
-Float64 = NDArray[np.float64]
 
 _WIDEST = np.array([0.9, 2.2])
 """Half width of a mask at its widest place, as a multiple of that of the shaft at the root's distance.
@@ -71,12 +69,7 @@ def sample_distances(count: int, limits: LookAtRange, likely: Float64 | None, rn
 
 
 def sample_lookat(
-    distances: Float64,
-    limits: LookAtRange,
-    rng: np.random.Generator,
-    *,
-    camera: Camera,
-    mask: NDArray[np.bool_] | None = None,
+    distances: Float64, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera, mask: Bool | None = None
 ) -> Float64:
     """Draw LookAt candidates (N, 4, 4) at some ``distances`` (N,), m, uniform in the three angles.
 
@@ -196,12 +189,8 @@ def _towards(
 
 
 def draw_starts(
-    evidence: Evidence,
-    instrument: Instrument,
-    readings: Readings,
-    config: EstimateConfig,
-    rng: np.random.Generator,
-) -> tuple[Posed, NDArray[np.bool_]]:
+    evidence: Evidence, instrument: Instrument, readings: Readings, config: EstimateConfig, rng: np.random.Generator
+) -> tuple[Posed, Bool]:
     """Draw the N candidates of the search, and whether their joints ignore the readings, (N,).
 
     A fraction ``free_share`` is drawn in the LookAt space. Of the others, 3/5 lie on the best supported pair of edges

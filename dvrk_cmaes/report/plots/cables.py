@@ -48,11 +48,7 @@ def cables_plot(results: Sequence[Result], calibration: SessionCalibration, used
 
 
 def _panels(
-    name: str,
-    results: Sequence[Result],
-    calibration: SessionCalibration,
-    cables: SessionCables,
-    used: frozenset[int],
+    name: str, results: Sequence[Result], calibration: SessionCalibration, cables: SessionCables, used: frozenset[int]
 ) -> list[Panel]:
     """Return the panels of one joint; none if it was not read."""
     index, places, rows = cables.joints.index(name), [], []

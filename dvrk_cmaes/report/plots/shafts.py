@@ -9,12 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.report.plots.axes import Axis, centred_axis
-
-Float64 = NDArray[np.float64]
 
 _SIDE = 274.0  # side of the square panels, as in page_plots.py
 _BEYOND = 0.15  # length drawn beyond the RCM, as a fraction of the distance from the root to the RCM

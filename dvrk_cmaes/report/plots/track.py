@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
-from dvrk_cmaes.runs.recorded_keyframes import AloneTask, Keyframe, alone_task, read_shown
+from dvrk_cmaes.runs.recorded_keyframes import AloneTask, RecordedKeyframe, alone_task, read_shown
 from dvrk_cmaes.silhouette import Body
 from measure.accuracy.figures import base_errors
 
@@ -107,7 +107,7 @@ def calibrate_share(session: Session, body: Body, config: EstimateConfig, worker
     with instrument_processes(body.instrument, workers, files) as processes:
         run = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         keyframes = [
-            Keyframe(number, own, partial(read_frame, own.changed(image=None), session.rig))
+            RecordedKeyframe(number, own, partial(read_frame, own.changed(image=None), session.rig))
             for number, own in enumerate(files)
         ]
         results = run(alone_task, [AloneTask(one, "classic") for one in keyframes])

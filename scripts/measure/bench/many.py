@@ -29,6 +29,9 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs.calibrate_folder import solving_folder
+from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+from dvrk_cmaes.runs.instrument_processes import instrument_processes
+from dvrk_cmaes.silhouette.prepare import prepare
 from measure.bench.many_frames import repeated_results, repeated_session
 from measure.tables import Report
 
@@ -68,17 +71,17 @@ def _measure(source: Path, results: Path, instrument: Instrument, frames: int, w
         began, processor = time.perf_counter(), _processor()
         stages = {"reading, lag and consensus": began}
         out = Path(place, "out")
-        solving = solving_folder(
-            session,
-            read_results(alone).frames,
-            instrument,
-            out,
-            alone=alone,
-            config=EstimateConfig(),
-            workers=workers,
-            progress=lambda stage, _: stages.__setitem__(stage, time.perf_counter()),
-        )
-        solved = solved_alone(solving)
+        with instrument_processes(instrument, workers, session.frames) as processes:
+            solving = solving_folder(
+                ArmInSession(session, prepare(instrument), "classic"),
+                read_results(alone).frames,
+                out,
+                processes,
+                alone=alone,
+                config=EstimateConfig(),
+                progress=lambda stage, _: stages.__setitem__(stage, time.perf_counter()),
+            )
+            solved = solved_alone(solving)
         ended, used = time.perf_counter(), _processor()
         ends = [*list(stages.values())[1:], ended]
         return {
