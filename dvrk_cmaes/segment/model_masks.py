@@ -47,6 +47,7 @@ _SMALLEST_PIECE: Final = 0.004  # of the largest piece's area
 _AGREES: Final = 0.7  # overlap with a silhouette, from which on another mask is of the same instrument
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
+_UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
 _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
 
 
@@ -139,8 +140,11 @@ def segment_by_model(
     first, others = masks[0], tuple(each for each in masks[1:] if each.confidence >= GUESS)
     if first.confidence < GUESS <= other.confidence:
         return other
-    notes = (*first.notes, _taken(first.mask, [each.mask for each in others])) if others else first.notes
-    return replace(first, notes=notes, others=others)
+    if not others:
+        return first
+    sure = min(first.confidence, _UNDECIDED) if joints else first.confidence
+    notes = *first.notes, _taken(first.mask, [each.mask for each in others])
+    return replace(first, confidence=sure, notes=notes, others=others)
 
 
 def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: Camera) -> bool:

@@ -17,6 +17,7 @@ from dvrk_cmaes.silhouette.prepare import prepare
 CAMERA = Camera(480, 384, 500.0, 500.0, 239.5, 191.5)
 BODY = prepare("lnd")
 LEFT = ((0.9, 0.25, 0.36), (-0.026, 0.0, 0.11), 0.4, (0.3, -0.2, 0.5))
+JOINTS = BODY.instrument.joint_names
 RIGHT = ((-0.75, 0.6, 0.28), (0.030, -0.012, 0.12), 1.9, (-0.4, 0.3, 0.6))
 Pose = tuple[tuple[float, ...], tuple[float, ...], float, tuple[float, ...]]
 
@@ -73,6 +74,12 @@ def test_the_one_that_is_taken_is_named(two: tuple[np.ndarray, list[np.ndarray],
     _, masks, found = two
     side = "left" if overlap(found.mask, masks[0]) > 0.5 else "right"
     assert f"two instruments, the {side} one taken (pass --point)" in found.notes
+
+
+def test_readings_do_not_tell_which_of_two_they_are_of(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
+    found = segment(two[0], instrument=BODY, camera=CAMERA, joints=dict(zip(JOINTS, LEFT[3], strict=True)))
+    assert len(found.others) == 1
+    assert GUESS <= found.confidence <= 0.75
 
 
 def test_a_point_chooses(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
