@@ -20,9 +20,3 @@ TABLE_ONE: Final = {
     "hard": TableOneRow(0.00253, 0.06761),
 }
 """The paper's Table I, ten frames each."""
-
-TABLE_TWO: Final = {
-    "gauze": ((0.01, 11, 11), (0.035, 9, 10), (0.07, 10, 10)),
-    "needle": ((0.01, 8, 10), (0.035, 7, 11), (0.07, 5, 12)),
-}
-"""The paper's Table II: distance, m, successes and trials of open-loop picking."""

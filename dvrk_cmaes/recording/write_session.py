@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.output import whole_folder, write_bytes
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.gaps import within
@@ -75,7 +75,7 @@ class InterpolationSummary:
 
 
 @dataclass(frozen=True)
-class ImportSummary:
+class ImportSummary(Document):
     """Summary of a written session.
 
     ``images`` is the number of images read from the recording, ``frames`` that of images written, ``size`` their width
@@ -92,20 +92,6 @@ class ImportSummary:
     notes: tuple[str, ...]
     lag_s: float = 0.0
     warnings: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "session": str(self.session),
-            "images": self.images,
-            "frames": self.frames,
-            "size": list(self.size),
-            "tolerance_s": self.tolerance_s,
-            "lag_s": self.lag_s,
-            "readings": [{**vars(source), "joints": list(source.joints)} for source in self.readings],
-            "notes": list(self.notes),
-            "warnings": list(self.warnings),
-        }
 
 
 def write_session(
