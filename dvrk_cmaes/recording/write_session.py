@@ -248,10 +248,7 @@ class _ImageCounter:
 
 def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:
     """Write the camera files, and return them as entries of session.toml."""
-    if recording.right is None:
-        write_bytes(folder / "camera.yaml", recording.camera)
-        return CameraEntry(file=Path("camera.yaml"), rectified=recording.rectified)
-    if recording.camera == recording.right.camera:  # a file of both eyes
+    if recording.right is None or recording.camera == recording.right.camera:  # in this case a file of both eyes
         write_bytes(folder / "camera.yaml", recording.camera)
         return CameraEntry(file=Path("camera.yaml"), rectified=recording.rectified)
     write_bytes(folder / "left.yaml", recording.camera)
