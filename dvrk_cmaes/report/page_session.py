@@ -263,13 +263,6 @@ def common_warnings(results: Sequence[Result]) -> list[str]:
 
 def provenances(results: Sequence[Result]) -> list[Provenance]:
     """Group the results by version, instrument, seed and configuration; the largest group first."""
-    counts = Counter(
-        (
-            result.version,
-            result.instrument,
-            result.seed,
-            json.dumps(result.config, indent=2, sort_keys=True, ensure_ascii=False),
-        )
-        for result in results
-    )
+    configs = [json.dumps(result.config, indent=2, sort_keys=True, ensure_ascii=False) for result in results]
+    counts = Counter((r.version, r.instrument, r.seed, config) for r, config in zip(results, configs, strict=True))
     return [Provenance(number, *kind) for kind, number in sorted(counts.items(), key=lambda item: (-item[1], item[0]))]
