@@ -211,15 +211,9 @@ def joint_summaries(results: Sequence[Result]) -> Iterator[JointSummary]:
         off = np.degrees(changes)
         std = [result.std_joints_deg[joint] for result in read if result.std_joints_deg is not None]
         at = int(np.abs(off).argmax())
-        yield JointSummary(
-            joint=joint,
-            frames=len(read),
-            median=float(np.median(off)),
-            half_within=float(np.median(np.abs(off - np.median(off)))),
-            largest=float(off[at]),
-            frame=read[at].frame,
-            std=float(np.median(std)) if std else None,
-        )
+        median, half = float(np.median(off)), float(np.median(np.abs(off - np.median(off))))
+        usual = float(np.median(std)) if std else None
+        yield JointSummary(joint, len(read), median, half, float(off[at]), read[at].frame, usual)
 
 
 def reason_kind(reason: str) -> str:
