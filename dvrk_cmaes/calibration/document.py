@@ -291,6 +291,8 @@ class SessionCalibration:
         found = replace(convert_document(where, fields, cls), endoscope=endoscope)
         if found.cables is not None:
             found.cables.check(where, tuple(parts.offsets)[1:])
+        if found.masks is not None:
+            found.masks.check(where, len(found.whole_covariance))
         return replace(found, doubts=doubts_of(found)) if older else found
 
     def at(
@@ -327,6 +329,7 @@ class SessionCalibration:
             camera_from_base=np.asarray(endoscope.relative(values)[0] @ self.camera_from_base),
             covariance=given_camera + self.covariance - self.covariance_given_camera,
             covariance_given_camera=given_camera,
+            masks=None if self.masks is None else self.masks.after(move),
             endoscope=None,
         )
 
