@@ -226,7 +226,7 @@ def import_recording(
     from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.video import Pictures
-    from dvrk_cmaes.recording.write_session import Selection, write_session
+    from dvrk_cmaes.recording.write_session import ImageSelection, write_session
 
     for text in OwnFiles.check_folder(recording, follow_links):
         warn(f"{recording}: {text}")
@@ -237,7 +237,7 @@ def import_recording(
         summary = write_session(
             replace(_with_progress(opened), rectified=topics.rectified),
             out,
-            selection=Selection(every, start, end),
+            selection=ImageSelection(every, start, end),
             tolerance=tolerance,
             lag=taken,
             overwrite=overwrite,

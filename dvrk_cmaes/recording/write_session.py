@@ -38,7 +38,7 @@ _ARM = re.compile(r"(?<![A-Za-z0-9])PSM[1-3](?![A-Za-z0-9])")
 
 
 @dataclass(frozen=True)
-class Selection:
+class ImageSelection:
     """Selection of images: every Nth of those between two times, in seconds after the first image."""
 
     every: int = 1
@@ -98,7 +98,7 @@ def write_session(
     recording: Recording,
     out: Path,
     *,
-    selection: Selection,
+    selection: ImageSelection,
     tolerance: float,
     lag: Lag | None = None,
     overwrite: bool = False,

@@ -35,7 +35,7 @@ _SMALL = 400  # px, width of these pictures
 
 
 @dataclass(frozen=True)
-class Prediction:
+class FramePrediction:
     """Leave-one-out prediction of a frame.
 
     frame, status : name and status of the frame.
@@ -123,15 +123,15 @@ def calibration_view(
 
 def _predictions(
     results: Mapping[str, Result], calibration: SessionCalibration, left_out: Mapping[str, LeaveOneOut]
-) -> Iterator[Prediction]:
+) -> Iterator[FramePrediction]:
     for name, (iou, contour_px) in calibration.leave_one_out.items():
         if name in results:
             quality = results[name].quality
             own = None if quality is None else quality.iou
-            yield Prediction(name, results[name].status, iou, contour_px, own, left_out[name].picture)
+            yield FramePrediction(name, results[name].status, iou, contour_px, own, left_out[name].picture)
 
 
-def _with_pictures(folder: ResultsFolder, predictions: Sequence[Prediction]) -> tuple[Prediction, ...]:
+def _with_pictures(folder: ResultsFolder, predictions: Sequence[FramePrediction]) -> tuple[FramePrediction, ...]:
     """Return predictions with small pictures within the page; the address of one that cannot be read stays."""
     small = (embedded_picture(left_out_path(folder.folder, prediction.frame), _SMALL) for prediction in predictions)
     return tuple(
@@ -140,7 +140,7 @@ def _with_pictures(folder: ResultsFolder, predictions: Sequence[Prediction]) -> 
     )
 
 
-def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction]) -> Iterator[KeyFigure]:
+def _figures(calibration: SessionCalibration, predictions: Sequence[FramePrediction]) -> Iterator[KeyFigure]:
     """Yield the key figures of the calibration."""
     total = len(calibration.frames) + len(calibration.left_out)
     left = len(calibration.left_out)

@@ -26,7 +26,7 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
     KEYFRAMES_BY_IMAGES,
     RecordedFrames,
-    Work,
+    RecordedWork,
     read_kept_colours,
     read_keyframes,
     solve_keyframes,
@@ -77,7 +77,7 @@ def follow_recorded(run: TrackRun) -> RecordedTracks | str | None:
     with instrument_processes(body.instrument, settings.workers or usable_cores(), frames) as processes:
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         in_groups = partial(_in_groups, by_body, run.stop)
-        work = Work(body, settings.arm, config, in_groups, lambda stage, n: run.notice(f"{stage}: {n} frames"))
+        work = RecordedWork(body, settings.arm, config, in_groups, lambda stage, n: run.notice(f"{stage}: {n} frames"))
         of = _Recording(run, frames, series, times, work)
         try:
             solved = of.by_masks() if settings.evidence == "masks" else of.by_images()
@@ -98,7 +98,7 @@ class _Recording:
     frames: tuple[FrameFiles, ...]
     series: ReadingSeries | None
     times: Float64
-    work: Work
+    work: RecordedWork
 
     def by_masks(self) -> RecordedSolution | str:
         """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
