@@ -8,23 +8,43 @@ from typing import Any, Final
 import numpy as np
 from msgspec import Struct
 
-from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.typed_document import Number, convert_document
+from dvrk_cmaes.io.typed_document import Number, convert_document, refused
 from dvrk_cmaes.joints.cables import CableModel
 from dvrk_cmaes.joints.play import NARROW
 
+Rows = tuple[tuple[Number, ...], ...]
+
 _WRIST_DEG: Final = tuple(range(-60, 61, 15))
 _JAW_DEG: Final = tuple(range(0, 61, 20))
+
+
+class _Alone(Struct):
+    """Fields of ``cables.alone`` in session.json."""
+
+    offset: tuple[Number, ...]
+    coupling: Rows
+
+
+class _Cables(Struct):
+    """Fields of ``cables`` in session.json."""
+
+    joints: tuple[str, ...]
+    reference: tuple[Number, ...]
+    coupling: Rows
+    play: Rows
+    narrow: tuple[Number, ...]
+    width: tuple[Number, ...]
+    alone: _Alone
 
 
 class _Session(Struct):
     """Fields of session.json."""
 
     offsets: dict[str, Number]
-    cables: SessionCables | None = None
+    cables: _Cables | None = None
 
 
 def correction_files(where: str, document: dict[str, Any], names: FrameNames) -> dict[str, str]:
@@ -47,12 +67,28 @@ def correction_files(where: str, document: dict[str, Any], names: FrameNames) ->
         none = np.zeros((count, count))
         whole = alone = _linear(joints, np.zeros(count), offset, none)
     else:
-        cables.check(where, joints)
+        _check(where, cables, joints)
         reference = np.array(cables.reference)
         alone = _linear(joints, reference, np.array(cables.alone.offset), np.array(cables.alone.coupling))
-        whole = cables.model(offset)
+        parts = (np.array(getattr(cables, name)) for name in ("coupling", "play", "narrow", "width"))
+        whole = CableModel(joints, reference, offset, *parts, *np.zeros((3, count)))
     stem = f"{names.arm}-joint-correction"
     return {f"{stem}.csv": _table(alone), f"{stem}.txt": _formula(whole)}
+
+
+def _check(where: str, cables: _Cables, joints: tuple[str, ...]) -> None:
+    """Raise InputError if there is not a value for each joint."""
+    count = len(joints)
+    if cables.joints != joints:
+        raise refused(where, "cables.joints", ", ".join(joints), list(cables.joints))
+    for name, row in (("reference", cables.reference), ("narrow", cables.narrow), ("width", cables.width)):
+        if len(row) != count:
+            raise refused(where, f"cables.{name}", f"{count} numbers, one a joint", list(row))
+    for name, rows in (("coupling", cables.coupling), ("play", cables.play), ("alone.coupling", cables.alone.coupling)):
+        if len(rows) != count or any(len(row) != count for row in rows):
+            raise refused(where, f"cables.{name}", f"{count} rows of {count} numbers", [list(row) for row in rows])
+    if len(cables.alone.offset) != count:
+        raise refused(where, "cables.alone.offset", f"{count} numbers, one a joint", list(cables.alone.offset))
 
 
 def _linear(joints: tuple[str, ...], reference: Float64, offset: Float64, coupling: Float64) -> CableModel:
