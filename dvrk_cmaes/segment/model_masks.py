@@ -142,9 +142,9 @@ def segment_by_model(
         return other
     if not others:
         return first
-    sure = min(first.confidence, _UNDECIDED) if joints else first.confidence
+    confidence = min(first.confidence, _UNDECIDED) if joints else first.confidence
     notes = *first.notes, _taken(first.mask, [each.mask for each in others])
-    return replace(first, confidence=sure, notes=notes, others=others)
+    return replace(first, confidence=confidence, notes=notes, others=others)
 
 
 def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: Camera) -> bool:
