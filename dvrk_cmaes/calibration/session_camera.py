@@ -118,15 +118,15 @@ class SessionCamera(Document):
         """Decide whether an estimate from some frames contradicts the camera file, and state it.
 
         Each linearisation may be farther away than the one before. What the frames tell at the camera of the file must
-        contradict it as well, unless the file is ``unusual`` in itself. Few frames must contradict a usual file
-        clearly, and another camera must explain the frames better.
+        contradict it as well. Unless the file is ``unusual`` in itself, few frames must contradict it clearly, and
+        another camera must explain the frames better.
         """
         change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
         limit = _CONTRADICTION if unusual or applied or frames >= _MANY_FRAMES else _CLEAR_CONTRADICTION
         contradicts = _distance(change, covariance, config) > limit
-        if not (applied or unusual):
+        if not applied:
             first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
-            contradicts = contradicts and first > limit and estimate.gain >= _LEAST_GAIN
+            contradicts = contradicts and first > limit and (unusual or estimate.gain >= _LEAST_GAIN)
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
         scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))
