@@ -274,9 +274,7 @@ class TrustConfig:
     tip_mm
         Distance, mm, within which the jaw tips of an ok result probably are of their true positions.
     least_probability
-        Least probability that they are, where a session or the images before and after support the pose.
-    least_probability_alone
-        The same of a frame by itself.
+        Least probability that they are.
     least_iou
         Least intersection over union of silhouette and mask.
     largest_distal_px
@@ -300,7 +298,6 @@ class TrustConfig:
 
     tip_mm: float = 1.8
     least_probability: float = field(default=0.82, metadata=_SHARE_OR_ZERO)
-    least_probability_alone: float = field(default=0.88, metadata=_SHARE_OR_ZERO)
     least_iou: float = field(default=0.85, metadata=_SHARE_OR_ZERO)
     largest_distal_px: float = 2.8
     largest_bend_px: float = 3.0

@@ -59,10 +59,8 @@ def judge(
     """List the reasons, in words, for which the first of all modes is doubtful, and remarks on single views.
 
     ``checks`` are those of the views, in their order, ``expected`` the expected error and ``of_mode`` the probability
-    of the first mode. Also returns the probability that the tips are within the limit. The limit of that probability is
-    that of frames by themselves.
+    of the first mode. Also returns the probability that the tips are within the limit.
     """
-    trust = replace(trust, least_probability=trust.least_probability_alone)
     qualities = [check.quality for check in checks]
     reasons, remarks = doubts_in_views(modes[0].at, views, qualities, expected, trust)
     further = zip(checks[1:], views[1:], strict=True)

@@ -127,7 +127,7 @@ def _searched(
 
 def _lacks_fit(qualities: Sequence[Quality], of_mode: float, trust: TrustConfig) -> bool:
     """Return whether the mode is in doubt and no view is explained, so that another search may find a better pose."""
-    return of_mode < trust.least_probability_alone and all(
+    return of_mode < trust.least_probability and all(
         quality.iou < trust.least_iou or quality.distal_px > trust.largest_distal_px for quality in qualities
     )
 
