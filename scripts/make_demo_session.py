@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 from committed_data import refuse_in_ci
+from measure.fixed_readings import fixed_rms_readings
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
@@ -28,7 +29,6 @@ from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.masks import MEDIUM, simulate_segmentation
 from dvrk_cmaes.synth.occluders import tissue_over_jaw
 from dvrk_cmaes.synth.poses import arm_session
-from dvrk_cmaes.synth.readings import fixed_rms_readings
 from dvrk_cmaes.synth.truth import exact_mask
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "demo"

@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from committed_data import refuse_in_ci
+from measure.fixed_readings import fixed_rms_readings
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
@@ -27,7 +28,6 @@ from dvrk_cmaes.synth.files import rounded_joints, rounded_truth
 from dvrk_cmaes.synth.levels import Mistakes
 from dvrk_cmaes.synth.masks import MEDIUM, SLIGHT, simulate_segmentation
 from dvrk_cmaes.synth.occluders import dilate_region, tissue_over_jaw
-from dvrk_cmaes.synth.readings import fixed_rms_readings
 from dvrk_cmaes.synth.truth import Truth, exact_mask, pose_from_view
 
 OUT: Final = Path(__file__).resolve().parents[1] / "data" / "golden"

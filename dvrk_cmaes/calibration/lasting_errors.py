@@ -23,10 +23,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.pose.terms.shared_errors import without_last
 from dvrk_cmaes.pose.terms.term import Quadratic
-
-Float64 = NDArray[np.float64]
 
 _AT_ONE_TIME = 0.999  # correlation of the errors of frames of one time
 

@@ -17,10 +17,8 @@ from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, LastingSize
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, Solution, marginalise
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.term import Quadratic
-
-Float64 = NDArray[np.float64]
 
 _SCALE_STD, _SECONDS_STD = 0.5, 0.6  # of the logarithms of both, beforehand
 _SCALES = USUAL_SIZE.scale * np.geomspace(0.2, 5.0, 11)

@@ -14,7 +14,7 @@ from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.rounding import rounded, rounded_array
 from dvrk_cmaes.io.typed_document import Number, Texts, refused
 from dvrk_cmaes.joints.cable_prior import cable_prior
-from dvrk_cmaes.joints.cables import CableModel
+from dvrk_cmaes.joints.cables import PARAMETERS, CableModel
 from dvrk_cmaes.joints.play import NARROW
 
 Row = tuple[Number, ...]
@@ -139,18 +139,8 @@ class SessionCables(Document):
         offset
             Offsets (C,) of the joints, rad.
         """
-        return CableModel(
-            self.joints,
-            np.array(self.reference),
-            offset,
-            np.array(self.coupling),
-            np.array(self.play),
-            np.array(self.narrow),
-            np.array(self.width),
-            np.array(self.wander),
-            np.array(self.seconds),
-            np.array(self.noise),
-        )
+        parts = {name: np.array(getattr(self, name)) for name in PARAMETERS}
+        return CableModel(self.joints, offset=offset, **parts)
 
     def correction_alone(self, readings: Float64) -> Correction:
         """Return the corrections of frames of which nothing is known but their readings (N, C), rad.

@@ -12,19 +12,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.alternation import fitted_again
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place, Steered
 from dvrk_cmaes.calibration.session_state import SessionState
-from dvrk_cmaes.geometry import adjoint, change_between, inverse, log_rotation
+from dvrk_cmaes.geometry import Float64, adjoint, change_between, inverse, log_rotation
 from dvrk_cmaes.instrument.setup_joints import SETUP
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
-Float64 = NDArray[np.float64]
 R = TypeVar("R")
 Solving = Generator[SessionState, Sequence[SessionState], R]
 """A solution of one arm: yields how far it is by itself, and takes the same of the other arms."""
@@ -246,9 +244,7 @@ def against_setup(
 
 
 def arms_document(
-    calibrations: Mapping[str, SessionCalibration],
-    bases: Mapping[str, RelativeBase],
-    setup: Mapping[str, SetupJoints],
+    calibrations: Mapping[str, SessionCalibration], bases: Mapping[str, RelativeBase], setup: Mapping[str, SetupJoints]
 ) -> dict[str, Any]:
     """Return what arms.json has: the bases relative to the first arm's, and what all tell of an endoscope that is read.
 

@@ -14,13 +14,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solution, marginalise, solve
 from dvrk_cmaes.config import SessionConfig
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 _ITERATIONS = 3  # of both estimates
 _MAX_ROLL_INFLATION, _MAX_JOINT_INFLATION = 20.0, 2.0
@@ -46,11 +44,7 @@ def solve_with_variances(
 
 
 def estimate_variances(
-    model: SessionModel,
-    fits: FrameFits,
-    solution: Solution,
-    config: SessionConfig,
-    initial: Deviations | None = None,
+    model: SessionModel, fits: FrameFits, solution: Solution, config: SessionConfig, initial: Deviations | None = None
 ) -> SessionModel:
     """Return the model after one iteration of expectation-maximisation.
 

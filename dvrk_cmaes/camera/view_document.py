@@ -34,19 +34,9 @@ class ViewDocument(Document):
     @classmethod
     def of(cls, view: View) -> ViewDocument:
         """Return the document of a view."""
-        camera = view.camera
-        return cls(
-            view.name,
-            camera.width,
-            camera.height,
-            camera.fx,
-            camera.fy,
-            camera.cx,
-            camera.cy,
-            camera.model,
-            camera.distortion,
-            np.asarray(view.view_from_camera),
-        )
+        c = view.camera
+        lens = c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.model, c.distortion
+        return cls(view.name, *lens, np.asarray(view.view_from_camera))
 
     def restored(self) -> View:
         """Return the view; InputError as of `Camera`."""

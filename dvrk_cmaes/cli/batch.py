@@ -189,8 +189,7 @@ def batch(
     if not time_limit > 0:
         raise InputError(f"--time-limit: expected seconds above 0, got {time_limit:g}")
     check_range("--time-limit", time_limit, 0, _LONGEST_FRAME, "seconds")
-    if workers is not None:
-        check_range("--workers", workers, 1, MOST_WORKERS)
+    check_range("--workers", workers, 1, MOST_WORKERS)
     from dvrk_cmaes.frames.label import parse_label
 
     wanted = None if label is None else parse_label("--label", label)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,7 +28,7 @@ from dvrk_cmaes.cli.options import (
     ReadingOptions,
     check_range,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show, warn
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, note, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,6 +43,7 @@ if TYPE_CHECKING:
     Predictions = Mapping[str, tuple[float, float]]
 
 _DOUBTFUL, _INTERRUPTED = 3, 130
+_DOUBT = STATUS_STYLES["doubtful"].removeprefix("bold ")  # style of a line about a part
 _MOST_LISTED = 10
 _REFUSED = "session: "  # begins what is said of a session that cannot be solved
 _LEAST_KEYFRAMES = 3
@@ -131,13 +131,11 @@ def calibrate(
     json
         Print only session.json, on stdout.
     """
-    if workers is not None:
-        check_range("--workers", workers, 1, MOST_WORKERS)
+    check_range("--workers", workers, 1, MOST_WORKERS)
     check_range("--every", every, 1, MOST_SKIPPED)
-    if keyframes is not None:
-        check_range("--keyframes", keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
-        if every > 1:
-            raise InputError("--keyframes: expected either this or --every, got both")
+    check_range("--keyframes", keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
+    if keyframes is not None and every > 1:
+        raise InputError("--keyframes: expected either this or --every, got both")
     from dvrk_cmaes.calibration.instrument_test import fitting_instruments
     from dvrk_cmaes.calibration.together import solved_together
     from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools
@@ -256,7 +254,7 @@ def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
         return arm
     frames = arm.session.frames
     few = replace(arm, session=replace(arm.session, frames=frames[:: -(-len(frames) // _FIRST_FRAMES)]))
-    print(f"dvrk-cmaes: finding the camera with {len(few.session.frames)} frames", file=sys.stderr, flush=True)
+    note(f"finding the camera with {len(few.session.frames)} frames")
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
         out = Path(folder) / "session"
         solved = solved_alone(_solving_arm(few, out, replace(asked, refine_camera=True)))
@@ -275,7 +273,7 @@ def _predicted_with(arm: ArmInSession, asked: _Asked) -> Predictions | str | Non
 
     from dvrk_cmaes.calibration.together import solved_alone
 
-    print(f"dvrk-cmaes: trying instrument {arm.body.instrument.name}", file=sys.stderr, flush=True)
+    note(f"trying instrument {arm.body.instrument.name}")
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
         out = Path(folder) / "session"
         try:
@@ -345,9 +343,7 @@ def _solving_arm(
                 opened=own,
                 others=others,
                 places=places,
-                progress=lambda stage, count: print(
-                    f"dvrk-cmaes: {stage}: {count} frames", file=sys.stderr, flush=True
-                ),
+                progress=lambda stage, count: note(f"{stage}: {count} frames"),
             )
         )
 
@@ -410,9 +406,9 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             yield Line(f"  {text}")
     yield from map(Line, calibration.in_words())
     for text in calibration.untold:
-        yield Line(f"  not told by this session: {text}", STATUS_STYLES["doubtful"].removeprefix("bold "))
+        yield Line(f"  not told by this session: {text}", _DOUBT)
     for name, reason in list(calibration.left_out.items())[:_MOST_LISTED]:
-        yield Line(f"left out: {name}: {reason}", STATUS_STYLES["doubtful"].removeprefix("bold "))
+        yield Line(f"left out: {name}: {reason}", _DOUBT)
     if len(calibration.left_out) > _MOST_LISTED:
         yield Line(f"... and {len(calibration.left_out) - _MOST_LISTED} more")
     alone = list(calibration.leave_one_out.values())
@@ -427,7 +423,7 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
         yield Line(f"  {eye} eye: mean IoU {pairs[:, 0].mean():.3f}, contour {np.median(pairs[:, 1]):.1f} px median")
     doubtful = {name: result for name, result in solved.results.items() if result.status == "doubtful"}
     for name, result in list(doubtful.items())[:_MOST_LISTED]:
-        yield Line(f"doubtful: {name}: {'; '.join(result.reasons)}", STATUS_STYLES["doubtful"].removeprefix("bold "))
+        yield Line(f"doubtful: {name}: {'; '.join(result.reasons)}", _DOUBT)
     if doubtful:
         yield Line(f"{len(doubtful)} of {len(solved.results)} frames are doubtful", STATUS_STYLES["doubtful"])
     yield Line(f"written: {out / 'session.json'}   frames: {out / 'frames'}   page: {out / 'report.html'}")

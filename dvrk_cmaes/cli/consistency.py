@@ -66,7 +66,7 @@ def consistency(
     """
     from dvrk_cmaes.draw.figure import check_figure_path, write_figure
     from dvrk_cmaes.evaluate.agreement import measure_agreement
-    from dvrk_cmaes.evaluate.paper import TABLE_ONE
+    from dvrk_cmaes.evaluate.consistency import TABLE_ONE
     from dvrk_cmaes.evaluate.result_set import read_result_set
     from dvrk_cmaes.instrument.dvrk_description import read_tool
     from dvrk_cmaes.report.consistency_picture import draw_axes
@@ -101,7 +101,7 @@ def consistency(
 
 def _table(found: Sequence[Agreement]) -> Iterator[Line]:
     """Yield a table with one row for each set of results, then the paper's rows and the frames without a pose."""
-    from dvrk_cmaes.evaluate.paper import TABLE_ONE
+    from dvrk_cmaes.evaluate.consistency import TABLE_ONE
 
     names = [spread.results.name for spread in found] + [f"paper, {level}, PnP" for level in TABLE_ONE]
     width = max(len(name) for name in names)

@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import DEFAULT_METHOD, OUTPUT, Flag, MethodOptions
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer
+from dvrk_cmaes.io.encode import encoded_fields
 
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance
@@ -42,9 +43,7 @@ class DemoOutcome:
         """Return plain values for JSON."""
         quality = self.result.quality
         return {
-            "frame": self.result.frame,
-            "status": self.result.status,
-            "reasons": list(self.result.reasons),
+            **encoded_fields(self.result, "frame", "status", "reasons"),
             **asdict(self.error),
             "iou": None if quality is None else quality.iou,
             "seconds": self.result.seconds,

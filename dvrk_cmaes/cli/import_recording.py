@@ -28,11 +28,11 @@ from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import Side
-    from dvrk_cmaes.frames.frame import Window
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.rows import JointFile
     from dvrk_cmaes.recording.pose_table import PoseTable
-    from dvrk_cmaes.recording.recording import Recording
+    from dvrk_cmaes.recording.recording import Asked, Recording
+    from dvrk_cmaes.recording.video import Pictures
     from dvrk_cmaes.recording.write_session import ImportSummary
 
 SELECTION = Group.create_ordered("Selection")
@@ -224,25 +224,20 @@ def import_recording(
     check_range("--episode", episode, 0, MOST_EPISODES)
     from dvrk_cmaes.frames.own_files import OwnFiles
     from dvrk_cmaes.frames.picture_fit import parse_crop
-    from dvrk_cmaes.recording.write_session import Selection, write_session
+    from dvrk_cmaes.recording.recording import Asked
+    from dvrk_cmaes.recording.video import Pictures
+    from dvrk_cmaes.recording.write_session import ImageSelection, write_session
 
     for text in OwnFiles.check_folder(recording, follow_links):
         warn(f"{recording}: {text}")
-    with _opened(
-        recording,
-        topics,
-        camera,
-        _table(joints, poses, arm[0] if len(arm) == 1 else None),
-        video_start,
-        side,
-        arm,
-        episode,
-        (layout, interlaced, None if crop is None else parse_crop("--crop", crop)),
-    ) as opened:
+    table = _table(joints, poses, arm[0] if len(arm) == 1 else None)
+    asked = Asked("left", arm[0] if arm else None, camera, table, video_start)
+    shown_part = Pictures(layout, "left", interlaced, None if crop is None else parse_crop("--crop", crop))
+    with _opened(recording, topics, asked, shown_part, side, arm, episode) as opened:
         summary = write_session(
             replace(_with_progress(opened), rectified=topics.rectified),
             out,
-            selection=Selection(every, start, end),
+            selection=ImageSelection(every, start, end),
             tolerance=tolerance,
             lag=taken,
             overwrite=overwrite,
@@ -310,13 +305,11 @@ def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
 def _opened(
     path: Path,
     topics: TopicOptions,
-    camera: Path | None,
-    joints: Path | PoseTable | JointFile | None,
-    video_start: float,
+    asked: Asked,
+    pictures_asked: Pictures,
     side: Literal["left", "right", "both"] | None,
     arms: Sequence[str],
     episode: int,
-    of_video: tuple[LayoutOption, Literal["top", "bottom"] | None, Window | None],
 ) -> AbstractContextManager[Recording]:
     """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.frames.session_folder import is_session_layout
@@ -325,7 +318,6 @@ def _opened(
     from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
     from dvrk_cmaes.recording.pose_table import PoseTable
-    from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.stereo_videos import has_stereo_videos, open_stereo_videos
     from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
@@ -333,13 +325,13 @@ def _opened(
     from dvrk_cmaes.recording.topics import TopicRequest
     from dvrk_cmaes.recording.video import Pictures, open_pictures, open_video
 
-    arm = arms[0] if arms else None
+    arm, camera, joints = asked.arm, asked.camera, asked.joints
     if path.is_dir() and is_lerobot(path):
-        if side == "both" or isinstance(joints, PoseTable) or topics != _DEFAULT_TOPICS or video_start:
+        if side == "both" or isinstance(joints, PoseTable) or topics != _DEFAULT_TOPICS or asked.start:
             raise InputError(
                 f"{path}: expected none of --side both, --pose-of, --video-start and topics with a LeRobot data set"
             )
-        return open_lerobot(path, Asked(side or "left", arm, camera, joints), episode)
+        return open_lerobot(path, replace(asked, side=side or "left"), episode)
     if episode:
         raise InputError(f"{path}: --episode: expected a LeRobot data set, with meta/info.json and data")
     surgpose = path.is_dir() and is_surgpose(path)
@@ -354,7 +346,7 @@ def _opened(
         raise InputError(f"{path}: --arm: expected a ROS recording, a clip of SurgSync or a folder of SurgPose")
     if len(arms) > 1 and not bag:
         raise InputError(f"{path}: --arm: expected one arm, but of a ROS recording, got {', '.join(arms)}")
-    if of_video != (None, None, None) and (stereo or bag or (pictures and of_video[1])):
+    if pictures_asked != Pictures() and (stereo or bag or (pictures and pictures_asked.first_field)):
         raise InputError(
             f"{path}: --layout, --crop, --interlaced: expected a video, or with the first two a folder of pictures"
         )
@@ -365,15 +357,15 @@ def _opened(
 
     def of_eye(eye: Side, *, named: bool = True) -> AbstractContextManager[Recording]:
         """Open one eye; ``named`` tells whether the topic of its images has the eye in its name."""
-        asked = Asked(eye, arm, camera, joints, video_start)
+        of_side = replace(asked, side=eye)
         if not bag:
-            shown = Pictures(of_video[0], eye, of_video[1], of_video[2])
+            shown = replace(pictures_asked, side=eye)
             if pictures:
-                return open_pictures(path, asked, shown)
+                return open_pictures(path, of_side, shown)
             if not stereo:
-                return open_video(path, asked, shown)
+                return open_video(path, of_side, shown)
             by_frame = open_packed if packed else open_surgsync if clip else open_stereo_videos
-            return (open_surgpose if surgpose else by_frame)(path, asked)
+            return (open_surgpose if surgpose else by_frame)(path, of_side)
         own = TopicRequest(
             topics.image_topic,
             topics.camera_topic,
@@ -385,7 +377,7 @@ def _opened(
             recorded_times=topics.recorded_times,
         )
         own = own.of_right_eye() if side == "both" and eye == "right" else own
-        return open_bag(path, own, replace(asked, joints=joints if eye == "left" or side == "right" else None))
+        return open_bag(path, own, replace(of_side, joints=joints if eye == "left" or side == "right" else None))
 
     if side == "both":
         return both_eyes(of_eye)

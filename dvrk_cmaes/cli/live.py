@@ -97,12 +97,8 @@ class LiveTopics:
         right = (self.right_mask_topic, self.right_camera_topic)
         if self.right_image_topic is None and any(right):
             raise InputError("--right-image-topic: expected the topic of the right eye's images, got none")
-        each = {
-            "--mask-topic": self.mask_topic,
-            "--right-mask-topic": self.right_mask_topic,
-            "--joints-topic": self.joints_topic,
-            "--jaw-topic": self.jaw_topic,
-        }
+        names = ("mask_topic", "right_mask_topic", "joints_topic", "jaw_topic")
+        each: dict[str, tuple[str, ...]] = {f"--{name.replace('_', '-')}": getattr(self, name) for name in names}
         for option, given in each.items():
             if given and len(given) != len(arms):
                 raise InputError(f"{option}: expected a topic for each of {', '.join(arms)}, got {', '.join(given)}")
@@ -262,17 +258,9 @@ def live(
             folder = None if out is None else out / arm if len(psm) > 1 else out
             calibrated = read_calibration_of(calibration, body, instrument.arm, arm, doubtful=doubtful_session)
             earlier = None if folder is None else earlier_calibration(folder, body.instrument, instrument.kinematics)
-            arms.append(
-                ArmSetup(
-                    names[arm],
-                    body,
-                    instrument.kinematics,
-                    calibrated,
-                    partial(SolverProcess, body.instrument, background=True),
-                    earlier,
-                    None if folder is None else partial(save_calibration, folder),
-                )
-            )
+            solver = partial(SolverProcess, body.instrument, background=True)
+            save = None if folder is None else partial(save_calibration, folder)
+            arms.append(ArmSetup(names[arm], body, instrument.kinematics, calibrated, solver, earlier, save))
             if folder is not None:
                 stack.enter_context(output(folder, "live", owns=False)).refuse((SESSION,))
         origin = time.time_ns()

@@ -49,9 +49,9 @@ SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)
 DoubtfulSessionOption = Annotated[bool, Parameter(name="--doubtful-session", negative=(), group=METHOD)]
 
 
-def check_range(option: str, value: float, least: float, most: float, what: str = "a whole number") -> None:
-    """Raise an InputError for the value of an option that is not from ``least`` to ``most``."""
-    if not least <= value <= most:
+def check_range(option: str, value: float | None, least: float, most: float, what: str = "a whole number") -> None:
+    """Raise an InputError for the value of an option that is given and not from ``least`` to ``most``."""
+    if value is not None and not least <= value <= most:
         limit = f"at most {most:.10g}" if value > most else f"at least {least:.10g}"
         raise InputError(f"{option}: expected {what} of {limit}, got {shown(value)}")
 
@@ -355,13 +355,10 @@ class MethodOptions:
         if self.refine is not None:
             _check_name("refine", self.refine, REFINEMENTS)
             settings = replace(settings, refine=replace(settings.refine, method=self.refine))
-        if self.seed is not None:
-            check_range("--seed", self.seed, 0, LARGEST_SEED)
-            settings = replace(settings, seed=self.seed)
-        if self.threads is not None:
-            check_range("--threads", self.threads, 1, MOST_THREADS)
-            settings = replace(settings, threads=self.threads)
-        return settings
+        check_range("--seed", self.seed, 0, LARGEST_SEED)
+        check_range("--threads", self.threads, 1, MOST_THREADS)
+        given = {name: value for name in ("seed", "threads") if (value := getattr(self, name)) is not None}
+        return replace(settings, **given)
 
 
 DEFAULT_CAMERA = CameraOptions()

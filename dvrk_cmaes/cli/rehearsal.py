@@ -239,16 +239,10 @@ def play(
             keeps = recorded.settings(arm, config, lag).keeps_keyframes
             return partial(SolverProcess, recorded.arms[arm].body.instrument) if keeps else None
 
-        arms = [
-            ArmSetup(
-                FrameNames(arm, camera_frame, f"{arm}_base"),
-                own.body,
-                own.kinematics,
-                calibration(arm, own.body),
-                solver(arm),
-            )
-            for arm, own in recorded.arms.items()
-        ]
+        arms = []
+        for arm, own in recorded.arms.items():
+            frame_names, given = FrameNames(arm, camera_frame, f"{arm}_base"), calibration(arm, own.body)
+            arms.append(ArmSetup(frame_names, own.body, own.kinematics, given, solver(arm)))
         rig = next(iter(recorded.arms.values())).session.rig
         setup = LiveSetup(
             recorded.topics, tuple(arms), config, lag, rig, overlay=overlay, waits=True, origin=recorded.origin

@@ -72,7 +72,7 @@ class SessionTool:
         """
         from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
         from dvrk_cmaes.frames.own_files import FOLLOWED
-        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, read_session_as
+        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, read_session
         from dvrk_cmaes.frames.session_toml import CameraEntry
         from dvrk_cmaes.frames.tool_frames import frames_of_tool
         from dvrk_cmaes.runs.exchanged_tools import ArmInSession
@@ -81,7 +81,7 @@ class SessionTool:
         files = None if joints is None else joint_files(joints, tool.arm or None)
         said = CameraEntry() if entries is None or camera.camera is not None else entries.camera
         labels = folder / ("labels" if labelled or tool.label is not None else "masks")
-        session = read_session_as(
+        session = read_session(
             folder,
             camera=camera.camera or said.file or said.left,
             camera_right=camera.camera_right or said.right,

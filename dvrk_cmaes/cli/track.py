@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -34,7 +34,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
 )
 from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_calibration_of, session_tools
-from dvrk_cmaes.cli.terminal import Line, frames_text, show, warn
+from dvrk_cmaes.cli.terminal import Line, frames_text, note, show, warn
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed
@@ -170,8 +170,7 @@ def track(
         Print only the numbers of frames by status, as JSON, on stdout.
     """
     check_range("--every", every, 1, MOST_SKIPPED)
-    if workers is not None:
-        check_range("--workers", workers, 1, MOST_WORKERS)
+    check_range("--workers", workers, 1, MOST_WORKERS)
     if not (math.isfinite(fps) and fps > 0):
         raise InputError(f"--fps: expected frames a second above 0, got {fps:g}")
     check_range("--fps", fps, 1e-3, 1e6, "frames a second")
@@ -235,7 +234,7 @@ def track(
                     rerun=rerun,
                     stop=stop,
                     progress=_progress(name),
-                    notice=_notice(name),
+                    notice=partial(_notice, name),
                 )
                 if done.interrupted:
                     break
@@ -274,10 +273,9 @@ def _check_of_several(of_one: Mapping[str, Path | None], calibration: Path | Non
         raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
 
 
-def _notice(arm: str) -> Callable[[str], None]:
-    """Return a function that prints a line on stderr; ``arm`` is named if it is not empty."""
-    name = f"{arm}: " if arm else ""
-    return lambda text: print(f"dvrk-cmaes: {name}{text}", file=sys.stderr, flush=True)
+def _notice(arm: str, text: str) -> None:
+    """Print a line about an arm on stderr; the arm is named if its name is not empty."""
+    note(f"{arm}: {text}" if arm else text)
 
 
 def _progress(arm: str) -> Callable[[int, int, TrackResult | None], None]:
@@ -295,7 +293,7 @@ def _progress(arm: str) -> Callable[[int, int, TrackResult | None], None]:
         if now - last >= _REPORT_EVERY or done == total:
             last = now
             rate = (done - before) / max(now - started, 1e-9)
-            print(f"dvrk-cmaes: {name}{done} of {total} frames, {rate:.1f} a second", file=sys.stderr, flush=True)
+            note(f"{name}{done} of {total} frames, {rate:.1f} a second")
 
     return report
 

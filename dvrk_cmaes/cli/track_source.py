@@ -118,8 +118,8 @@ def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None
     from dvrk_cmaes.recording.bag import open_bag
     from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.topics import TopicRequest
-    from dvrk_cmaes.recording.write_session import Selection, write_session
+    from dvrk_cmaes.recording.write_session import ImageSelection, write_session
 
     with open_bag(path, TopicRequest(), Asked(camera=camera, joints=joints)) as recording:
-        write_session(recording, folder, selection=Selection(), tolerance=_TOLERANCE, overwrite=folder.exists())
+        write_session(recording, folder, selection=ImageSelection(), tolerance=_TOLERANCE, overwrite=folder.exists())
     return folder

@@ -78,21 +78,12 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
     DvrkCmaesError
         Nothing was found that could be the instrument; names the image's file.
     """
-    settings, config, arm, session = method.segment or SegmentSettings(), method.config, method.arm, method.session
+    settings, session = method.segment or SegmentSettings(), method.session
     started = perf_counter()
 
     def solve(views: Sequence[SeenView], session: SessionCalibration | None = None) -> Result:
-        return estimate_views(
-            views,
-            files.readings,
-            body,
-            named=len(views) > 1,
-            arm=arm,
-            session=session,
-            frame=files.name,
-            time=files.time,
-            config=config,
-        )
+        own, named = replace(method, session=session), len(views) > 1
+        return estimate_views(views, files.readings, body, own, named=named, frame=files.name, time=files.time)
 
     found: list[_FoundMask] = []
     for view in data.views:
@@ -101,7 +92,7 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
             chosen = found[0].segmentation.others or own != Hints()
             own = prompt_in(view, found[0].view.mask, found[0].view, body) if chosen else Hints()
         try:
-            found.append(_find_mask(view, body, files.readings, solve, settings, own, config.threads))
+            found.append(_find_mask(view, body, files.readings, solve, settings, own, method.config.threads))
         except DvrkCmaesError as error:
             raise type(error)(f"{image_path(files.others.get(view.name, files))}: {error}") from None
     first, alone = found[0], len(found) == 1

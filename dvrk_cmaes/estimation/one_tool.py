@@ -124,13 +124,11 @@ def estimate(
         seen_views(mask, camera, ignore, keypoints),
         joints,
         instrument,
+        FrameMethod(arm, EstimateConfig() if config is None else config, session),
         named=isinstance(camera, Rig),
-        arm=arm,
-        session=session,
         start=start,
         frame=frame,
         time=time,
-        config=config,
         warnings=warnings,
     )
 
@@ -138,23 +136,21 @@ def estimate(
 @single_blas_thread()
 def estimate_views(
     seen: Sequence[SeenView],
-    joints: Mapping[str, float] | None = None,
-    instrument: Instrument | Body | str | Path = "lnd",
+    joints: Mapping[str, float] | None,
+    instrument: Instrument | Body | str | Path,
+    method: FrameMethod,
     *,
     named: bool,
-    arm: Arm = "classic",
-    session: SessionCalibration | None = None,
     start: Result | None = None,
     frame: str = "",
     time: float | None = None,
-    config: EstimateConfig | None = None,
     warnings: Sequence[str] = (),
 ) -> Result:
     """Estimate the pose of the instrument in the first of some views, as `estimate` does.
 
     ``named`` tells whether the result says which views were used, and which not.
     """
-    settings = EstimateConfig() if config is None else config
+    settings, arm, session = method.config, method.arm, method.session
     check_config(settings)
     check_arm(arm)
     if session is not None:

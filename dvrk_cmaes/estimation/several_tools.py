@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation.one_tool import estimate_views
+from dvrk_cmaes.estimation.one_tool import FrameMethod, estimate_views
 from dvrk_cmaes.frames.frame import with_tool
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_views
 from dvrk_cmaes.instrument import Instrument
@@ -95,13 +95,11 @@ def estimate_tools(
                 views,
                 tool.joints,
                 bodies[name],
+                FrameMethod(tool.arm, settings, tool.session),
                 named=isinstance(camera, Rig),
-                arm=tool.arm,
-                session=tool.session,
                 start=start,
                 frame=frame,
                 time=time,
-                config=settings,
             )
         except InputError as error:
             raise InputError(f"{name}: {error}") from None

@@ -18,6 +18,7 @@ from dvrk_cmaes.evaluate.consistency import (
 )
 from dvrk_cmaes.evaluate.result_set import ResultSet
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm
+from dvrk_cmaes.io.encode import encoded, encoded_fields
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,28 +38,26 @@ class Agreement:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: m and degrees, positions in the camera's frame."""
         results, rcm, base = self.results, self.rcm, self.base
-        return {
+        document = {
             "results": results.name,
             "solved": results.solved,
             "agree_by_construction": results.by_construction,
-            "alone": results.alone,
-            "frames": list(results.frames),
-            "failed": list(results.failed),
-            "doubtful": list(results.doubtful),
-            "converging_point_m": _rounded(self.axes.point.tolist()),
-            "sigma_m": _rounded(self.axes.sigma),
-            "rms_m": _rounded(self.axes.rms),
-            "turn_deg": _rounded(np.degrees(self.axes.turn)),
-            "distances_m": dict(zip(results.frames, _rounded(self.axes.distances.tolist()), strict=True)),
-            "rcm": None if rcm is None else {"mean_m": _rounded(rcm.centre.tolist()), "spread_m": _rounded(rcm.rms)},
-            "base": None
-            if base is None
-            else {
-                "rotation_deg_median": _rounded(base.median_deg),
-                "rotation_deg_max": _rounded(base.largest_deg),
-                "rotation_deg": dict(zip(results.frames, _rounded(base.angles_deg.tolist()), strict=True)),
+            **encoded_fields(results, "alone", "frames", "failed", "doubtful"),
+            "converging_point_m": self.axes.point,
+            "sigma_m": self.axes.sigma,
+            "rms_m": self.axes.rms,
+            "turn_deg": float(np.degrees(self.axes.turn)),
+            "distances_m": dict(zip(results.frames, self.axes.distances.tolist(), strict=True)),
+            "rcm": rcm and {"mean_m": rcm.centre, "spread_m": rcm.rms},
+            "base": base
+            and {
+                "rotation_deg_median": base.median_deg,
+                "rotation_deg_max": base.largest_deg,
+                "rotation_deg": dict(zip(results.frames, base.angles_deg.tolist(), strict=True)),
             },
         }
+        found: dict[str, Any] = encoded(document)
+        return found
 
 
 def measure_agreement(results: ResultSet, *, arm: Arm | None = None, roll_offset: float | None = None) -> Agreement:
@@ -92,8 +91,3 @@ def measure_agreement(results: ResultSet, *, arm: Arm | None = None, roll_offset
         rcm=None if insertion is None else rcm_spread(poses, insertion[:, 0], arm, roll_offset=roll_offset),
         base=None if outer is None else base_spread(poses, outer, arm, roll_offset=roll_offset),
     )
-
-
-def _rounded(value: Any) -> Any:
-    """Round a number or the numbers of nested lists to nine decimals, as in results."""
-    return [_rounded(v) for v in value] if isinstance(value, list) else round(float(value), 9)

@@ -96,18 +96,12 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
     solved = f"{together} of {len(posed)} {TOGETHER}"
     if together in (0, len(posed)):
         solved = TOGETHER if together else ONE_BY_ONE
-    return ResultSet(
-        name=str(path),
-        frames=tuple(posed),
-        camera_from_root=np.stack(list(posed.values())),
-        solved=solved,
-        readings=given if given is not None else {name: result.readings for name, result in results.items()},
-        failed=tuple(name for name in results if name not in posed),
-        doubtful=tuple(name for name in posed if results[name].status == "doubtful"),
-        alone=str(path / ALONE) if together and (path / ALONE / "frames").is_dir() else None,
-        arm=arm,
-        roll_offset=roll_offset,
-    )
+    readings = {name: result.readings for name, result in results.items()} if given is None else given
+    failed = tuple(name for name in results if name not in posed)
+    doubtful = tuple(name for name in posed if results[name].status == "doubtful")
+    alone = str(path / ALONE) if together and (path / ALONE / "frames").is_dir() else None
+    frames, poses = tuple(posed), np.stack(list(posed.values()))
+    return ResultSet(str(path), frames, poses, solved, readings, failed, doubtful, arm, roll_offset, alone)
 
 
 def read_readings(path: Path) -> Readings:

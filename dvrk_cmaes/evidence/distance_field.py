@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.geometry import Bool, Float32, Float64
 
 FIELDS = ("fmm", "exact", "chamfer")
 """Methods: fast marching (scikit-fmm), as in the paper; SciPy's exact Euclidean transform; OpenCV's 5 x 5 chamfer."""
@@ -18,9 +18,7 @@ FARTHEST = 1000.0
 """Largest distance, px; the squares of larger ones are not exact in single precision."""
 
 
-def distance_field(
-    mask: NDArray[np.bool_], method: str = "fmm", *, where: NDArray[np.bool_] | None = None
-) -> NDArray[np.float64]:
+def distance_field(mask: Bool, method: str = "fmm", *, where: Bool | None = None) -> Float64:
     """Compute the distance, px, from each pixel to the mask (H, W), (H, W); 0 inside.
 
     Distances are measured from the mask's outline, half a pixel outside the centres of its outermost pixels. The mask
@@ -43,7 +41,7 @@ def distance_field(
     raise InputError(f"distance field: expected one of {', '.join(nearest_first(method, FIELDS))}, got {method!r}")
 
 
-def _marched(sign: NDArray[np.float64], left_out: NDArray[np.bool_], narrow: float) -> NDArray[np.float64]:
+def _marched(sign: Float64, left_out: Bool, narrow: float) -> Float64:
     """March a front from where ``sign`` (H, W) changes, up to ``narrow`` px, 0 for any; 0 where it does not come.
 
     ``skfmm.distance`` takes pixels that are left out as a masked array, and returns one. It imports numpy.ma for that,
@@ -60,7 +58,7 @@ def _marched(sign: NDArray[np.float64], left_out: NDArray[np.bool_], narrow: flo
     return np.where(marched == np.finfo(np.float64).max, 0.0, np.asarray(marched, dtype=np.float64))
 
 
-def distance_within(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+def distance_within(mask: Bool) -> Float32:
     """Compute the distance, px, at most 1000, from each pixel of a mask (H, W) to the nearest one outside; 0 there.
 
     OpenCV computes square roots with either of two methods of different accuracy, depending on the memory alignment of

@@ -7,16 +7,13 @@ from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.jaw_tips import find_tips
 from dvrk_cmaes.evidence.shaft_edges import Contour, ShaftEdges, find_contour, find_shaft_edges, half_width
+from dvrk_cmaes.geometry import Bool, Float32, Float64
 from dvrk_cmaes.instrument import Instrument
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +30,8 @@ class Evidence:
     """
 
     camera: Camera
-    mask: NDArray[np.bool_]
-    weight: NDArray[np.float32]
+    mask: Bool
+    weight: Float32
     contour: Contour
     shaft_edges: tuple[ShaftEdges, ...]
     tips: Float64 | None
@@ -84,7 +81,7 @@ class Evidence:
         """Whether there are ignored pixels."""
         return bool(self.weight.min() < 1)
 
-    def overlap_with(self, silhouette: NDArray[np.bool_], window: tuple[slice, slice] = np.s_[:, :]) -> float:
+    def overlap_with(self, silhouette: Bool, window: tuple[slice, slice] = np.s_[:, :]) -> float:
         """Return the intersection over union of a silhouette (H, W) and the mask, without ignored pixels.
 
         All of both is in the ``window`` of the image.
@@ -98,11 +95,11 @@ class Evidence:
 
 
 def gather_evidence(
-    mask: NDArray[np.bool_],
+    mask: Bool,
     camera: Camera,
     instrument: Instrument,
     *,
-    ignore: NDArray[np.bool_] | None = None,
+    ignore: Bool | None = None,
     keypoints: Float64 | None = None,
     seed: int = 0,
     features: bool = True,
@@ -188,9 +185,7 @@ def _gathered(
     return gathered
 
 
-def _without_features(
-    mask: NDArray[np.bool_], ignore: NDArray[np.bool_] | None, camera: Camera, keypoints: Float64 | None
-) -> Evidence:
+def _without_features(mask: Bool, ignore: Bool | None, camera: Camera, keypoints: Float64 | None) -> Evidence:
     """Collect the evidence of a mask (H, W) alone, and the jaw tips that are given."""
     weight = np.ones(mask.shape, dtype=np.float32)
     if ignore is not None:
@@ -198,12 +193,12 @@ def _without_features(
     return Evidence(camera, mask, weight, find_contour(mask, camera, ignore), (), keypoints, keypoints is not None)
 
 
-def shrunk(image: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
+def shrunk(image: Float32, width: int, height: int) -> Float32:
     """Downsample an image (H, W) to another size by area averaging."""
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def window_around(mask: NDArray[np.bool_], margin: int) -> tuple[int, int, int, int]:
+def window_around(mask: Bool, margin: int) -> tuple[int, int, int, int]:
     """Return left, top, width and height, px, of the bounding box of a non-empty mask, with a margin, in the image."""
     first, highest, wide, high = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
     left, top = max(first - margin, 0), max(highest - margin, 0)

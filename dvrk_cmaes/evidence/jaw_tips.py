@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.evidence.shaft_edges import Contour, ShaftEdges
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Bool, Float64, Indices
 
 _LEAST_BORDER = 5  # pixels of a mask at the border of the image, from which on the instrument comes in there
 _LEAST_TIP_DISTANCE = 8.0  # px between two separate tips
 
 
-def distal_direction(
-    mask: NDArray[np.bool_], edges: ShaftEdges, contour: Contour, camera: Camera
-) -> tuple[Float64, bool]:
+def distal_direction(mask: Bool, edges: ShaftEdges, contour: Contour, camera: Camera) -> tuple[Float64, bool]:
     """Find the unit vector (2,) along the shaft towards the jaws, in the undistorted image, and whether that is sure.
 
     The instrument enters the image at its border, so it points away from the mask's pixels on the image border. If the
@@ -36,7 +32,7 @@ def distal_direction(
     return np.asarray(axis if (entry - middle) @ axis < 0 else -axis), True
 
 
-def _border_pixels(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _border_pixels(mask: Bool) -> Indices:
     """Return the pixels (N, 2), u and v, of a mask at the border of the image, without searching all of it."""
     height, width = mask.shape
     found = [(u, v) for v in {0, height - 1} for u in np.flatnonzero(mask[v])]
@@ -45,11 +41,7 @@ def _border_pixels(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def find_tips(
-    mask: NDArray[np.bool_],
-    contour: Contour,
-    edges: ShaftEdges | None,
-    camera: Camera,
-    ignore: NDArray[np.bool_] | None,
+    mask: Bool, contour: Contour, edges: ShaftEdges | None, camera: Camera, ignore: Bool | None
 ) -> Float64 | str:
     """Locate the jaw tips, (2, 2) px; returns the reason, in words, if they cannot be found.
 

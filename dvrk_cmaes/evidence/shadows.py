@@ -13,10 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import sampled
-
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
+from dvrk_cmaes.geometry import Bool, Float32, Float64
 
 # px of an image 640 px wide
 _DEEP, _AROUND, _INSIDE = 12.0, 2.0, 3.0  # how far inside, how far from the contour, and from where on inside

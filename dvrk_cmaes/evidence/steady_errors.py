@@ -8,11 +8,9 @@ It says nothing about the pose, so such stretches are left out of its informatio
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Bool, Float64
 
 _OFF = 2.5  # standard deviations of the contour's noise, from which on a point is off
 _LEAST_OFF = 1.5  # px, the same at least
@@ -20,7 +18,7 @@ _LEAST_LENGTH = 6  # points, of a stretch
 _LARGEST_GAP = 3.0  # px between neighbouring points of a stretch
 
 
-def steady_stretches(contour: Float64, distances: Float64) -> NDArray[np.bool_]:
+def steady_stretches(contour: Float64, distances: Float64) -> Bool:
     """Find the points of a contour that lie on a stretch which is off together, (N,) bool.
 
     ``contour`` (N, 2) px are a mask's contour points in their order along it, ``distances`` (N,) px their signed

@@ -20,6 +20,7 @@ from msgspec import Struct
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, rotation_angle, transform
+from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.typed_document import Texts, Transform, convert_document
 from dvrk_cmaes.results.result import Result
@@ -106,14 +107,7 @@ class ChosenBase:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the choice as plain values for JSON."""
-        return {
-            "camera_from_base": np.round(self.camera_from_base, 9).tolist(),
-            "origin": self.origin,
-            "frames": list(self.frames),
-            "spread_mm": self.spread_mm,
-            "spread_deg": self.spread_deg,
-            "warnings": list(self.warnings),
-        }
+        return encoded_fields(self, "camera_from_base", "origin", "frames", "spread_mm", "spread_deg", "warnings")
 
 
 def base_of_session(where: str, document: Mapping[str, Any], others: Mapping[str, Float64]) -> ChosenBase:

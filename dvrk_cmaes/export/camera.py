@@ -20,7 +20,7 @@ from dvrk_cmaes.io.yaml_file import yaml_text
 _ALONE: Final = "camera"  # name of the only camera's files
 
 
-class _Session(Struct):
+class _SessionOfCamera(Struct):
     """Fields of session.json."""
 
     views: tuple[ViewDocument, ...] = ()
@@ -36,7 +36,7 @@ def camera_files(where: str, document: dict[str, Any]) -> tuple[dict[str, str], 
     InputError
         The calibration does not state its cameras, or a field is wrong.
     """
-    views = [each.restored() for each in convert_document(where, document, _Session).views]
+    views = [each.restored() for each in convert_document(where, document, _SessionOfCamera).views]
     if not views:
         raise InputError(f"{where}: views: expected the cameras that were used, got none: calibrate the session again")
     names = [view.name for view in views] if len(views) > 1 else [_ALONE]

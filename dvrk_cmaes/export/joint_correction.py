@@ -70,16 +70,8 @@ def correction_files(where: str, document: dict[str, Any], names: FrameNames) ->
         _check(where, cables, joints)
         reference = np.array(cables.reference)
         alone = _linear(joints, reference, np.array(cables.alone.offset), np.array(cables.alone.coupling))
-        whole = CableModel(
-            joints,
-            reference,
-            offset,
-            np.array(cables.coupling),
-            np.array(cables.play),
-            np.array(cables.narrow),
-            np.array(cables.width),
-            *np.zeros((3, count)),
-        )
+        parts = (np.array(getattr(cables, name)) for name in ("coupling", "play", "narrow", "width"))
+        whole = CableModel(joints, reference, offset, *parts, *np.zeros((3, count)))
     stem = f"{names.arm}-joint-correction"
     return {f"{stem}.csv": _table(alone), f"{stem}.txt": _formula(whole)}
 

@@ -154,10 +154,13 @@ def read_session(
     rectified: bool = False,
     side: Side = "left",
     known: Iterable[str] = (),
-    joints: Sequence[Path] = (),
+    joints: Sequence[Path | JointFile] | None = (),
+    read_as: ReadAs = BY_THEMSELVES,
+    fit: PictureFit = WHOLE,
     masks: Path | None = None,
     video: SessionVideo | None = None,
     tolerance: int = TIME_TOLERANCE,
+    guess: CameraGuess | None = None,
     follow_links: bool = False,
 ) -> Session:
     """Find the frames of a session folder and read its files, except masks and images.
@@ -181,13 +184,21 @@ def read_session(
     known
         Names of the instrument's joints, as in ``read_joints``.
     joints
-        Files of readings; by default those in the session folder, which may have none.
+        Files of readings, which may have been read already; by default those in the session folder, which may have
+        none. None: no readings are used.
+    read_as
+        How files of readings are read that do not tell it.
+    fit
+        How the pictures fit the camera file.
     masks
         Folder of the masks; ``masks`` in the session folder by default.
     video
         A video that has the images of all frames, of the session layout and one view.
     tolerance
         Largest distance in time between an image and the readings before and after it, ns.
+    guess
+        The camera to use where there is no file, or in any case if it has a focal length; by default there must be a
+        file.
     follow_links
         Whether links in the folder that lead out of it are followed; a note tells which.
 
@@ -196,44 +207,6 @@ def read_session(
     InputError
         A file is missing or not valid (the message names it), there are no frames, two files have one frame's name, or
         no frame can be used. A link leads out of the folder.
-    """
-    return read_session_as(
-        folder,
-        camera=camera,
-        camera_right=camera_right,
-        rectified=rectified,
-        side=side,
-        known=known,
-        joints=joints,
-        masks=masks,
-        video=video,
-        tolerance=tolerance,
-        follow_links=follow_links,
-    )
-
-
-def read_session_as(
-    folder: str | Path,
-    *,
-    camera: Path | None = None,
-    camera_right: Path | None = None,
-    rectified: bool = False,
-    side: Side = "left",
-    known: Iterable[str] = (),
-    joints: Sequence[Path | JointFile] | None = (),
-    read_as: ReadAs = BY_THEMSELVES,
-    fit: PictureFit = WHOLE,
-    masks: Path | None = None,
-    video: SessionVideo | None = None,
-    tolerance: int = TIME_TOLERANCE,
-    guess: CameraGuess | None = None,
-    follow_links: bool = False,
-) -> Session:
-    """Read a session as `read_session`, of files that do not tell all of it.
-
-    ``joints`` may be files that were read already, or None to use no readings; ``read_as`` tells how the others are
-    read, and ``fit`` how the pictures fit the camera file. ``guess`` is the camera to use where there is no file, or in
-    any case if it has a focal length; by default there must be a file.
     """
     check_type("folder", folder, PATH, "the path of a session folder")
     root = Path(folder)

@@ -32,7 +32,7 @@ class _TruthEntry(Struct):
     visible: Annotated[float, Meta(ge=0, le=1, description="a number from 0 to 1")] = 1.0
 
 
-class _Document(Struct):
+class _TruthDocument(Struct):
     frames: dict[str, Any]
     camera_from_base: Transform | None = None
 
@@ -66,7 +66,7 @@ def read_golden(path: str | Path) -> SessionTruth:
     InputError
         Naming the file, the frame and the field, and what was expected.
     """
-    document = convert_document(str(path), read_json_object(path, expected=_EXPECTED), _Document)
+    document = convert_document(str(path), read_json_object(path, expected=_EXPECTED), _TruthDocument)
     frames = {name: _read_frame(f"{path}: frame {name}", entry) for name, entry in document.frames.items()}
     return SessionTruth(frames, document.camera_from_base)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.own_files import OwnFiles
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
-from dvrk_cmaes.frames.session_folder import Session, read_session_as
+from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.inspection.finding import Finding, Options, counted
@@ -88,7 +88,7 @@ def _session(path: Path, options: Options) -> Finding:
     said = CameraEntry() if entries is None or options.camera is not None else entries.camera
     findings: dict[str, Finding] = {}
     for tool in tools:
-        session = read_session_as(
+        session = read_session(
             path,
             camera=options.camera or said.file or said.left,
             camera_right=said.right,

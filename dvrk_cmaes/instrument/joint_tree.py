@@ -103,19 +103,8 @@ def build_joints(
         driver, multiplier, offset = relations[joint.name]
         column = joint_names.index(driver) if driver in joint_names else None
         index_of[joint.child] = len(joints)
-        joints.append(
-            Joint(
-                name=joint.name,
-                child=joint.child,
-                parent=index_of[joint.parent],
-                motion=_MOTIONS[joint.type],
-                parent_from_joint=_origin(joint, path),
-                axis=_axis(joint, path),
-                driver=column,
-                multiplier=multiplier,
-                offset=offset,
-            )
-        )
+        parent, place = index_of[joint.parent], (_origin(joint, path), _axis(joint, path))
+        joints.append(Joint(joint.name, joint.child, parent, _MOTIONS[joint.type], *place, column, multiplier, offset))
     return tuple(joints), joint_names, limits
 
 

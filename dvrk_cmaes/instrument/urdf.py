@@ -110,24 +110,11 @@ def load_instrument(
         raise InputError(f"{path}: no visual geometry on link {root!r} or below it; expected at least one mesh")
 
     joints, joint_names, limits = build_joints(robot, tree, root, set(geometry), path)
-    chain = Chain(joints)
     parent_joint = {root: -1, **{joint.child: index for index, joint in enumerate(joints)}}
     links = tuple(Link(name, *geometry[name]) for name in members if name in geometry)
-    instrument = measure.with_measurements(
-        Instrument(
-            name=str(robot.name),
-            root_link=root,
-            links=links,
-            joint_names=joint_names,
-            limits=limits,
-            shaft=None,
-            jaw_tips=(),
-            chain=chain,
-            link_joints=tuple(parent_joint[link.name] for link in links),
-        ),
-        radius=shaft_radius,
-        axis=axis,
-    )
+    of_links = tuple(parent_joint[link.name] for link in links)
+    instrument = Instrument(str(robot.name), root, links, joint_names, limits, None, (), Chain(joints), of_links)
+    instrument = measure.with_measurements(instrument, radius=shaft_radius, axis=axis)
     if cached is not None:
         shapes = [visual.geometry.mesh for name in members for visual in visuals[name] if visual.geometry.mesh]
         places = {mesh.filename: find_mesh(mesh.filename, path, folders, str(path)) for mesh in shapes}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -26,6 +27,8 @@ def encoded(value: Any) -> Any:
         return rounded_array(value)
     if isinstance(value, float):
         return rounded(value)
+    if isinstance(value, Path):
+        return str(value)
     if hasattr(value, "to_dict"):
         return value.to_dict()
     if is_dataclass(value):

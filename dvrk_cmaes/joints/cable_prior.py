@@ -18,7 +18,7 @@ from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.typed_document import convert_document
-from dvrk_cmaes.joints.cables import CableModel
+from dvrk_cmaes.joints.cables import PARAMETERS, CableModel
 
 _WRIST: Final = ("wrist_pitch", "wrist_yaw")
 _OTHER_ARMS: Final = 0.5  # standard deviation of another arm's coefficient, relative to the mean of the fits,
@@ -87,23 +87,9 @@ def cable_prior(names: tuple[str, ...]) -> CablePrior:
 
 def _mean(fits: Sequence[CableModel]) -> CableModel:
     """Return the mean of the fits' parameters, without offsets and references."""
-
-    def mean(name: str) -> Float64:
-        return np.asarray(np.mean([getattr(fit, name) for fit in fits], axis=0))
-
     none = np.zeros(len(fits[0].names))
-    return CableModel(
-        names=fits[0].names,
-        reference=none,
-        offset=none,
-        coupling=mean("coupling"),
-        play=mean("play"),
-        narrow=mean("narrow"),
-        width=mean("width"),
-        wander=mean("wander"),
-        seconds=mean("seconds"),
-        noise=mean("noise"),
-    )
+    means = {name: np.asarray(np.mean([getattr(fit, name) for fit in fits], axis=0)) for name in PARAMETERS}
+    return CableModel(fits[0].names, offset=none, **means | {"reference": none})
 
 
 def _of_joints(fit: _Fit, names: tuple[str, ...]) -> CableModel:

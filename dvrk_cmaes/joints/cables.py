@@ -18,6 +18,9 @@ import numpy as np
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.play import Play
 
+PARAMETERS = ("reference", "coupling", "play", "narrow", "width", "wander", "seconds", "noise")
+"""Fields of a `CableModel` beside the names and the offset."""
+
 
 @dataclass(frozen=True, eq=False)
 class CableModel:

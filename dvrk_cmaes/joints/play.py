@@ -26,39 +26,6 @@ class Play:
     narrow: Float64
 
 
-@dataclass(frozen=True, eq=False)
-class PlayState:
-    """Places of C joints within their play: ``wide`` and ``narrow`` (C,), rad, for the two bands.
-
-    A joint without a reading so far has NaN.
-    """
-
-    wide: Float64
-    narrow: Float64
-
-    @classmethod
-    def unknown(cls, joints: int) -> PlayState:
-        """Return the state before any reading."""
-        return cls(np.full(joints, np.nan), np.full(joints, np.nan))
-
-    def after(self, readings: Float64, width: Float64) -> PlayState:
-        """Return the state after readings (C,), rad, NaN where there is none; ``width`` (C,), rad.
-
-        The first reading of a joint is taken for its place.
-        """
-        return PlayState(_moved(self.wide, readings, width), _moved(self.narrow, readings, NARROW * width))
-
-    def play(self, readings: Float64) -> Play:
-        """Return how far the joints stay behind readings (C,), rad; zero where either is unknown."""
-        return Play(np.nan_to_num(self.wide - readings), np.nan_to_num(self.narrow - readings))
-
-
-def _moved(place: Float64, readings: Float64, width: Float64) -> Float64:
-    """Return places (C,) after readings (C,), which drag them along."""
-    dragged = np.clip(np.where(np.isnan(place), readings, place), readings - width, readings + width)
-    return np.where(np.isnan(readings), place, dragged)
-
-
 def play_of(readings: Float64, width: Float64) -> Play:
     """Return the play (N, C) at N readings (N, C), rad, in the order of time; ``width`` (C,), rad."""
     places = [

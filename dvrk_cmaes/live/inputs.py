@@ -172,7 +172,7 @@ class LiveFrame:
 
 
 @dataclass(eq=False)
-class _Parts:
+class _FrameParts:
     """What has come of an eye's frame of one time: whether written as in ROS 1, when first, and the fields by topic."""
 
     ros1: bool
@@ -219,7 +219,7 @@ class Inputs:
         self.rectified = rectified
         self._longest_silence = longest_silence
         self._infos: dict[str, Fields] = {}
-        self._parts: dict[str, dict[int, _Parts]] = {eye: {} for eye in topics.eyes}
+        self._parts: dict[str, dict[int, _FrameParts]] = {eye: {} for eye in topics.eyes}
         self._heard: dict[str, float] = {}
         self._began: float | None = None  # s, when silence was looked for first
         self._first: float | None = None  # s, when the first part of a frame came
@@ -288,16 +288,16 @@ class Inputs:
         self._heard[topic] = now
         self._first = now if self._first is None else self._first
         of_eye = self._parts[eye]
-        of_eye.setdefault(stamp.time, _Parts(stamp.ros1, now)).fields[topic] = fields
+        of_eye.setdefault(stamp.time, _FrameParts(stamp.ros1, now)).fields[topic] = fields
         self._drop_oldest(of_eye)
         frame = self._whole_frame(now)
         if frame is not None:
             self.frames.put(frame)
 
-    def _drop_oldest(self, of_eye: dict[int, _Parts]) -> None:
+    def _drop_oldest(self, of_eye: dict[int, _FrameParts]) -> None:
         """Drop what came first of an eye until what waits is within the bounds."""
 
-        def size(parts: _Parts) -> int:
+        def size(parts: _FrameParts) -> int:
             return sum(len(fields.get("data", ())) for fields in parts.fields.values())
 
         while len(of_eye) > _MOST_WAITING or (len(of_eye) > 1 and sum(map(size, of_eye.values())) > _MOST_BYTES):

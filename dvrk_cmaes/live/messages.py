@@ -42,7 +42,7 @@ class _Stamped(Struct):
     header: _Header
 
 
-class _Image(_Stamped):
+class _ImageMessage(_Stamped):
     width: Count
     height: Count
     encoding: str
@@ -99,7 +99,7 @@ def read_stamp(where: str, fields: Mapping[str, Any]) -> Stamp:
 def read_pixels(where: str, fields: Mapping[str, Any], *, grey: bool = False) -> NDArray[np.uint8]:
     """Decode an Image or a CompressedImage to (H, W, 3) uint8, BGR, or to (H, W) grey, in half the time."""
     if "encoding" in fields:
-        image = convert_document(where, fields, _Image)
+        image = convert_document(where, fields, _ImageMessage)
         data = np.frombuffer(image.data, np.uint8)
         pixels = image_pixels(_RawImage(image.width, image.height, image.encoding, image.step, data), where)
         if (pixels.ndim == 2) == grey:

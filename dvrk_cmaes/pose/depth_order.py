@@ -45,7 +45,7 @@ def place_of_other(
     """
     if not all(_is_trusted(result) for result in results):
         return "unclear"
-    first, second = (_Tool.of(result, body) for result, body in zip(results, bodies, strict=True))
+    first, second = (_PlacedTool.of(result, body) for result, body in zip(results, bodies, strict=True))
     shared = (pair for pair in zip(*views, strict=True) if all(view.given for view in pair))
     places = {_place_in_view(first, second, *pair) for pair in shared} - {"apart"}
     if not places:
@@ -61,7 +61,7 @@ def _is_trusted(result: Result) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class _Tool:
+class _PlacedTool:
     """A tool's body, its pose, and the covariance (6 + J, 6 + J) of small changes of that."""
 
     body: Body
@@ -69,11 +69,11 @@ class _Tool:
     covariance: Float64
 
     @staticmethod
-    def of(result: Result, body: Body) -> _Tool:
+    def of(result: Result, body: Body) -> _PlacedTool:
         assert result.camera_from_root is not None
         assert result.covariance is not None
         joints = np.array([result.joints[name] for name in body.instrument.joint_names])
-        return _Tool(body, Posed(result.camera_from_root, joints), result.covariance)
+        return _PlacedTool(body, Posed(result.camera_from_root, joints), result.covariance)
 
     def silhouette(self, view: SeenView) -> Bool:
         """Return the silhouette (H, W) in a view."""
@@ -104,7 +104,7 @@ class _Tool:
         return depth, variance
 
 
-def _place_in_view(first: _Tool, second: _Tool, view: SeenView, of_second: SeenView) -> Place:
+def _place_in_view(first: _PlacedTool, second: _PlacedTool, view: SeenView, of_second: SeenView) -> Place:
     """Return where the second tool is, as seen by the first, in one view; ``of_second`` has the mask of the second.
 
     Depths are compared where both silhouettes are, and where the masks meet, there with the nearest pixel of each

@@ -24,7 +24,6 @@ from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.recording.bag_paths import SUFFIXES_2
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp, stamped_pose
-from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 from dvrk_cmaes.recording.topics import IMAGES, NONE, TopicRequest, Topics, choose_topics, ecm_topic, setup_topics
@@ -59,18 +58,13 @@ def open_bag(path: Path, requested: TopicRequest, asked: Asked) -> Iterator[Reco
     """
     with _open(path) as reader:
         with _errors_as_input_errors(path):
-            recording = _recording(reader, path, requested, asked.camera, asked.joints)
+            recording = _recording(reader, path, requested, asked)
         yield recording  # outside the inner context: errors of the caller are not damage of the recording
 
 
-def _recording(
-    reader: AnyReader,
-    path: Path,
-    requested: TopicRequest,
-    camera: Path | None,
-    joints: Path | PoseTable | JointFile | None,
-) -> Recording:
+def _recording(reader: AnyReader, path: Path, requested: TopicRequest, asked: Asked) -> Recording:
     """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""
+    camera, joints = asked.camera, asked.joints
     types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
     has_images = requested.image is not None or any(kind in IMAGES for kind in types.values())
     own = {"images": has_images, "camera": camera is None, "joints": joints is None}

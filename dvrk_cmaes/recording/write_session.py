@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, session_toml
 from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.output import whole_folder, write_bytes
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.gaps import within
@@ -38,7 +38,7 @@ _ARM = re.compile(r"(?<![A-Za-z0-9])PSM[1-3](?![A-Za-z0-9])")
 
 
 @dataclass(frozen=True)
-class Selection:
+class ImageSelection:
     """Selection of images: every Nth of those between two times, in seconds after the first image."""
 
     every: int = 1
@@ -75,7 +75,7 @@ class InterpolationSummary:
 
 
 @dataclass(frozen=True)
-class ImportSummary:
+class ImportSummary(Document):
     """Summary of a written session.
 
     ``images`` is the number of images read from the recording, ``frames`` that of images written, ``size`` their width
@@ -93,26 +93,12 @@ class ImportSummary:
     lag_s: float = 0.0
     warnings: tuple[str, ...] = ()
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return {
-            "session": str(self.session),
-            "images": self.images,
-            "frames": self.frames,
-            "size": list(self.size),
-            "tolerance_s": self.tolerance_s,
-            "lag_s": self.lag_s,
-            "readings": [{**vars(source), "joints": list(source.joints)} for source in self.readings],
-            "notes": list(self.notes),
-            "warnings": list(self.warnings),
-        }
-
 
 def write_session(
     recording: Recording,
     out: Path,
     *,
-    selection: Selection,
+    selection: ImageSelection,
     tolerance: float,
     lag: Lag | None = None,
     overwrite: bool = False,
@@ -262,10 +248,7 @@ class _ImageCounter:
 
 def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:
     """Write the camera files, and return them as entries of session.toml."""
-    if recording.right is None:
-        write_bytes(folder / "camera.yaml", recording.camera)
-        return CameraEntry(file=Path("camera.yaml"), rectified=recording.rectified)
-    if recording.camera == recording.right.camera:  # a file of both eyes
+    if recording.right is None or recording.camera == recording.right.camera:  # in this case a file of both eyes
         write_bytes(folder / "camera.yaml", recording.camera)
         return CameraEntry(file=Path("camera.yaml"), rectified=recording.rectified)
     write_bytes(folder / "left.yaml", recording.camera)

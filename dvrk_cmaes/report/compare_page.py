@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -19,14 +18,6 @@ from dvrk_cmaes.results.paths import check_frame_name, overlay_path, result_path
 
 PAGE: Final = "compare.html"
 _PICTURES: Final = 24  # frames whose overlays are shown
-
-
-@dataclass(frozen=True)
-class FramePictures:
-    """A frame, and the overlay of each set by the set's label; None where there is none."""
-
-    frame: str
-    pictures: Mapping[str, Thumbnail | None]
 
 
 def write_compare_page(out: Path, comparison: Comparison) -> Path:
@@ -111,19 +102,12 @@ def _plot(
     return Plot(name, mark_size(len(frames)), (Panel(720, 330, across, up, series),))
 
 
-def _pictures(comparison: Comparison) -> list[FramePictures]:
-    """Read the overlays of the frames that differ most, where there are any."""
-    chosen = [
-        FramePictures(
-            frame,
-            {
-                label: _picture(compared.path, frame)
-                for label, compared in zip(comparison.labels, comparison.sets, strict=True)
-            },
-        )
-        for frame in comparison.by_size[:_PICTURES]
-    ]
-    return [row for row in chosen if any(row.pictures.values())]
+def _pictures(comparison: Comparison) -> dict[str, dict[str, Thumbnail | None]]:
+    """Read the pictures of the frames that differ most, by frame and label of the set."""
+    paths = {label: compared.path for label, compared in zip(comparison.labels, comparison.sets, strict=True)}
+    frames = comparison.by_size[:_PICTURES]
+    chosen = {frame: {label: _picture(path, frame) for label, path in paths.items()} for frame in frames}
+    return {frame: pictures for frame, pictures in chosen.items() if any(pictures.values())}
 
 
 def _picture(folder: Path, frame: str) -> Thumbnail | None:

@@ -45,7 +45,7 @@ def draw_axes(sets: Sequence[Agreement]) -> Figure:
     All rows have the same view and the same scales, so that they can be compared.
     """
     view = _common_view(sets)
-    rows = [_Row.of(agreement, view) for agreement in sets]
+    rows = [_PictureRow.of(agreement, view) for agreement in sets]
     figure = new_figure(11.0, 4.6 * len(sets))
     panels = figure.subplots(len(sets), 2, squeeze=False)
     for row, (whole, close) in zip(rows, panels, strict=True):
@@ -63,7 +63,7 @@ def draw_axes(sets: Sequence[Agreement]) -> Figure:
 
 
 @dataclass(frozen=True, eq=False)
-class _Row:
+class _PictureRow:
     """What is drawn of a set, (.., 2) mm about x*.
 
     starts, roots : (N, 2) ends of the axes' parts drawn, in the plane of the view. eye : (2,) the camera.
@@ -78,7 +78,7 @@ class _Row:
     rcm: Float64 | None
 
     @staticmethod
-    def of(agreement: Agreement, view: Float64) -> _Row:
+    def of(agreement: Agreement, view: Float64) -> _PictureRow:
         """Project a set; ``view`` (2, 3) are the directions along and across."""
         plane = np.stack([view[1], np.cross(view[0], view[1])])
         poses, meeting = agreement.results.camera_from_root, agreement.axes.point
@@ -87,7 +87,7 @@ class _Row:
         starts = roots - (1 + _BEYOND) * np.linalg.norm(roots, axis=1, keepdims=True) * (directions @ view.T)
         nearest = off - (off * directions).sum(axis=1, keepdims=True) * directions
         rcm = None if agreement.rcm is None else 1e3 * (agreement.rcm.points - meeting) @ plane.T
-        return _Row(agreement, starts, roots, -1e3 * view @ meeting, 1e3 * nearest @ plane.T, rcm)
+        return _PictureRow(agreement, starts, roots, -1e3 * view @ meeting, 1e3 * nearest @ plane.T, rcm)
 
     @property
     def far(self) -> Float64:
@@ -125,7 +125,7 @@ def _share_limits(panels: Iterable[Axes], points: Float64) -> None:
         panel.set_aspect("equal", adjustable="box")
 
 
-def _draw_whole(panel: Axes, row: _Row) -> None:
+def _draw_whole(panel: Axes, row: _PictureRow) -> None:
     """Draw the axes from beyond x* to the root links, in mm relative to x*, and the camera."""
     for start, root in zip(row.starts, row.roots, strict=True):
         panel.plot([start[0], root[0]], [start[1], root[1]], color=_AXIS, linewidth=0.9, alpha=0.8)
@@ -140,7 +140,7 @@ def _draw_whole(panel: Axes, row: _Row) -> None:
     panel.grid(alpha=0.25)
 
 
-def _draw_close(panel: Axes, row: _Row) -> None:
+def _draw_close(panel: Axes, row: _PictureRow) -> None:
     """Draw the nearest point of each axis to x*, seen along the mean axis, and circles of radius sigma and rms."""
     from matplotlib.patches import Circle
 
@@ -158,7 +158,7 @@ def _draw_close(panel: Axes, row: _Row) -> None:
     panel.grid(alpha=0.25)
 
 
-def _place_legend(panel: Axes, row: _Row) -> None:
+def _place_legend(panel: Axes, row: _PictureRow) -> None:
     """Put the legend in the corner whose quarter of the panel has the fewest points."""
     points = row.nearest if row.rcm is None else np.concatenate([row.nearest, row.rcm])
     left = points[:, 0] < np.mean(panel.get_xlim())
@@ -172,7 +172,7 @@ def _place_legend(panel: Axes, row: _Row) -> None:
     panel.legend(fontsize=7, loc=min(corners, key=lambda corner: int(corners[corner].sum())))
 
 
-def _name_points(panel: Axes, row: _Row) -> None:
+def _name_points(panel: Axes, row: _PictureRow) -> None:
     """Write the names of frames beside their nearest points where they cover no other name or point, outermost first.
 
     The panel must have its final size. Where not all names have a place, the title says how many do.

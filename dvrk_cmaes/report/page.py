@@ -17,7 +17,7 @@ from urllib.parse import quote
 
 from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.page_calibration import calibration_of, calibration_view, left_out_views
-from dvrk_cmaes.report.page_frames import STATUSES, FrameCard, LeaveOneOut, doubt_key, frame_card
+from dvrk_cmaes.report.page_frames import STATUSES, FrameCard, LeaveOneOut, doubt_key
 from dvrk_cmaes.report.page_layers import EMBEDDED, embedded_layers, embedded_picture
 from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (
@@ -119,14 +119,14 @@ def _views(
         thumbnails = list(pool.map(thumbnail, overlays, results))
     away = {} if base is None else dict(zip(base.frames, base.points - base.centre, strict=True))
     views = [
-        frame_card(
+        FrameCard(
             result,
-            place=place,
-            thumbnail=small,
-            document=_address(documents[name]) if name in documents else None,
-            overlay=None if small is None or overlay is None else _address(f"overlays/{overlay.name}"),
-            from_median=away.get(name),
-            left_out=left_out.get(name),
+            place,
+            small,
+            None if small is None or overlay is None else _address(f"overlays/{overlay.name}"),
+            _address(documents[name]) if name in documents else None,
+            away.get(name),
+            left_out.get(name),
         )
         for place, (name, result, overlay, small) in enumerate(
             zip(folder.frames, results, overlays, thumbnails, strict=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from urllib.parse import quote
 
 import numpy as np
@@ -20,10 +21,9 @@ from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fix
 from dvrk_cmaes.report.page_layers import embedded_picture
 from dvrk_cmaes.report.page_session import KeyFigure, correction
 from dvrk_cmaes.report.plots.cables import cables_plot
-from dvrk_cmaes.report.plots.lag import LagPlot, lag_plot
-from dvrk_cmaes.report.plots.offsets import OffsetPanel, offset_estimates, offset_panels
-from dvrk_cmaes.report.plots.panels import Plot
-from dvrk_cmaes.report.plots.shafts import ShaftsPlot, shafts_plot
+from dvrk_cmaes.report.plots.lag import lag_plot
+from dvrk_cmaes.report.plots.offsets import offset_estimates, offset_panels
+from dvrk_cmaes.report.plots.shafts import shafts_plot
 from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder
 from dvrk_cmaes.results.paths import left_out_path
 from dvrk_cmaes.results.result import Result
@@ -35,7 +35,7 @@ _SMALL = 400  # px, width of these pictures
 
 
 @dataclass(frozen=True)
-class Prediction:
+class FramePrediction:
     """Leave-one-out prediction of a frame.
 
     frame, status : name and status of the frame.
@@ -50,42 +50,6 @@ class Prediction:
     contour_px: float
     own_iou: float | None
     picture: str | None
-
-
-@dataclass(frozen=True)
-class CalibrationView:
-    """Contents of the page's section on a session's calibration.
-
-    figures : key figures. words : what the frames tell of lag, cameras and masks. base, offsets : rows of tables.
-    matrix : camera_from_base as text, m.
-    offset_panels, shafts : plots. predictions : the worst first. pictures : predictions whose pictures are shown.
-    left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
-    cables : what the cables add to the offsets, in words. cables_plot : plots of the joints' errors, None if the
-    session does not tell of its cables.
-    lag_plot : plot of the frames' disagreement as a function of the lag, None if no lag was searched.
-    alone : address of the page of the same frames solved one by one, None if it does not exist.
-    """
-
-    calibration: SessionCalibration
-    figures: tuple[KeyFigure, ...]
-    words: tuple[str, ...]
-    base: tuple[TableRow, ...]
-    matrix: str
-    offsets: tuple[TableRow, ...]
-    offset_panels: tuple[OffsetPanel, ...]
-    shafts: ShaftsPlot | None
-    predictions: tuple[Prediction, ...]
-    pictures: tuple[Prediction, ...]
-    left_out: tuple[tuple[str, str, bool], ...]
-    cables: tuple[str, ...]
-    cables_plot: Plot | None
-    lag_plot: LagPlot | None
-    alone: str | None
-
-    @property
-    def beyond(self) -> bool:
-        """Whether a frame lies outside the plot of offsets."""
-        return any(mark.beyond for panel in self.offset_panels for row in panel.rows for mark in row.marks)
 
 
 def calibration_of(folder: ResultsFolder) -> SessionCalibration | None:
@@ -117,8 +81,15 @@ def left_out_views(
 
 def calibration_view(
     folder: ResultsFolder, calibration: SessionCalibration, left_out: Mapping[str, LeaveOneOut]
-) -> CalibrationView:
-    """Make the page's section on a calibration; ``left_out`` is that of `left_out_views`."""
+) -> SimpleNamespace:
+    """Return what the template says of a calibration; ``left_out`` is that of `left_out_views`.
+
+    figures : key figures. words : what the frames tell of lag, cameras and masks. base, offsets : rows of tables.
+    matrix : camera_from_base as text, m. beyond : whether a frame lies outside the plot of offsets.
+    predictions : the worst first. pictures : predictions whose pictures are shown.
+    left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
+    alone : address of the page of the same frames solved one by one, None if it does not exist.
+    """
     results = list(folder.frames.values())
     used = frozenset(place for place, name in enumerate(folder.frames) if name in calibration.frames)
     unsure = frozenset(place for place, result in enumerate(results) if result.status != "ok")
@@ -127,14 +98,16 @@ def calibration_view(
     )
     poses = {place: r.camera_from_root for place, r in enumerate(results) if r.camera_from_root is not None}
     posed = {place: pose for place, pose in poses.items() if place in used or results[place].frame in left_out}
-    return CalibrationView(
+    panels = offset_panels(calibration, _corrections(results, calibration, used), unsure)
+    return SimpleNamespace(
         calibration=calibration,
         figures=tuple(_figures(calibration, predictions)),
         words=tuple(calibration.in_words()),
         base=tuple(_base(calibration)),
         matrix="\n".join("  ".join(f"{value:12.9f}" for value in row) for row in calibration.camera_from_base),
         offsets=tuple(_offsets(calibration)),
-        offset_panels=offset_panels(calibration, _corrections(results, calibration, used), unsure),
+        offset_panels=panels,
+        beyond=any(mark.beyond for panel in panels for row in panel.rows for mark in row.marks),
         shafts=shafts_plot(calibration, posed, used),
         predictions=tuple(predictions),
         pictures=_with_pictures(
@@ -150,15 +123,15 @@ def calibration_view(
 
 def _predictions(
     results: Mapping[str, Result], calibration: SessionCalibration, left_out: Mapping[str, LeaveOneOut]
-) -> Iterator[Prediction]:
+) -> Iterator[FramePrediction]:
     for name, (iou, contour_px) in calibration.leave_one_out.items():
         if name in results:
             quality = results[name].quality
             own = None if quality is None else quality.iou
-            yield Prediction(name, results[name].status, iou, contour_px, own, left_out[name].picture)
+            yield FramePrediction(name, results[name].status, iou, contour_px, own, left_out[name].picture)
 
 
-def _with_pictures(folder: ResultsFolder, predictions: Sequence[Prediction]) -> tuple[Prediction, ...]:
+def _with_pictures(folder: ResultsFolder, predictions: Sequence[FramePrediction]) -> tuple[FramePrediction, ...]:
     """Return predictions with small pictures within the page; the address of one that cannot be read stays."""
     small = (embedded_picture(left_out_path(folder.folder, prediction.frame), _SMALL) for prediction in predictions)
     return tuple(
@@ -167,7 +140,7 @@ def _with_pictures(folder: ResultsFolder, predictions: Sequence[Prediction]) -> 
     )
 
 
-def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction]) -> Iterator[KeyFigure]:
+def _figures(calibration: SessionCalibration, predictions: Sequence[FramePrediction]) -> Iterator[KeyFigure]:
     """Yield the key figures of the calibration."""
     total = len(calibration.frames) + len(calibration.left_out)
     left = len(calibration.left_out)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 from urllib.parse import quote
 
@@ -50,33 +51,61 @@ class LeaveOneOut:
     full: str | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameCard:
     """Contents of the page's entry for a frame.
 
-    anchor : identifier of its element on the page. place : index in the order of names, from 0.
-    keys : numbers that frames can be sorted by, by name.
+    place : index in the order of names, from 0.
     overlay, document : addresses of the overlay and of the result's JSON beside the page, None if there are none.
     full, layers : the overlay as a ``data:`` address, and the layers of the drawing, where they are within the page.
-    pose, joints, alternatives : rows of tables. fit : names and values of the quality of fit.
-    change : text about what the session's calibration changed.
+    from_median : (3,) m in the camera, from the median of the RCMs of all frames to that of this frame, if it has one.
+    left_out : leave-one-out prediction of the frame, if the session was calibrated.
     """
 
     result: Result
-    anchor: str
     place: int
     thumbnail: Thumbnail | None
     overlay: str | None
     document: str | None
-    keys: Mapping[str, float]
-    pose: tuple[TableRow, ...]
-    joints: tuple[TableRow, ...]
-    fit: tuple[tuple[str, str], ...]
-    alternatives: tuple[TableRow, ...]
-    change: str
+    from_median: Float64 | None
     left_out: LeaveOneOut | None
     full: str | None = None
     layers: DrawnLayers | None = None
+
+    @property
+    def anchor(self) -> str:
+        """Identifier of the card on the page."""
+        return anchor(self.result.frame)
+
+    @property
+    def keys(self) -> dict[str, float]:
+        """Numbers that frames can be sorted by, by name."""
+        return _keys(self.result, self.from_median, self.left_out)
+
+    @cached_property
+    def pose(self) -> tuple[TableRow, ...]:
+        """Rows of the table of poses."""
+        return tuple(_pose(self.result, self.from_median))
+
+    @cached_property
+    def joints(self) -> tuple[TableRow, ...]:
+        """Rows of the table of joints."""
+        return tuple(_joints(self.result))
+
+    @property
+    def fit(self) -> tuple[tuple[str, str], ...]:
+        """Names and values of the quality of fit."""
+        return tuple(_fit(self.result))
+
+    @cached_property
+    def alternatives(self) -> tuple[TableRow, ...]:
+        """Rows of the table of other poses."""
+        return tuple(row for other in self.result.alternatives for row in _alternative(self.result, other))
+
+    @cached_property
+    def change(self) -> str:
+        """What the session's calibration changed, in words."""
+        return _in_words(self.result.change)
 
 
 def doubt_key(result: Result) -> tuple[int, int, float, float]:
@@ -89,48 +118,6 @@ def doubt_key(result: Result) -> tuple[int, int, float, float]:
 def anchor(name: str) -> str:
     """Return the identifier of a frame's element on the page, in characters that are valid in addresses."""
     return "frame-" + quote(name, safe="", errors="replace")
-
-
-def frame_card(
-    result: Result,
-    *,
-    place: int,
-    thumbnail: Thumbnail | None,
-    document: str | None,
-    overlay: str | None,
-    from_median: Float64 | None,
-    left_out: LeaveOneOut | None = None,
-) -> FrameCard:
-    """Make the page's entry for a frame.
-
-    Parameters
-    ----------
-    result
-        Result of the frame.
-    place
-        Index of the frame in the order of names, from 0.
-    thumbnail, document, overlay
-        Its thumbnail, and the addresses of its files.
-    from_median
-        (3,) m in the camera: vector from the median of the RCMs of all frames to that of this frame, if it has one.
-    left_out
-        Leave-one-out prediction of the frame, if the session was calibrated.
-    """
-    return FrameCard(
-        result=result,
-        anchor=anchor(result.frame),
-        place=place,
-        thumbnail=thumbnail,
-        overlay=overlay,
-        document=document,
-        keys=_keys(result, from_median, left_out),
-        pose=tuple(_pose(result, from_median)),
-        joints=tuple(_joints(result)),
-        fit=tuple(_fit(result)),
-        alternatives=tuple(row for other in result.alternatives for row in _alternative(result, other)),
-        change=_in_words(result.change),
-        left_out=left_out,
-    )
 
 
 def fixed(value: float | None, digits: int) -> str:

@@ -20,7 +20,7 @@ _COLOURS = 6  # in the style sheet
 
 
 @dataclass(frozen=True)
-class DrawnOutline:
+class OutlinePath:
     """An outline as an SVG path, its name, and the number of its colour."""
 
     name: str
@@ -35,7 +35,7 @@ class DrawnLayers:
     width: int
     height: int
     picture: str | None
-    outlines: tuple[DrawnOutline, ...]
+    outlines: tuple[OutlinePath, ...]
 
     @property
     def bytes(self) -> int:
@@ -64,7 +64,7 @@ def embedded_layers(path: Path) -> DrawnLayers | None:
         return None
     picture = None if layers.picture is None else _jpeg_address(layers.picture)
     outlines = (
-        DrawnOutline(outline.name, k % _COLOURS, _path(outline))
+        OutlinePath(outline.name, k % _COLOURS, _path(outline))
         for k, outline in enumerate(layers.outlines)
         if outline.rings
     )

@@ -211,15 +211,9 @@ def joint_summaries(results: Sequence[Result]) -> Iterator[JointSummary]:
         off = np.degrees(changes)
         std = [result.std_joints_deg[joint] for result in read if result.std_joints_deg is not None]
         at = int(np.abs(off).argmax())
-        yield JointSummary(
-            joint=joint,
-            frames=len(read),
-            median=float(np.median(off)),
-            half_within=float(np.median(np.abs(off - np.median(off)))),
-            largest=float(off[at]),
-            frame=read[at].frame,
-            std=float(np.median(std)) if std else None,
-        )
+        median, half = float(np.median(off)), float(np.median(np.abs(off - np.median(off))))
+        usual = float(np.median(std)) if std else None
+        yield JointSummary(joint, len(read), median, half, float(off[at]), read[at].frame, usual)
 
 
 def reason_kind(reason: str) -> str:
@@ -263,13 +257,6 @@ def common_warnings(results: Sequence[Result]) -> list[str]:
 
 def provenances(results: Sequence[Result]) -> list[Provenance]:
     """Group the results by version, instrument, seed and configuration; the largest group first."""
-    counts = Counter(
-        (
-            result.version,
-            result.instrument,
-            result.seed,
-            json.dumps(result.config, indent=2, sort_keys=True, ensure_ascii=False),
-        )
-        for result in results
-    )
+    configs = [json.dumps(result.config, indent=2, sort_keys=True, ensure_ascii=False) for result in results]
+    counts = Counter((r.version, r.instrument, r.seed, config) for r, config in zip(results, configs, strict=True))
     return [Provenance(number, *kind) for kind, number in sorted(counts.items(), key=lambda item: (-item[1], item[0]))]

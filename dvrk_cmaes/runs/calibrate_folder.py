@@ -44,7 +44,7 @@ from dvrk_cmaes.results.paths import (
 )
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
-from dvrk_cmaes.runs.calibration_pictures import DrawTask, Pictures, draw_task
+from dvrk_cmaes.runs.calibration_pictures import CalibrationPictures, DrawTask, draw_task
 from dvrk_cmaes.runs.digests import frame_digests, instrument_digest
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 from dvrk_cmaes.runs.instrument_processes import run_with_body
@@ -175,7 +175,7 @@ def _with_masks_again(
 
 def _write(
     solved: SolvedSession,
-    pictures: Mapping[str, Pictures],
+    pictures: Mapping[str, CalibrationPictures],
     arm: ArmInSession,
     out: Path,
     config: EstimateConfig,

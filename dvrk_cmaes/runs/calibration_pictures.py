@@ -37,7 +37,7 @@ class DrawTask:
 
 
 @dataclass(frozen=True)
-class Pictures:
+class CalibrationPictures:
     """The drawings of a frame: the overlay of its result and that of its leave-one-out prediction, JPEG; its layers."""
 
     overlay: bytes
@@ -45,7 +45,7 @@ class Pictures:
     layers: FrameLayers
 
 
-def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> Pictures:
+def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> CalibrationPictures:
     """Draw one frame."""
     data = read_frame(task.files, task.calibrated)
     # a frame that is left out keeps its own result
@@ -59,4 +59,4 @@ def draw_task(body: Body, config: EstimateConfig, task: DrawTask) -> Pictures:
         shown.append(draw_left_out(view.mask, predicted, left_out.iou, left_out.contour_px, image=view.image))
     second = np.concatenate(shown, axis=1)
     layers = layers_of_frame(task.result, drawn, body)
-    return Pictures(encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second), layers)
+    return CalibrationPictures(encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second), layers)

@@ -109,13 +109,11 @@ def estimate_frame(files: FrameFiles, data: FrameData, body: Body, method: Frame
         data.views,
         files.readings,
         body,
+        method,
         named=len(data.views) > 1,
-        arm=method.arm,
-        session=method.session,
         start=files.start,
         frame=files.name,
         time=files.time,
-        config=method.config,
         warnings=data.notes,
     )
     return result if files.start is None else better_of(files.start, result)

@@ -15,6 +15,7 @@ from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth
 from dvrk_cmaes.geometry import apply
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 from dvrk_cmaes.runs.frame import estimate_frame
@@ -62,9 +63,7 @@ class FrameCheck:
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; keys of errors have the unit: ``root_mm``, ``wrist_pitch_deg`` and so on."""
         return {
-            "frame": self.result.frame,
-            "status": self.result.status,
-            "reasons": list(self.result.reasons),
+            **encoded_fields(self.result, "frame", "status", "reasons"),
             "right": self.check.right,
             "is_twin": self.check.is_twin,
             "errors": {f"{measured.quantity}_{measured.unit}": measured.error for measured, _, _ in self.check.rows},

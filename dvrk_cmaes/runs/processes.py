@@ -19,13 +19,15 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.runs.worker_process import CallTimeoutError, ProcessDiedError, WorkerProcess, single_library_threads
 
 T = TypeVar("T")
 R = TypeVar("R")
+A = TypeVar("A")
+B = TypeVar("B")
 
 _TRIES = 2  # of a task that its process dies on
 _TOGETHER_S = 0.05  # time that tasks which are sent together take, at most
@@ -128,8 +130,8 @@ class Processes:
         source, pace = _Source(tasks, stop or threading.Event()), _Pace()
         done: queue.SimpleQueue[tuple[T, R | WorkerDied] | Exception | None] = queue.SimpleQueue()
         threads = [
-            threading.Thread(target=_drive, args=(process, source, pace, call, time_limit, done.put), daemon=True)
-            for process in self._processes
+            threading.Thread(target=driver.drive, args=(done.put,), daemon=True)
+            for driver in [_Driver(process, source, pace, call, time_limit) for process in self._processes]
         ]
         for thread in threads:
             thread.start()
@@ -220,70 +222,57 @@ def _each(call: Callable[[T], R], tasks: Sequence[T]) -> list[R]:
     return [call(task) for task in tasks]
 
 
-def _drive(
-    process: WorkerConnection,
-    source: _Source[T],
-    pace: _Pace,
-    call: Callable[[T], R],
-    time_limit: float | None,
-    give: Callable[[tuple[T, R | WorkerDied] | Exception | None], None],
-) -> None:
-    """Run tasks one after the other in one process."""
-    try:
-        with contextlib.suppress(_NothingMoreError):
-            for tasks in source.several(pace.count):
-                for task, value in _done(process, call, tasks, time_limit, source, pace):
-                    give((task, value))
-        give(None)
-    except Exception as error:
-        source.close()
-        give(error)
+@dataclass(frozen=True, eq=False)
+class _Driver(Generic[T, R]):
+    """Runs tasks one after the other in one process, as long as a run's source has some."""
 
+    process: WorkerConnection
+    source: _Source[T]
+    pace: _Pace
+    call: Callable[[T], R]
+    time_limit: float | None
 
-def _done(
-    process: WorkerConnection,
-    call: Callable[[T], R],
-    tasks: Sequence[T],
-    time_limit: float | None,
-    source: _Source[T],
-    pace: _Pace,
-) -> Iterator[tuple[T, R | WorkerDied]]:
-    """Run tasks together, or one by one where there is only one or that fails; yield each with its value."""
-    if len(tasks) > 1:
-        started = time.monotonic()
-        values = _tried(process, functools.partial(_each, call), tasks, time_limit, source, tries=1)
-        if not isinstance(values, WorkerDied):
-            pace.took(time.monotonic() - started, len(tasks))
-            yield from zip(tasks, values, strict=True)
-            return
-    for task in tasks:
-        started = time.monotonic()
-        value = _tried(process, call, task, time_limit, source)
-        pace.took(time.monotonic() - started, 1)
-        yield task, value
-
-
-def _tried(
-    process: WorkerConnection,
-    call: Callable[[T], R],
-    task: T,
-    time_limit: float | None,
-    source: _Source[Any],
-    tries: int = _TRIES,
-) -> R | WorkerDied:
-    """Run a task, ``tries`` times if its process dies, unless the run has been stopped by then."""
-    for _ in range(tries):
+    def drive(self, give: Callable[[tuple[T, R | WorkerDied] | Exception | None], None]) -> None:
+        """Give each task with its value, then None; or what went wrong."""
         try:
-            return process.run(call, task, time_limit)
-        except CallTimeoutError:
-            process.kill()
-            process.close()
-            return WorkerDied(f"no result after {time_limit:g} s: its process was ended")
-        except ProcessDiedError:
-            process.close()
-            if source.ended:
-                raise _NothingMoreError from None
-    return WorkerDied(f"its process died {tries} times: out of memory, or a crash in a native library")
+            with contextlib.suppress(_NothingMoreError):
+                for tasks in self.source.several(self.pace.count):
+                    for done in self._done(tasks):
+                        give(done)
+            give(None)
+        except Exception as error:
+            self.source.close()
+            give(error)
+
+    def _done(self, tasks: Sequence[T]) -> Iterator[tuple[T, R | WorkerDied]]:
+        """Run tasks together, or one by one where there is only one or that fails; yield each with its value."""
+        if len(tasks) > 1:
+            started = time.monotonic()
+            values = self._tried(functools.partial(_each, self.call), tasks, tries=1)
+            if not isinstance(values, WorkerDied):
+                self.pace.took(time.monotonic() - started, len(tasks))
+                yield from zip(tasks, values, strict=True)
+                return
+        for task in tasks:
+            started = time.monotonic()
+            value = self._tried(self.call, task)
+            self.pace.took(time.monotonic() - started, 1)
+            yield task, value
+
+    def _tried(self, call: Callable[[A], B], task: A, tries: int = _TRIES) -> B | WorkerDied:
+        """Run a task, ``tries`` times if its process dies, unless the run has been stopped by then."""
+        for _ in range(tries):
+            try:
+                return self.process.run(call, task, self.time_limit)
+            except CallTimeoutError:
+                self.process.kill()
+                self.process.close()
+                return WorkerDied(f"no result after {self.time_limit:g} s: its process was ended")
+            except ProcessDiedError:
+                self.process.close()
+                if self.source.ended:
+                    raise _NothingMoreError from None
+        return WorkerDied(f"its process died {tries} times: out of memory, or a crash in a native library")
 
 
 class WorkerConnection:

@@ -22,7 +22,7 @@ from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.sparse import Sparseness
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, Work, read_shown
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedWork, read_shown
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_frames import BlockTask, fit_block
 from dvrk_cmaes.track.reading_buffer import describe_frozen
@@ -147,7 +147,7 @@ def read_seen(files: FrameFiles, rig: Rig) -> FrameData | None:
     return read_frame(files, rig, blank=True) if files.has_mask else read_frame_image(files, rig)
 
 
-def follow_window(solution: RecordedSolution, work: Work) -> list[TrackResult]:
+def follow_window(solution: RecordedSolution, work: RecordedWork) -> list[TrackResult]:
     """Fit all frames, solve them as one window, judge their poses, and describe them, in order."""
     recorded, session, instrument = solution.recorded, solution.calibration, work.body.instrument
     source = "mask" if solution.colours is None else "image"

@@ -27,7 +27,7 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.recorded import RecordedSolution, predict, read_seen
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, Work, solve_together
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, RecordedWork, solve_together
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
@@ -149,7 +149,7 @@ def _moving_colours(recorded: RecordedFrames, chosen: Sequence[int]) -> dict[str
 
 
 def solve_images(
-    recorded: RecordedFrames, given: SessionCalibration | None, hints: Hints, work: Work
+    recorded: RecordedFrames, given: SessionCalibration | None, hints: Hints, work: RecordedWork
 ) -> tuple[RecordedFrames, RecordedSolution | str]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
 
@@ -198,7 +198,7 @@ def _keyframes(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None]
 
 
 def _found_around(
-    solution: RecordedSolution, found: Mapping[int, PackedFrame | None], work: Work
+    solution: RecordedSolution, found: Mapping[int, PackedFrame | None], work: RecordedWork
 ) -> dict[int, PackedFrame | None]:
     """Find masks where few keyframes expect the instrument; those of the frames that agree are kept."""
     recorded, used = solution.recorded, set(solution.calibration.frames)
@@ -222,7 +222,7 @@ def _measured(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None])
 
 def _with_colours(
     solution: RecordedSolution,
-    work: Work,
+    work: RecordedWork,
     *,
     found: Mapping[int, PackedFrame | None] | None = None,
     results: Mapping[str, Result] | None = None,

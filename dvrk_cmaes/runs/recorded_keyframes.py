@@ -150,7 +150,7 @@ def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Work:
+class RecordedWork:
     """What solves a recording: its instrument and arm, the settings, and what runs tasks and is told of each stage."""
 
     body: Body
@@ -214,7 +214,7 @@ def _as_result(at: Posed, body: Body, name: str) -> Result:
     )
 
 
-def solve_keyframes(recorded: RecordedFrames, work: Work) -> SessionCalibration | str:
+def solve_keyframes(recorded: RecordedFrames, work: RecordedWork) -> SessionCalibration | str:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
     chosen = {i: recorded.files[i] for i in recorded.keyframes()}
     keyframes = [RecordedKeyframe(i, own, partial(read_frame, own, recorded.rig)) for i, own in chosen.items()]
@@ -223,7 +223,7 @@ def solve_keyframes(recorded: RecordedFrames, work: Work) -> SessionCalibration 
 
 
 def solve_together(
-    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], work: Work, least: int = LEAST_KEYFRAMES
+    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], work: RecordedWork, least: int = LEAST_KEYFRAMES
 ) -> SolvedSession | str:
     """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used.
 
@@ -245,7 +245,9 @@ def solve_together(
     return bad_predictions(solved.calibration) or solved
 
 
-def _estimated(recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], work: Work) -> list[SessionFrame]:
+def _estimated(
+    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], work: RecordedWork
+) -> list[SessionFrame]:
     """Estimate keyframes alone: some by a search, the others from where these expect them."""
 
     def in_session(one: RecordedKeyframe, result: Result) -> SessionFrame:

@@ -15,6 +15,8 @@ from dvrk_cmaes.joints.commanded import commanded_in
 from dvrk_cmaes.results.result import Result, Status
 
 SCHEMA: Final = 1
+_OF_QUALITY: Final = ("iou", "contour_px_median", "contour_px_95", "steady_share")
+_OF_RESULTS: Final = ("mode_probability", "std_translation_mm", "std_rotation_deg")
 _DIGITS: Final = 6
 
 
@@ -95,16 +97,13 @@ def _medians(results: Sequence[Result]) -> dict[str, Any]:
     stds = {
         name: [std[name] for r in results if (std := r.std_joints_deg) is not None and name in std] for name in joints
     }
+    errors = [result.expected_error for result in results if result.expected_error is not None]
+    own = {name: [getattr(r, name) for r in results] for name in _OF_RESULTS}
     return {
-        "iou": _median([q.iou for q in quality]),
-        "contour_px_median": _median([q.contour_px_median for q in quality]),
-        "contour_px_95": _median([q.contour_px_95 for q in quality]),
-        "tips_90_mm": _median([r.expected_error.tip_90_mm for r in results if r.expected_error is not None]),
-        "std_shaft_deg": _median([r.expected_error.shaft_deg for r in results if r.expected_error is not None]),
-        "mode_probability": _median([r.mode_probability for r in results if r.mode_probability is not None]),
-        "steady_share": _median([q.steady_share for q in quality]),
-        "std_translation_mm": _median([r.std_translation_mm for r in results if r.std_translation_mm is not None]),
-        "std_rotation_deg": _median([r.std_rotation_deg for r in results if r.std_rotation_deg is not None]),
+        **{name: _median([getattr(q, name) for q in quality]) for name in _OF_QUALITY},
+        "tips_90_mm": _median([error.tip_90_mm for error in errors]),
+        "std_shaft_deg": _median([error.shaft_deg for error in errors]),
+        **{name: _median([value for value in values if value is not None]) for name, values in own.items()},
         "std_joints_deg": {name: _median(values) for name, values in stds.items()},
         "found_less_read_deg": {name: _median(values) for name, values in changes.items()},
     }

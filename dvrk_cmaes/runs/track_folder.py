@@ -11,19 +11,18 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
-from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.handles import not_written
 from dvrk_cmaes.io.output import appended, base, output, remove
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
-from dvrk_cmaes.report.track_page import PAGE, FollowedRecording
+from dvrk_cmaes.report.track_page import PAGE
 from dvrk_cmaes.results.folder import MANIFEST, SESSION
 from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
@@ -41,16 +40,13 @@ from dvrk_cmaes.runs.processes import usable_cores
 from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES, KEYFRAMES_BY_IMAGES
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_clock import TrackClock
-from dvrk_cmaes.runs.track_frames import TrackSettings, followed
-from dvrk_cmaes.runs.track_pictures import seen_frames, write_outputs
+from dvrk_cmaes.runs.track_frames import TrackRun, TrackSettings, followed
+from dvrk_cmaes.runs.track_pictures import write_outputs
 from dvrk_cmaes.runs.track_recorded import follow_recorded, with_lag
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
-
-UNREAD: Final = "no readings: nothing tells the pose from its mirror twin"
-"""Reason of every frame of an instrument with a mirror twin that is followed without any readings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,32 +66,6 @@ class TrackSummary:
     def counts(self) -> dict[str, int]:
         """Numbers of frames by status."""
         return dict(Counter(row["status"] for row in self.rows))
-
-
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """A run of `track_folder`: its inputs, its folder, and where its progress goes."""
-
-    session: Session
-    out: Path
-    body: Body
-    settings: TrackSettings
-    frames: tuple[FrameFiles, ...]
-    clock: TrackClock
-    stop: threading.Event | None
-    progress: Callable[[int, int, TrackResult | None], None]
-    notice: Callable[[str], None]
-
-    @property
-    def frames_a_second(self) -> float:
-        """Frames a second that are followed."""
-        return 1 / (self.clock.interval * self.settings.every)
-
-    def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
-        """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
-        if not self.clock.readings and self.body.instrument.has_twin and result.status == "doubtful":
-            result = replace(result, reasons=(UNREAD, *result.reasons))
-        return result.to_dict(files.name, timed=self.clock.unit == "s")
 
 
 def track_folder(
@@ -154,7 +124,7 @@ def track_folder(
     check_writable(out)
     with base(out), output(out, "track", replaces=not resume) as own:
         own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION))
-        run = _Run(session, out, body, settings, frames, clock, stop, progress, notice)
+        run = TrackRun(session, out, body, settings, frames, clock, stop, progress, notice)
         manifest = _manifest(run)
         old = read_manifest(out)
         if old is not None and resume:
@@ -188,11 +158,11 @@ def track_folder(
         if not interrupted:
             write_table(out / TABLE, rows, body.instrument.joint_names)
             if rows and (video or page or rerun is not None):
-                _show(run, rows, readings, calibration, video=video, page=page, rerun=rerun)
+                write_outputs(run, rows, readings, calibration, video=video, page=page, rerun=rerun)
     return TrackSummary(rows, interrupted, calibration, run.frames_a_second, readings)
 
 
-def _forwards(run: _Run, tracker: Tracker) -> list[dict[str, Any]]:
+def _forwards(run: TrackRun, tracker: Tracker) -> list[dict[str, Any]]:
     """Follow the frames from image to image, and write the row of each when it is there; returns the rows."""
     rows: list[dict[str, Any]] = []
     total = len(run.frames)
@@ -216,7 +186,7 @@ def _forwards(run: _Run, tracker: Tracker) -> list[dict[str, Any]]:
     return rows
 
 
-def _finished(run: _Run) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
+def _finished(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
     """Return rows and calibration of a recording that was followed to the end, as its table tells; None otherwise."""
     tracks, session = run.out / TRACKS, run.out / SESSION
     if not ((run.out / TABLE).exists() and tracks.exists()):
@@ -227,7 +197,7 @@ def _finished(run: _Run) -> tuple[list[dict[str, Any]], SessionCalibration | Non
     return rows, read_calibration(session) if session.exists() else None
 
 
-def _by_keyframes(run: _Run) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
+def _by_keyframes(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
     """Follow a recording with the calibration of its keyframes, and write the rows, which are none if it is stopped.
 
     Returns None, after a line that says why, if every frame is to be followed from those before it only.
@@ -236,8 +206,7 @@ def _by_keyframes(run: _Run) -> tuple[list[dict[str, Any]], SessionCalibration |
         return None
     because = "without readings"
     if run.settings.use_joints:
-        of_run = run.session, run.frames, run.clock, run.body, run.settings, run.out
-        done = follow_recorded(*of_run, stop=run.stop, notice=run.notice)
+        done = follow_recorded(run)
         if done is None:
             return [], None
         if not isinstance(done, str):
@@ -250,38 +219,13 @@ def _by_keyframes(run: _Run) -> tuple[list[dict[str, Any]], SessionCalibration |
     return None
 
 
-def _readings(run: _Run, late: float) -> dict[str, Float64]:
+def _readings(run: TrackRun, late: float) -> dict[str, Float64]:
     """Return the readings of each joint at the times of the frames less a lag, s; NaN where there are none."""
     times = np.array([run.clock.times[files.name] for files in run.frames]) - late
     return run.clock.readings_at(times, run.settings.config.track.reading_gap)
 
 
-def _show(
-    run: _Run,
-    rows: list[dict[str, Any]],
-    readings: Mapping[str, Float64],
-    calibration: SessionCalibration | None,
-    *,
-    video: bool,
-    page: bool,
-    rerun: Path | None,
-) -> None:
-    """Write the overlay video, the page, and a recording for Rerun."""
-    rig, instrument, name = run.session.rig, run.body.instrument, run.session.folder.resolve().name
-    film = VIDEO if video else ""
-    write_outputs(
-        seen_frames(run.frames, rows, rig, run.body),
-        FollowedRecording(rows, name, instrument.name, calibration, readings, video=film),
-        rig,
-        instrument,
-        video=run.out / VIDEO if video else None,
-        frames_a_second=run.frames_a_second,
-        page=run.out if page else None,
-        rerun=rerun,
-    )
-
-
-def _manifest(run: _Run) -> Manifest:
+def _manifest(run: TrackRun) -> Manifest:
     """Return what the results depend on."""
     session, settings = run.session, run.settings
     own = run.body.instrument, session.rig, settings.config, settings.arm, session.folder

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -28,6 +30,9 @@ from dvrk_cmaes.track.sight import EvidenceKind
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 
 Mask = Bool
+
+UNREAD: Final = "no readings: nothing tells the pose from its mirror twin"
+"""Reason of every frame of an instrument with a mirror twin that is followed without any readings."""
 
 _SAME_TIME = 1e-9  # s
 
@@ -71,6 +76,36 @@ class TrackSettings:
             hints=self.hints,
             sliced=self.causal,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class TrackRun:
+    """A run that follows an instrument through the frames of a session.
+
+    Its inputs, of which ``frames`` are those that are followed, its folder, and where its progress goes: ``progress``
+    is called with the frames done, all frames, and the last result, ``notice`` with lines. ``stop`` ends it soon.
+    """
+
+    session: Session
+    out: Path
+    body: Body
+    settings: TrackSettings
+    frames: tuple[FrameFiles, ...]
+    clock: TrackClock
+    stop: threading.Event | None
+    progress: Callable[[int, int, TrackResult | None], None]
+    notice: Callable[[str], None]
+
+    @property
+    def frames_a_second(self) -> float:
+        """Frames a second that are followed."""
+        return 1 / (self.clock.interval * self.settings.every)
+
+    def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
+        """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
+        if not self.clock.readings and self.body.instrument.has_twin and result.status == "doubtful":
+            result = replace(result, reasons=(UNREAD, *result.reasons))
+        return result.to_dict(files.name, timed=self.clock.unit == "s")
 
 
 def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Session, EvidenceKind | None]:

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.draw.track_overlay import TrackView, draw_track
 from dvrk_cmaes.export.rerun_file import ViewPictures, rerun_file
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
 from dvrk_cmaes.report.track_pictures import TrackPictures
-from dvrk_cmaes.runs.track_frames import files_of_views, read_arrays
+from dvrk_cmaes.results.track_files import VIDEO
+from dvrk_cmaes.runs.track_frames import TrackRun, files_of_views, read_arrays
 from dvrk_cmaes.silhouette import Body, Renderer
 
 
-@dataclass(frozen=True, eq=False)
-class SeenFrame:
+class SeenFrame(NamedTuple):
     """A frame and its line of tracks.jsonl, with image, mask and silhouette of the pose in each view of the rig."""
 
     row: Mapping[str, Any]
@@ -64,28 +64,25 @@ def size_of_views(rig: Rig) -> tuple[int, int]:
 
 
 def write_outputs(
-    seen: Iterator[SeenFrame],
-    recording: FollowedRecording,
-    rig: Rig,
-    instrument: Instrument,
+    run: TrackRun,
+    rows: Sequence[Mapping[str, Any]],
+    readings: Mapping[str, Float64],
+    calibration: SessionCalibration | None,
     *,
-    video: Path | None,
-    frames_a_second: float,
-    page: Path | None,
+    video: bool,
+    page: bool,
     rerun: Path | None,
 ) -> None:
-    """Read all frames once, and write what is made of them.
+    """Read all followed frames once, and write the overlay video and the page, and a recording for the Rerun viewer.
 
     Parameters
     ----------
-    seen, recording
-        The frames, and what is known of all of them; its residuals and pictures are made here.
-    rig, instrument
-        The cameras of all views and the instrument.
-    video, frames_a_second
-        Path of the overlay video, or None; frames a second of it.
-    page
-        Folder of the page, or None.
+    run
+        The run, whose folder has the video and the page.
+    rows, readings, calibration
+        What is known of all frames: rows of tracks.jsonl, the readings of each joint, the calibration.
+    video, page
+        Whether to write them.
     rerun
         Path of a recording for the Rerun viewer, or None.
 
@@ -96,23 +93,21 @@ def write_outputs(
     DvrkCmaesError
         OpenCV cannot encode the video; rerun-sdk is not installed.
     """
-    size = size_of_views(rig)
-    pictures = None if page is None else TrackPictures(recording.rows)
+    rig, instrument, name = run.session.rig, run.body.instrument, run.session.folder.resolve().name
+    pictures, log, writer = TrackPictures(rows) if page else None, None, None
     with ExitStack() as opened:
-        writer = None if video is None else opened.enter_context(whole_video(video, size, frames_a_second))
-        log = None
+        if video:
+            writer = opened.enter_context(whole_video(run.out / VIDEO, size_of_views(rig), run.frames_a_second))
         if rerun is not None:
-            log = opened.enter_context(rerun_file(rerun, rig, instrument, recording.session))
-        for number, one in enumerate(seen):
+            log = opened.enter_context(rerun_file(rerun, rig, instrument, name))
+        for number, (row, views) in enumerate(seen_frames(run.frames, rows, rig, run.body)):
             if writer is not None:
-                row = one.row
-                drawn = draw_track(one.views, frame=row["frame"], status=row["status"], reasons=row["reasons"])
-                writer.write(drawn)
+                writer.write(draw_track(views, frame=row["frame"], status=row["status"], reasons=row["reasons"]))
             if pictures is not None:
-                pictures.add(number, one.views)
+                pictures.add(number, views)
             if log is not None:
-                read = {name: float(values[number]) for name, values in recording.readings.items()}
-                views = [ViewPictures(view.image, view.mask, view.silhouette) for view in one.views]
-                log.add(number, one.row, read, views)
-    if page is not None and pictures is not None:
-        write_track_page(page, replace(recording, residuals=pictures.residuals, pictures=pictures.pictures))
+                read = {joint: float(values[number]) for joint, values in readings.items()}
+                log.add(number, row, read, [ViewPictures(view.image, view.mask, view.silhouette) for view in views])
+    if pictures is not None:
+        of_page = name, instrument.name, calibration, readings, pictures.residuals, pictures.pictures
+        write_track_page(run.out, FollowedRecording(rows, *of_page, video=VIDEO if video else ""))

@@ -12,9 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -28,16 +26,15 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
     KEYFRAMES_BY_IMAGES,
     RecordedFrames,
-    Work,
+    RecordedWork,
     read_kept_colours,
     read_keyframes,
     solve_keyframes,
     write_keyframes,
 )
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
-from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.runs.track_frames import TrackRun
 from dvrk_cmaes.segment.segmentation import Hints
-from dvrk_cmaes.silhouette import Body
 
 _GROUP: Final = 24  # tasks after which a run looks whether it is to stop
 
@@ -54,31 +51,10 @@ class RecordedTracks:
     calibration: SessionCalibration
 
 
-def follow_recorded(
-    session: Session,
-    frames: tuple[FrameFiles, ...],
-    clock: TrackClock,
-    body: Body,
-    settings: TrackSettings,
-    out: Path,
-    *,
-    stop: threading.Event | None = None,
-    notice: Callable[[str], None] = lambda text: None,
-) -> RecordedTracks | str | None:
+def follow_recorded(run: TrackRun) -> RecordedTracks | str | None:
     """Follow an instrument through a recording, each frame with all others; OUT/keyframes.json keeps the calibration.
 
-    Parameters
-    ----------
-    session, frames, clock
-        The session, those of its frames that are followed, and their times.
-    body, settings
-        The instrument; what is followed and how.
-    out
-        Folder for keyframes.json; what an interrupted run has left there is used.
-    stop
-        When set, the run ends soon.
-    notice
-        Called with a line about each stage.
+    What an interrupted run has left there is used.
 
     Returns
     -------
@@ -92,48 +68,45 @@ def follow_recorded(
     DvrkCmaesError
         A process died.
     """
-    series = series_of(session)
+    settings, body = run.settings, run.body
+    frames, series = run.frames, series_of(run.session)
     if settings.lag is not None:
-        frames, series = _less_lag(frames, series, clock, settings.lag)
-    times = np.array([clock.times[files.name] for files in frames])
-    workers = settings.workers or usable_cores()
+        frames, series = _less_lag(frames, series, run.clock, settings.lag)
+    times = np.array([run.clock.times[files.name] for files in frames])
     config = replace(settings.config, threads=1)
-    with instrument_processes(body.instrument, workers, frames) as processes:
+    with instrument_processes(body.instrument, settings.workers or usable_cores(), frames) as processes:
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
-        run = partial(_in_groups, by_body, stop)
-        work = Work(body, settings.arm, config, run, lambda stage, count: notice(f"{stage}: {count} frames"))
-        of = _Recording(frames, session.rig, series, times, settings, out, work, notice)
+        in_groups = partial(_in_groups, by_body, run.stop)
+        work = RecordedWork(body, settings.arm, config, in_groups, lambda stage, n: run.notice(f"{stage}: {n} frames"))
+        of = _Recording(run, frames, series, times, work)
         try:
             solved = of.by_masks() if settings.evidence == "masks" else of.by_images()
             if isinstance(solved, str):
                 return solved
-            notice(f"fitting {len(frames)} frames")
+            run.notice(f"fitting {len(frames)} frames")
             results = follow_window(solved, work)
         except _StoppedError:
             return None
-    return RecordedTracks(results, with_lag(solved.calibration, settings.lag, clock))
+    return RecordedTracks(results, with_lag(solved.calibration, settings.lag, run.clock))
 
 
 @dataclass(frozen=True, eq=False)
 class _Recording:
     """A recording that is followed: its frames, their readings and times (N,) s, and how that is done."""
 
+    run: TrackRun
     frames: tuple[FrameFiles, ...]
-    rig: Rig
     series: ReadingSeries | None
     times: Float64
-    settings: TrackSettings
-    out: Path
-    work: Work
-    notice: Callable[[str], None]
+    work: RecordedWork
 
     def by_masks(self) -> RecordedSolution | str:
         """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
 
         A text says why that is not possible.
         """
-        recorded = RecordedFrames.of(self.frames, self.rig, self.series, self.times)
-        path = self.out / KEYFRAMES
+        recorded = RecordedFrames.of(self.frames, self.run.session.rig, self.series, self.times)
+        path = self.run.out / KEYFRAMES
         found = self._given(recorded) or self._kept(path)
         if found is None:
             found = write_keyframes(path, solve_keyframes(recorded, self.work))
@@ -141,14 +114,14 @@ class _Recording:
 
     def by_images(self) -> RecordedSolution | str:
         """Return the same of frames without masks, with the colours of instrument and surroundings."""
-        recorded = RecordedFrames.of_readings(self.frames, self.rig, self.series, self.times)
-        path = self.out / KEYFRAMES_BY_IMAGES
+        recorded = RecordedFrames.of_readings(self.frames, self.run.session.rig, self.series, self.times)
+        path = self.run.out / KEYFRAMES_BY_IMAGES
         given = self._given(recorded)
         if isinstance(given, str):
             return given
         kept = self._kept(path)
         if kept is None:
-            recorded, found = solve_images(recorded, given, self.settings.hints or Hints(), self.work)
+            recorded, found = solve_images(recorded, given, self.run.settings.hints or Hints(), self.work)
             if isinstance(found, str):
                 kept = write_keyframes(path, found)
             else:
@@ -159,18 +132,18 @@ class _Recording:
 
     def _given(self, recorded: RecordedFrames) -> SessionCalibration | str | None:
         """Return the calibration that was given; a text says why it cannot be used."""
-        given = self.settings.calibration
+        given = self.run.settings.calibration
         if given is None:
             return None
         if not recorded.trusted.any():
             return "no frame has readings of the outer joints that are not frozen"
-        return given if self.settings.lag is None else replace(given, lag=None)
+        return given if self.run.settings.lag is None else replace(given, lag=None)
 
     def _kept(self, path: Path) -> SessionCalibration | str | None:
         """Return what an interrupted run has found, from its file."""
         kept = read_keyframes(path)
         if kept is not None:
-            self.notice(f"keyframes: solved by an interrupted run ({path})")
+            self.run.notice(f"keyframes: solved by an interrupted run ({path})")
         return kept
 
 

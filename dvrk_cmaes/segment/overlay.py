@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.segment import Box, Pixel, Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
 
@@ -53,7 +54,7 @@ def draw_segmentation(
     canvas.tint(~mask, DARK, _FADED)
     canvas.outline(mask, YELLOW)
 
-    def at(pixel: Pixel) -> NDArray[np.float64]:
+    def at(pixel: Pixel) -> Float64:
         return np.asarray((np.array(pixel) + 0.5) * scale - 0.5)
 
     if box is not None:

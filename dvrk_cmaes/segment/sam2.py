@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.segment.sam2_exports import OFF, ON, Prompt, Role, Tensors
 from dvrk_cmaes.segment.sam2_files import open_export
 from dvrk_cmaes.segment.sam2_images import encoder_input, probability, resize_logits, to_square
@@ -111,13 +112,13 @@ class Sam2:
         output = self._export.decoder.output(outputs, self._export.family.outputs[role])
         return output if output.dtype == np.bool_ else output.astype(np.float32)
 
-    def _best(self, overlaps: NDArray[np.float32]) -> int:
+    def _best(self, overlaps: Float32) -> int:
         """Return the index of the mask with the largest predicted overlap."""
         if not overlaps.size or not np.isfinite(overlaps).all():
             raise DvrkCmaesError(f"{self._export.decoder.file}: {_NOT_FINITE}")
         return int(np.argmax(overlaps))
 
-    def _candidate(self, logits: NDArray[np.float32], best: int, count: int) -> NDArray[np.float32]:
+    def _candidate(self, logits: Float32, best: int, count: int) -> Float32:
         """Return mask ``best``, (h, w), of an array (1, count, h, w) or (1, 1, count, h, w)."""
         if logits.ndim < 3 or logits.size != count * logits.shape[-2] * logits.shape[-1]:
             raise DvrkCmaesError(
@@ -129,9 +130,7 @@ class Sam2:
             raise DvrkCmaesError(f"{self._export.decoder.file}: {_NOT_FINITE}")
         return np.asarray(candidate)
 
-    def _trust(
-        self, overlap: float, outputs: list[NDArray[Any]], mask: NDArray[np.bool_]
-    ) -> tuple[float, tuple[str, ...]]:
+    def _trust(self, overlap: float, outputs: list[NDArray[Any]], mask: Bool) -> tuple[float, tuple[str, ...]]:
         """Return the confidence in a mask, 0 to 1, and notes for the user."""
         if not mask.any():
             return 0.0, ("the model found nothing at the prompt",)

@@ -23,6 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Float32
 from dvrk_cmaes.segment.sam2_images import SIDE
 
 Tensors = dict[str, NDArray[Any]]
@@ -42,12 +43,12 @@ class Prompt:
     shape : height and width of the original image, px.
     """
 
-    points: NDArray[np.float32]
+    points: Float32
     labels: NDArray[np.int64]
-    box: NDArray[np.float32] | None
+    box: Float32 | None
     shape: tuple[int, int]
 
-    def with_corners(self) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    def with_corners(self) -> tuple[Float32, NDArray[np.int64]]:
         """Return points (1, M, 2) and labels (1, M); the box's corners are included as points with labels 2 and 3."""
         if self.box is None:
             return self.points[None], self.labels[None]

@@ -39,18 +39,8 @@ _DRAWN, _SUMMED = 16, 64
 @lru_cache(maxsize=256)
 def kernel_camera(camera: Camera) -> _kernel.Camera:
     """Return a camera as the kernel takes it; cached."""
-    coefficients = () if camera.is_pinhole else camera.distortion
-    return _kernel.Camera(
-        camera.width,
-        camera.height,
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        camera.model,
-        coefficients,
-        camera.lens_radius,
-    )
+    c, coefficients = camera, () if camera.is_pinhole else camera.distortion
+    return _kernel.Camera(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.model, coefficients, c.lens_radius)
 
 
 @dataclass(frozen=True, eq=False)

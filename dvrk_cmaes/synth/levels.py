@@ -8,7 +8,7 @@ bites, and missing highlights.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal
 
 LevelName = Literal["clean", "easy", "medium", "hard"]
@@ -98,16 +98,17 @@ class Level:
 
 _BARREL: Final = (-0.24, 0.10, 0.0004, -0.0006, 0.0)
 
+_CLEAN: Final = Level(
+    name="clean",
+    least_tilt_deg=25.0,
+    arm_tilt_deg=(45.0, 68.0),
+    least_bend_deg=16.0,
+    least_jaw_px=200,
+    wrist_deg=5.0,
+    roll_deg=5.0,
+)
 LEVELS: Final[dict[LevelName, Level]] = {
-    "clean": Level(
-        name="clean",
-        least_tilt_deg=25.0,
-        arm_tilt_deg=(45.0, 68.0),
-        least_bend_deg=16.0,
-        least_jaw_px=200,
-        wrist_deg=5.0,
-        roll_deg=5.0,
-    ),
+    "clean": _CLEAN,
     "easy": Level(
         name="easy",
         least_tilt_deg=35.0,
@@ -119,14 +120,9 @@ LEVELS: Final[dict[LevelName, Level]] = {
         mistakes=Mistakes(cell=1, wave=0.4, wavelength=24.0, lumps=0, holes=0),
         marker_px=1.5,
     ),
-    "medium": Level(
+    "medium": replace(
+        _CLEAN,
         name="medium",
-        least_tilt_deg=25.0,
-        arm_tilt_deg=(45.0, 68.0),
-        least_bend_deg=16.0,
-        least_jaw_px=200,
-        wrist_deg=5.0,
-        roll_deg=5.0,
         mistakes=Mistakes(cell=2, wave=0.9, wavelength=24.0, lumps=3, holes=2, lump_radius=(2.0, 5.0)),
         occluded=0.2,
         told=1.0,

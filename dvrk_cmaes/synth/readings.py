@@ -18,15 +18,6 @@ from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.synth.levels import Level
 from dvrk_cmaes.synth.truth import Truth
 
-FIXED_RMS_ERRORS: Final = {  # rms; rad, insertion in m
-    "yaw": np.deg2rad(0.1),
-    "pitch": np.deg2rad(0.1),
-    "insertion": 0.0004,
-    "roll": np.deg2rad(5.0),
-    "wrist_pitch": np.deg2rad(5.0),
-    "wrist_yaw": np.deg2rad(5.0),
-    "jaw": np.deg2rad(7.5),
-}
 BIAS_SHARE: Final = 0.8
 """Ratio of a session's constant bias to the rms error of a cable-driven joint; the remaining variance is noise."""
 
@@ -98,29 +89,6 @@ def _reading(
         if distinguishes_twin(truth, reading, ratio=1.0):
             return reading
     return None
-
-
-def fixed_rms_readings(truths: Sequence[Truth], rng: np.random.Generator) -> list[dict[str, float]]:
-    """Draw readings of all joints of a few frames whose errors have the rms ``FIXED_RMS_ERRORS`` over these frames.
-
-    Drawn again until the rms of the errors of wrist and jaw over these frames is within 20 % of its value, and the
-    distance of the readings from the truth is less than half that from the mirror twin in every frame.
-    """
-    while True:
-        bias = {name: rng.choice([-1.0, 1.0]) * BIAS_SHARE * rms for name, rms in FIXED_RMS_ERRORS.items()}
-        errors = [
-            {name: bias[name] + _NOISE_SHARE * rms * rng.standard_normal() for name, rms in FIXED_RMS_ERRORS.items()}
-            for _ in truths
-        ]
-        rms = {name: np.sqrt(np.mean([error[name] ** 2 for error in errors])) for name in WRIST_JOINTS}
-        if any(abs(rms[name] / FIXED_RMS_ERRORS[name] - 1) > 0.2 for name in WRIST_JOINTS):
-            continue
-        readings = [
-            {name: value + error[name] for name, value in {**truth.outer, **truth.joints}.items()}
-            for truth, error in zip(truths, errors, strict=True)
-        ]
-        if all(distinguishes_twin(truth, reading) for truth, reading in zip(truths, readings, strict=True)):
-            return readings
 
 
 def distinguishes_twin(truth: Truth, reading: Mapping[str, float], ratio: float = 0.5) -> bool:

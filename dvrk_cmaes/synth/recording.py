@@ -72,16 +72,11 @@ def record_arm(plan: SessionPlan, level: MotionLevel, rng: np.random.Generator) 
     names = cable_joints(plan.body)
     cables = draw_cables(names, level_offsets(names, level), rng) if plan.cables == "measured" else None
     steering = Steering.draw(plan.seed, plan.frames) if plan.steered else None
-    base, truths, paths = arm_with_cables(
-        plan.body,
-        plan.camera,
-        rng,
-        plan.frames,
-        level,
-        cables,
-        arm=plan.arm,
-        steered=None if steering is None else steering.camera_from_first,
+    steered, drawn = (
+        None if steering is None else steering.camera_from_first,
+        (plan.body, plan.camera, rng, plan.frames),
     )
+    base, truths, paths = arm_with_cables(*drawn, level, cables, arm=plan.arm, steered=steered)
     readings = read_moving(truths, rng, level, cables, None if cables is None else paths)
     if steering is not None:
         readings |= steering.late(level.lag)

@@ -25,6 +25,7 @@ from dvrk_cmaes.geometry import Bool, Float64, transform
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
+from dvrk_cmaes.io.encode import encoded_fields
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.files import rounded, rounded_truth, write_joints
@@ -117,10 +118,7 @@ class SessionPlan:
     def describe(self) -> dict[str, Any]:
         """Return the parameters as plain values for JSON."""
         return {
-            "level": self.level.to_dict(),
-            "motion": self.motion,
-            "frames": self.frames,
-            "seed": self.seed,
+            **encoded_fields(self, "level", "motion", "frames", "seed"),
             "instrument": self.body.instrument.name,
             "arm": self.arm,
             "roll_offset": self.body.instrument.roll_offset,
@@ -158,12 +156,7 @@ def make_truths(plan: SessionPlan) -> tuple[Float64 | None, list[Truth]]:
     """
     check_shaft(plan)
     level = plan.level
-    view = ViewLimits(
-        least_tilt=level.least_tilt_deg,
-        arm_tilt=level.arm_tilt_deg,
-        least_bend=level.least_bend_deg,
-        least_jaw=level.least_jaw_px,
-    )
+    view = ViewLimits(level.least_tilt_deg, level.arm_tilt_deg, level.least_bend_deg, level.least_jaw_px)
     rng = _generator(plan, 0)
     if plan.motion == "free":
         return None, free_poses(plan.body, plan.camera, rng, plan.frames, view)
@@ -277,18 +270,8 @@ def _frame(
         made = simulate_segmentation(mask, rng, level.mistakes, hidden)
         mask, holes = made.mask, made.holes
     ignore = _union(dilate_region(occluder) if occluder is not None and told else None, outside_lens)
-    return SyntheticFrame(
-        name=name,
-        truth=truth,
-        mask=mask,
-        ignore=ignore,
-        readings=reading,
-        tips=_seen_tips(camera, truth, hidden, level, rng),
-        markers=_seen_markers(plan, truth, hidden, rng),
-        holes=holes,
-        occluder=occluder,
-        outside_lens=outside_lens,
-    )
+    tips, markers = _seen_tips(camera, truth, hidden, level, rng), _seen_markers(plan, truth, hidden, rng)
+    return SyntheticFrame(name, truth, mask, ignore, reading, tips, markers, holes, occluder, outside_lens)
 
 
 def _union(a: Bool | None, b: Bool | None) -> Bool | None:

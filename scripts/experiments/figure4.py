@@ -19,14 +19,15 @@ from experiment import Claim, Options, progress, read_options, table, write_expe
 from made_sessions import Made, make
 from numpy.typing import NDArray
 
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LookAtRange
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Posed, exp_rotation, transform
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.global_search import search_size
 from dvrk_cmaes.pose.search.objective import Objective
-from dvrk_cmaes.pose.search.starts import draw_starts, sample_joints, sample_lookat, sample_uniform
+from dvrk_cmaes.pose.search.starts import draw_starts, sample_joints, sample_lookat
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.session import SyntheticFrame
@@ -53,6 +54,17 @@ class Size:
 
 FULL: Final = Size(frames=40, draws=4)
 QUICK: Final = Size(frames=4, draws=1)
+
+
+def sample_uniform(count: int, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera) -> Float64:
+    """Draw poses (count, 4, 4) uniform in rotation, in the image and in depth: the baseline without LookAt."""
+    quaternion = rng.standard_normal((count, 4))
+    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    sine = np.sqrt(np.maximum(1 - w * w, 1e-16))
+    rotation = exp_rotation((2 * np.arctan2(sine, w) / sine)[:, None] * np.stack([x, y, z], axis=1))
+    pixels = rng.uniform([0, 0], [camera.width, camera.height], (count, 2))
+    depth = rng.uniform(limits.near, limits.far, (count, 1))
+    return transform(rotation, np.c_[camera.normalise(pixels), np.ones(count)] * depth)
 
 
 def best_of_first(

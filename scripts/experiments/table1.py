@@ -22,8 +22,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evaluate.agreement import Agreement, measure_agreement
-from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES
-from dvrk_cmaes.evaluate.paper import TABLE_ONE
+from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, TABLE_ONE
 from dvrk_cmaes.evaluate.result_set import ResultSet, read_result_set
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs import frame as frames
 from dvrk_cmaes.runs.digests import instrument_digest
@@ -26,11 +27,11 @@ def shared_estimates() -> Iterator[None]:
     """Let frames that were estimated in this process with the same inputs and settings have the same result again."""
     estimate_views = frames.estimate_views
 
-    def estimated(views: Any, readings: Any, body: Body, **options: Any) -> Result:
-        given = pickle.dumps((views, dict(readings), body.method, sorted(options.items())))
+    def estimated(views: Any, readings: Any, body: Body, method: FrameMethod, **options: Any) -> Result:
+        given = pickle.dumps((views, dict(readings), body.method, method, sorted(options.items())))
         key = instrument_digest(body.instrument) + hashlib.sha256(given).hexdigest()
         if key not in _KNOWN:
-            _KNOWN[key] = estimate_views(views, readings, body, **options)
+            _KNOWN[key] = estimate_views(views, readings, body, method, **options)
         return _KNOWN[key]
 
     with pytest.MonkeyPatch.context() as patch:

@@ -48,7 +48,7 @@ from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.recording.messages import ecm_values
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
-from dvrk_cmaes.recording.write_session import Selection, write_session
+from dvrk_cmaes.recording.write_session import ImageSelection, write_session
 
 CAMERA = Camera(64, 48, 80.25, 81.75, 31.5, 22.125, (-0.21, 0.1, 1e-05, -2e-05, 0.0))
 WRITTEN = [".written.json", "camera.yaml", "images", "images.csv", "joints.csv", "session.toml"]
@@ -403,7 +403,7 @@ def test_one_image_is_in_memory_at_a_time(tmp_path: Path) -> None:
     images = (RecordedImage(k, k, load) for k in range(20))
     camera = b"width: 64\nheight: 48\nK: [70, 0, 32, 0, 70, 24, 0, 0, 1]\nD: []\n"
     recording = Recording(tmp_path / "r.bag", images, None, camera, (), ())
-    summary = write_session(recording, tmp_path / "s", selection=Selection(), tolerance=0.05)
+    summary = write_session(recording, tmp_path / "s", selection=ImageSelection(), tolerance=0.05)
     assert summary.frames == len(loaded) == 20
 
 

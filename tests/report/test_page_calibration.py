@@ -7,6 +7,7 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from dvrk_cmaes.calibration.session_rig import ViewRotation, ViewScale
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page import render_page, write_page
-from dvrk_cmaes.report.page_calibration import MOST_PICTURES, CalibrationView, calibration_view, left_out_views
+from dvrk_cmaes.report.page_calibration import MOST_PICTURES, calibration_view, left_out_views
 from dvrk_cmaes.report.plots.lag import lag_plot
 from dvrk_cmaes.report.plots.shafts import ShaftsView, shafts_plot
 from dvrk_cmaes.results.folder import read_results
@@ -37,7 +38,7 @@ from dvrk_cmaes.results.result import Quality, Result
 NAMES = ("a", "b", "c", "d", "e")
 
 
-def view_of(out: Path, frames: list[Result], **changes: object) -> CalibrationView:
+def view_of(out: Path, frames: list[Result], **changes: object) -> SimpleNamespace:
     one = calibration(frames, **changes)
     folder = read_results(write_calibrated(out, frames, one))
     return calibration_view(folder, one, left_out_views(folder, one, folder.frames))

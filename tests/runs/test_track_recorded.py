@@ -23,7 +23,7 @@ from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import recorded_keyframes
-from dvrk_cmaes.runs.recorded_keyframes import AloneTask, RecordedFrames, Work, solve_keyframes, with_keyframes
+from dvrk_cmaes.runs.recorded_keyframes import AloneTask, RecordedFrames, RecordedWork, solve_keyframes, with_keyframes
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
@@ -186,7 +186,7 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
     def run(function: Any, tasks: Sequence[Any]) -> list[Any]:
         return [function(body, config, task) for task in tasks]
 
-    solved = solve_keyframes(recorded, Work(body, "classic", config, run))
+    solved = solve_keyframes(recorded, RecordedWork(body, "classic", config, run))
     assert isinstance(solved, SessionCalibration)
     assert [task.start is None for task in tried] == [True] * 7 + [False] * (len(tried) - 7)
     for task in tried[7:]:

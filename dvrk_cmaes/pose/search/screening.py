@@ -22,7 +22,7 @@ _OF_UNREAD = 6  # one candidate without readings for so many others is scored ag
 
 
 @dataclass(frozen=True, eq=False)
-class Scored:
+class ScreenedPoses:
     """N candidates with their losses (N,), and those without the readings' term (N,).
 
     ``unread`` (N,) tells whose joints ignore the readings; ``by_image`` is infinite for the others.
@@ -34,25 +34,25 @@ class Scored:
     by_image: Float64
 
     @staticmethod
-    def by(objective: Objective, at: Posed, unread: Bool) -> Scored:
+    def by(objective: Objective, at: Posed, unread: Bool) -> ScreenedPoses:
         """Score candidates."""
         terms, weights = objective.terms(at), objective.weights
         losses = terms.total(weights)
-        return Scored(at, unread, losses, np.where(unread, losses - weights.readings * terms.readings, np.inf))
+        return ScreenedPoses(at, unread, losses, np.where(unread, losses - weights.readings * terms.readings, np.inf))
 
 
-def screened(coarse: Iterable[Objective], fine: Objective, at: Posed, unread: Bool, most: int) -> Scored:
+def screened(coarse: Iterable[Objective], fine: Objective, at: Posed, unread: Bool, most: int) -> ScreenedPoses:
     """Score candidates by each of the ``coarse`` objectives, and those that are among the best by the ``fine`` one.
 
     The best are ``most``, and a sixth as many of the ``unread`` ones without the readings' term; they stay in order.
     """
     for objective in coarse:
-        scored = Scored.by(objective, at, unread)
+        scored = ScreenedPoses.by(objective, at, unread)
         kept = np.zeros(len(at), dtype=np.bool_)
         kept[np.argsort(scored.losses, kind="stable")[:most]] = True
         kept[np.argsort(scored.by_image, kind="stable")[: most // _OF_UNREAD]] = True
         at, unread = at[np.flatnonzero(kept)], unread[kept]
-    return Scored.by(fine, at, unread)
+    return ScreenedPoses.by(fine, at, unread)
 
 
 def screening_size(evidence: Evidence, size: tuple[int, int], search: SearchConfig) -> tuple[int, int] | None:

@@ -124,17 +124,6 @@ def sample_on_axis(
     return transform(frame_along(axis) @ rotation_about_z(turn), origin)
 
 
-def sample_uniform(count: int, limits: LookAtRange, rng: np.random.Generator, *, camera: Camera) -> Float64:
-    """Draw poses (count, 4, 4) uniform in rotation, in the image and in depth: the baseline without LookAt."""
-    quaternion = rng.standard_normal((count, 4))
-    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    sine = np.sqrt(np.maximum(1 - w * w, 1e-16))
-    rotation = exp_rotation((2 * np.arctan2(sine, w) / sine)[:, None] * np.stack([x, y, z], axis=1))
-    pixels = rng.uniform([0, 0], [camera.width, camera.height], (count, 2))
-    depth = rng.uniform(limits.near, limits.far, (count, 1))
-    return transform(rotation, np.c_[camera.normalise(pixels), np.ones(count)] * depth)
-
-
 def _on_edges(
     edges: ShaftEdges, evidence: Evidence, instrument: Instrument, count: int, rng: np.random.Generator
 ) -> Float64:

@@ -19,17 +19,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, sampled
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
-
-Float64 = NDArray[np.float64]
 
 _LEAST_SIGMA = 0.6  # px; for more accurate contours the loss on the coverage gives smaller errors
 _LARGEST_LENGTH = 25.0  # px; longer correlation is caused by errors of the instrument's shape
@@ -133,7 +130,7 @@ def solve_correlated(pixels: Float64, variance: float, uncorrelated: Float64, ri
     piece = np.floor((along[order] - along[order[0]]) / _FARTHEST)
     pieces = np.split(order, np.flatnonzero(np.diff(piece)) + 1)
 
-    def covariance(first: NDArray[np.intp], second: NDArray[np.intp]) -> Float64:
+    def covariance(first: Indices, second: Indices) -> Float64:
         apart = pixels[first, None] - pixels[second]
         return np.asarray(variance * np.exp(-np.pi / _LENGTH**2 * (apart[..., 0] ** 2 + apart[..., 1] ** 2)))
 
@@ -157,7 +154,7 @@ def solve_correlated(pixels: Float64, variance: float, uncorrelated: Float64, ri
     return solved
 
 
-def _contour_distances(mask: NDArray[np.bool_], outline: OutlinePoints, reach: int) -> tuple[Float64, Float64]:
+def _contour_distances(mask: Bool, outline: OutlinePoints, reach: int) -> tuple[Float64, Float64]:
     """Measure the distance from each outline point to the mask's contour along the normal, px, (N,).
 
     It is positive if the contour is outside the outline, and NaN if there is none within reach. The contour is searched

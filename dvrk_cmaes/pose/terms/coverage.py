@@ -17,13 +17,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.profiles import Profiles, density
 from dvrk_cmaes.pose.terms.shared_errors import LASTING, without_last
@@ -31,7 +30,6 @@ from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
 
-Float64 = NDArray[np.float64]
 Columns = Callable[[int, OutlinePoints, Float64], Float64]
 """Displacements (N, E) of an outline's N points by E unknowns, times the lengths of their normals, px.
 

@@ -14,8 +14,4 @@ from dvrk_cmaes.pose.views import FrameView
 
 def terms_of_frame(views: Sequence[FrameView], readings: Readings, config: OutlineConfig, *more: Term) -> list[Term]:
     """Return the terms of a frame's readings and given tips, and those of what else is expected of its pose."""
-    return [
-        ReadingsTerm(readings),
-        *TipsTerm.of_views(views, config),
-        *more,
-    ]
+    return [ReadingsTerm(readings), *TipsTerm.of_views(views, config), *more]

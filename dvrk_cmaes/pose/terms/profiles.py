@@ -12,13 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes import _kernel
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.pose.terms.sized_view import REACH
 from dvrk_cmaes.pose.terms.term import Approximation
-
-Float64 = NDArray[np.float64]
 
 
 def density(blur: float) -> list[float]:

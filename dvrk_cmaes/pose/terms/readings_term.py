@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.joints.prior import LIMIT_SIGMA, Readings
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
-
-Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Posed
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64, Posed
 
 
 class Approximation(ABC):

@@ -6,25 +6,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.config import OutlineConfig
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.search.objective import project_tips
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette.moving_points import moving_points
 
-Float64 = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class _TipsAlongAxes:
     """Each jaw tip twice, as points whose motion along u and along v is asked for; ``order`` sorts tips by link."""
 
-    order: NDArray[np.intp]
-    link: NDArray[np.intp]
+    order: Indices
+    link: Indices
     points: Float64
     normals: Float64
 

@@ -134,13 +134,6 @@ def _row(
     def about(by: float) -> tuple[float, float]:
         return across.clamped(estimate.offset - by), across.clamped(estimate.offset + by)
 
-    return OffsetRow(
-        joint=joint,
-        series=series,
-        offset_y=middle - _ABOVE,
-        marks_y=middle + _BELOW,
-        offset=across.at(estimate.offset),
-        std=about(estimate.std),
-        frame_std=about(estimate.frame_std),
-        marks=tuple(mark(place, value) for place, value in found.items()),
-    )
+    marks = tuple(mark(place, value) for place, value in found.items())
+    stds, above, below = (about(estimate.std), about(estimate.frame_std)), middle - _ABOVE, middle + _BELOW
+    return OffsetRow(joint, series, above, below, across.at(estimate.offset), *stds, marks)
