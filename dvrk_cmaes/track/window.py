@@ -6,7 +6,7 @@ A recording on disk is one window of all its frames; while images come, the wind
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,13 @@ class WindowImage:
     prior: Float64
     jacobian: Float64
     told: Told
+    _by_masks: list[Float64] = field(default_factory=list, init=False, repr=False)
+
+    def changes_by_masks(self, camera: Camera, instrument: Instrument) -> Float64:
+        """Return `changes_by_masks` (D, 7) where the image is expected, computed once: it is in several windows."""
+        if not self._by_masks:
+            self._by_masks.append(changes_by_masks(self.at, camera, instrument))
+        return self._by_masks[0]
 
 
 def solve_window(
@@ -98,7 +105,7 @@ def solve_window(
     The covariances include those of the calibration. With ``only_last``, the list has the last image alone.
     """
     corrected = calibration.corrected(camera)
-    by_masks = [changes_by_masks(image.at, corrected, instrument) for image in images]
+    by_masks = [image.changes_by_masks(corrected, instrument) for image in images]
     smoothed = FrameDeviations.of(
         np.array([image.time for image in images]),
         np.array([image.prior for image in images]),
