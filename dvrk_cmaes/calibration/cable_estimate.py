@@ -64,16 +64,8 @@ class CableEstimate:
         weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
         information, vector = observe_errors(model, fits, solution.calibration, weights)
         readings = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1)
-        session = CableSession(
-            names=self.names,
-            readings=readings,
-            times=times,
-            play=lag.play(self.names, readings, self.prior.model.width),
-            information=information,
-            vector=vector,
-            offsets=solution.calibration.offsets[1:],
-            offset_std=self.offset_std,
-            noise=self.noise,
-        )
+        play, offsets = lag.play(self.names, readings, self.prior.model.width), solution.calibration.offsets[1:]
+        seen = information, vector, offsets, self.offset_std, self.noise
+        session = CableSession(self.names, readings, times, play, *seen)
         fit, alone = fit_cables(session, self.prior)
         return replace(self, fit=fit, alone=alone)

@@ -111,18 +111,10 @@ def compared(
     iou, contour = both[..., 0].mean(axis=0), np.median(both[..., 1], axis=0)
     moved = change_between(*bases)
     worse = iou[1] < iou[0] - _WORSE[0] or contour[1] > contour[0] + _WORSE[1]
-    return MasksAgain(
-        frames=len(overlaps),
-        changed=changed_frames,
-        iou=float(np.mean(overlaps)),
-        base_mm=1e3 * float(np.linalg.norm(moved[:3])),
-        base_deg=float(np.degrees(np.linalg.norm(moved[3:]))),
-        iou_before=float(iou[0]),
-        iou_after=float(iou[1]),
-        contour_px_before=float(contour[0]),
-        contour_px_after=float(contour[1]),
-        applied=changed_frames > 0 and not worse,
-    )
+    base = 1e3 * float(np.linalg.norm(moved[:3])), float(np.degrees(np.linalg.norm(moved[3:])))
+    pairs = float(iou[0]), float(iou[1]), float(contour[0]), float(contour[1])
+    applied = changed_frames > 0 and not worse
+    return MasksAgain(len(overlaps), changed_frames, float(np.mean(overlaps)), *base, *pairs, applied)
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,7 +57,6 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 _CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
 _LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
-_HARDLY_TOLD = 2.0  # standard deviations of the file's principal point
 _PASSES = 6  # largest number of linearisations of the outlines
 _NOT_ASKED = "camera: not tested, as the settings say"
 _NAMED = 2.5  # standard deviations from no change, above which one of the unknowns is named
@@ -118,22 +117,16 @@ class SessionCamera(Document):
     ) -> SessionCamera:
         """Decide whether an estimate from some frames contradicts the camera file, and state it.
 
-        Where the frames hardly determine the principal point, as those of a short recording, each linearisation may be
-        farther away than the one before. What they tell at the camera of the file must then contradict it as well,
-        unless the file is ``unusual`` in itself. Few frames must contradict a usual file clearly, and another camera
-        must explain the frames better.
+        Each linearisation may be farther away than the one before. What the frames tell at the camera of the file must
+        contradict it as well. Unless the file is ``unusual`` in itself, few frames must contradict it clearly, and
+        another camera must explain the frames better.
         """
         change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
         limit = _CONTRADICTION if unusual or applied or frames >= _MANY_FRAMES else _CLEAR_CONTRADICTION
         contradicts = _distance(change, covariance, config) > limit
-        if (
-            not (applied or unusual)
-            and np.sqrt(np.diag(covariance)[1:].max()) > _HARDLY_TOLD * config.principal_point_px
-        ):
+        if not applied:
             first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
-            contradicts = contradicts and first > limit
-        if not (applied or unusual) and estimate.gain < _LEAST_GAIN:
-            contradicts = False
+            contradicts = contradicts and first > limit and (unusual or estimate.gain >= _LEAST_GAIN)
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
         scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))

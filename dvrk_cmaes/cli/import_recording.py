@@ -366,16 +366,9 @@ def _opened(
                 return open_video(path, of_side, shown)
             by_frame = open_packed if packed else open_surgsync if clip else open_stereo_videos
             return (open_surgpose if surgpose else by_frame)(path, of_side)
-        own = TopicRequest(
-            topics.image_topic,
-            topics.camera_topic,
-            topics.joints_topic,
-            topics.jaw_topic,
-            topics.image_topic_right,
-            eye=eye if named else None,
-            arms=tuple(arms),
-            recorded_times=topics.recorded_times,
-        )
+        of_arm = topics.camera_topic, topics.joints_topic, topics.jaw_topic
+        own = TopicRequest(topics.image_topic, *of_arm, topics.image_topic_right, eye=eye if named else None)
+        own = replace(own, arms=tuple(arms), recorded_times=topics.recorded_times)
         own = own.of_right_eye() if side == "both" and eye == "right" else own
         return open_bag(path, own, replace(of_side, joints=joints if eye == "left" or side == "right" else None))
 

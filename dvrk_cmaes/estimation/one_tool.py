@@ -23,6 +23,7 @@ from dvrk_cmaes.instrument.arm import Arm, check_arm, find_camera_from_base
 from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.config_check import check_config
+from dvrk_cmaes.pose.doubts import exchanged_readings
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
 from dvrk_cmaes.pose.search.modes import Candidate
@@ -180,8 +181,8 @@ def estimate_views(
         found, source = _in_camera(find_pose(views, decimated, readings, settings, modes), shown[0]), "frame"
         base = find_camera_from_base(found.at.pose, given, arm, roll_offset=model.roll_offset)
     tips, tips_px = locate_tips(model, reference.camera, found.at)
-    remarks = remarks_on_cameras(seen)
-    reasons = (*(known_mistakes(remarks) if session is None else ()), *found.reasons)
+    of_cameras = remarks_on_cameras(seen)
+    reasons = (*(known_mistakes(of_cameras) if session is None else ()), *found.reasons)
     result = Result(
         frame=frame,
         status="doubtful" if reasons else "ok",
@@ -191,7 +192,7 @@ def estimate_views(
         joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,
         warnings=(*warnings, *outside, *([predicted] if isinstance(predicted, str) else ()), *found.notes),
-        remarks=remarks,
+        remarks=(*of_cameras, *exchanged_readings(found.at, readings, model)),
         unused=(*(left_out_views(seen) if named else ()), *_unused_evidence(views), *unused),
         camera_from_base=base,
         source=source,

@@ -64,15 +64,8 @@ class PictureFit:
             return camera
         sx, sy = part[0] / camera.width, part[1] / camera.height
         notes.append(f"intrinsics scaled unevenly, by {sx:.4g} across and {sy:.4g} down")
-        return replace(
-            camera,
-            width=part[0],
-            height=part[1],
-            fx=camera.fx * sx,
-            fy=camera.fy * sy,
-            cx=(camera.cx + 0.5) * sx - 0.5,
-            cy=(camera.cy + 0.5) * sy - 0.5,
-        )
+        cx, cy = (camera.cx + 0.5) * sx - 0.5, (camera.cy + 0.5) * sy - 0.5
+        return replace(camera, width=part[0], height=part[1], fx=camera.fx * sx, fy=camera.fy * sy, cx=cx, cy=cy)
 
 
 WHOLE = PictureFit()

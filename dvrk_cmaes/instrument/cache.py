@@ -98,17 +98,9 @@ def _instrument(document: dict[str, Any], arrays: Any) -> Instrument:
     shaft = None
     if "shaft" in document:
         shaft = Shaft(arrays["shaft_point"], arrays["shaft_direction"], *document["shaft"])
-    return Instrument(
-        name=document["name"],
-        root_link=document["root_link"],
-        links=tuple(
-            Link(name, arrays[f"vertices_{i}"], arrays[f"faces_{i}"]) for i, name in enumerate(document["links"])
-        ),
-        joint_names=tuple(document["joint_names"]),
-        limits=arrays["limits"],
-        shaft=shaft,
-        jaw_tips=tuple(JawTip(link, arrays[f"tip_{i}"]) for i, link in enumerate(document["tips"])),
-        chain=Chain(joints),
-        link_joints=tuple(document["link_joints"]),
-        has_twin=document["has_twin"],
-    )
+    named = enumerate(document["links"])
+    links = tuple(Link(name, arrays[f"vertices_{i}"], arrays[f"faces_{i}"]) for i, name in named)
+    tips = tuple(JawTip(link, arrays[f"tip_{i}"]) for i, link in enumerate(document["tips"]))
+    lists, moved = (tuple(document["joint_names"]), arrays["limits"]), tuple(document["link_joints"])
+    whole = document["name"], document["root_link"], links, *lists, shaft, tips, Chain(joints), moved
+    return Instrument(*whole, has_twin=document["has_twin"])

@@ -77,7 +77,6 @@ def judge(
     is_near = not doubts_of_tips(expected, trust)
     if probability < trust.least_probability and (is_near or of_mode < _CERTAIN_MODE):
         reasons.append(_in_doubt(modes, probability, of_mode, instrument, trust))
-    remarks += _exchanged_readings(modes[0].at, readings, instrument)
     return reasons + doubts_of_modes(modes, evidence, readings, instrument, trust), remarks, probability
 
 
@@ -219,8 +218,16 @@ def _in_doubt(
     return f"{text}; {'the mirror twin' if twin else 'another pose'} explains the frame nearly as well"
 
 
-def _exchanged_readings(at: Posed, readings: Readings, instrument: Instrument) -> list[str]:
-    """Say that the readings of both joints of the wrist seem exchanged; empty where they do not."""
+def exchanged_readings(at: Posed, readings: Readings, instrument: Instrument) -> list[str]:
+    """Say that the readings of both joints of the wrist may be exchanged; empty where they do not seem to be.
+
+    Parameters
+    ----------
+    at
+        The pose and joints that were found.
+    readings, instrument
+        The readings of the instrument's joints, and the instrument.
+    """
     if not set(_WRIST) <= set(instrument.joint_names):
         return []
     index = [instrument.joint_names.index(name) for name in _WRIST]
