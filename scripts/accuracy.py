@@ -75,7 +75,7 @@ from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.toml_file import read_config
-from dvrk_cmaes.track.sight import KINDS as EVIDENCE
+from dvrk_cmaes.track.view_segmenter import KINDS as EVIDENCE
 
 OTHERS: Final = SHARED / "instruments" / "dvrk_model" / "urdf"
 QUICK_FRAMES: Final = 2

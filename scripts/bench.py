@@ -43,7 +43,7 @@ from measure.places import SCANNED, SHARED
 from measure.tables import Report, add_output_options, print_report
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.track.sight import KINDS
+from dvrk_cmaes.track.view_segmenter import KINDS
 
 FRAMES: Final = ("made/clean", "made/easy", "made/medium", "made/hard", "real/easy", "real/medium")
 SESSIONS: Final = [SHARED / "frames" / name for name in FRAMES]

@@ -47,7 +47,7 @@ from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.sight import EvidenceKind
+from dvrk_cmaes.track.view_segmenter import EvidenceKind
 
 RIGHT_MM: Final = 5.0
 WRONG_MM: Final = 3.0

@@ -80,7 +80,7 @@ def test_what_a_function_returns_is_public(function: Callable[..., Any]) -> None
 
 def takes_arrays(function: Callable[..., Any]) -> bool:
     """Whether a function takes or returns arrays."""
-    return any("NDArray" in str(hint) for hint in inspect.get_annotations(function).values())
+    return any("ndarray" in str(hint) for hint in get_type_hints(function, localns=PUBLIC).values())
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ class MaskGrowth(Constant):
 
 
 @dataclass(frozen=True, eq=False)
-class GrowthTold:
+class GrowthEstimate:
     """What a session tells of the errors on some sides, and what they do to it.
 
     ``px`` (6,) are their means, and ``std_px`` (6,) what is known of them beforehand: their usual size, and next to
@@ -88,7 +88,9 @@ class GrowthTold:
     of_frames: Float64
 
 
-def growth_told(there: Linearised, count: int, growth: MaskGrowth, beside: Mapping[str, Float64 | float]) -> GrowthTold:
+def estimate_growth(
+    there: Linearised, count: int, growth: MaskGrowth, beside: Mapping[str, Float64 | float]
+) -> GrowthEstimate:
     """Tell the size of the errors on some sides, and what they do, from outlines that were linearised in them.
 
     Parameters
@@ -122,7 +124,7 @@ def growth_told(there: Linearised, count: int, growth: MaskGrowth, beside: Mappi
     of_calibration = np.asarray(np.linalg.solve(information[:count, :count], information[:count, both]), np.float64)
     frames = marginalise(there.model, there.fits, calibration)
     by_all = frames.gain @ there.model.jacobian(calibration)
-    return GrowthTold(
+    return GrowthEstimate(
         np.maximum(left[place], 0.0),
         std,
         known,

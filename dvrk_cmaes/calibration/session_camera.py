@@ -24,7 +24,7 @@ from dvrk_cmaes.calibration.constants import (
     inverse_information,
     linearise,
 )
-from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthTold, MaskGrowth, growth_told
+from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthEstimate, MaskGrowth, estimate_growth
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.session_shaft import SHAFT, SessionShaft
 from dvrk_cmaes.calibration.solve import cost_at, solve
@@ -278,7 +278,7 @@ class CameraCheck:
     camera: SessionCamera | None
     undetermined: str
     covariance: Float64
-    growth: GrowthTold | None = None
+    growth: GrowthEstimate | None = None
     shaft: SessionShaft | None = None
 
 
@@ -303,7 +303,7 @@ class CameraEstimate:
     at: Posed
     plausible: bool = True
     gain: float = np.inf
-    growth: GrowthTold | None = None
+    growth: GrowthEstimate | None = None
     shaft: SessionShaft | None = None
 
 
@@ -326,7 +326,7 @@ def estimate_camera(
         changed_camera = any(one.name == CAMERA and one.start.any() for one in outlines.constants)
         beside = {} if changed_camera else {CAMERA: file_deviations(config)}
         each = (there,) if first is there else (there, first)
-        known = [growth_told(one, count, of_masks, beside) for one in each]
+        known = [estimate_growth(one, count, of_masks, beside) for one in each]
         told = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])]
         # the file's camera is nearest to what was linearised first, about it; the last one has all frames
         growth = replace(known[-1], of_frames=known[0].of_frames)

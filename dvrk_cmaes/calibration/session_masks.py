@@ -22,7 +22,7 @@ from dvrk_cmaes.io.typed_document import Number, refused
 from dvrk_cmaes.pose.terms.coverage import of_margin
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration.mask_growth import GrowthTold
+    from dvrk_cmaes.calibration.mask_growth import GrowthEstimate
 
 
 MARGIN = "margin"
@@ -112,7 +112,10 @@ class SessionMasks(Document):
 
     @classmethod
     def of(
-        cls, margins: Sequence[tuple[str, Margin]], lasting: LastingEstimate | None, growth: GrowthTold | None = None
+        cls,
+        margins: Sequence[tuple[str, Margin]],
+        lasting: LastingEstimate | None,
+        growth: GrowthEstimate | None = None,
     ) -> SessionMasks:
         """State the margins of the views, of which there is at least one, and the errors that frames share."""
         (_, first), *others = margins

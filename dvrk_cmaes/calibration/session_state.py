@@ -16,7 +16,7 @@ from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
-from dvrk_cmaes.calibration.mask_growth import GrowthTold
+from dvrk_cmaes.calibration.mask_growth import GrowthEstimate
 from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
 from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
@@ -88,7 +88,7 @@ class Imaging:
     rig: tuple[ViewRotation, ...] = ()
     margins: tuple[tuple[str, Margin], ...] = ()
     lasting: LastingEstimate | None = None
-    growth: GrowthTold | None = None
+    growth: GrowthEstimate | None = None
 
     def with_others(self, others: Sequence[Imaging]) -> Imaging:
         """Return the same with the margins, and the change of the camera where it is used, that several arms tell.

@@ -42,8 +42,8 @@ from dvrk_cmaes.runs.track_frames import (
     with_increasing_times,
 )
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.sight import EvidenceKind
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
+from dvrk_cmaes.track.view_segmenter import EvidenceKind
 
 _SAME_TIME: Final = 1e-9  # s, as in `track`
 CalibrationOf = Callable[[str, Body], SessionCalibration | None]

@@ -27,7 +27,7 @@ from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_frames import BlockTask, fit_block
 from dvrk_cmaes.track.reading_buffer import describe_frozen
 from dvrk_cmaes.track.recorded_frames import NO_READINGS, FittedFrame, JudgeTask, PredictedFrame, judge_frame
-from dvrk_cmaes.track.window import Told, WindowImage, result_of, solve_window, status_of
+from dvrk_cmaes.track.window import FitEvidence, WindowImage, result_of, solve_window, status_of
 
 BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
@@ -157,9 +157,9 @@ def follow_window(solution: RecordedSolution, work: RecordedWork) -> list[TrackR
     for i, fitted in enumerate(fits):
         at, spread = predicted.at[i], predicted.spread[i]
         told = (
-            Told.of(None, at, spread, holds=False)
+            FitEvidence.of(None, at, spread, holds=False)
             if fitted is None
-            else Told.of(fitted.fit, at, spread, inflation=fitted.inflation, holds=fitted.fit.explains_mask)
+            else FitEvidence.of(fitted.fit, at, spread, inflation=fitted.inflation, holds=fitted.fit.explains_mask)
         )
         images.append(WindowImage(float(recorded.times[i]), at, predicted.prior[i], predicted.jacobian[i], told))
     found = solve_window(images, session, camera, instrument)

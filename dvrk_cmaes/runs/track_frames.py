@@ -26,8 +26,8 @@ from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
-from dvrk_cmaes.track.sight import EvidenceKind
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
+from dvrk_cmaes.track.view_segmenter import EvidenceKind
 
 Mask = Bool
 

@@ -30,8 +30,8 @@ from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.quick_fit import quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, judged
-from dvrk_cmaes.track.sight import Seen, Sight
-from dvrk_cmaes.track.window import LIMITS, Told, WindowImage, result_of, solve_window, status_of
+from dvrk_cmaes.track.view_segmenter import Seen, ViewSegmenter
+from dvrk_cmaes.track.window import LIMITS, FitEvidence, WindowImage, result_of, solve_window, status_of
 
 BASE_MOVED: Final = (
     "calibration contradicted: {count} images in a row disagree with it; the base or the camera may have moved"
@@ -165,7 +165,7 @@ class Following:
         time: float,
         reading: ReadingAt,
         seen: Seen,
-        sight: Sight,
+        segmenter: ViewSegmenter,
         *,
         shows_well: Callable[[Mapping[str, Mask]], bool] = lambda masks: True,
     ) -> TrackResult:
@@ -184,9 +184,9 @@ class Following:
             self._still = at
         elif reading.has_outer and _has_moved(self._still, at):
             seen = seen.without_frozen()
-        self.masks, self.explained = sight.given(seen), False
+        self.masks, self.explained = segmenter.given(seen), False
         image = self._by_masks if self.masks else self._by_edges
-        told, judge = image(at, spread, seen, sight)
+        told, judge = image(at, spread, seen, segmenter)
         self.misfit = told.misfit
         self._images.append(WindowImage(time, at, predicted.prior[0], predicted.jacobian[0], told))
         camera = self._rig.views[0].camera
@@ -202,7 +202,7 @@ class Following:
             self._unexplained = 0 if self.explained else self._unexplained + in_view
             if self.explained and time - self._learned >= _LEARNED_EVERY:
                 self._learned = time
-                sight.learn(seen, self._views, found[0])
+                segmenter.learn(seen, self._views, found[0])
         if not reading.has_outer:
             reasons.append(NO_READINGS)
         elif reading.still and of_image.error is not None:
@@ -225,15 +225,15 @@ class Following:
             residual_px=of_image.residual_px,
         )
 
-    def masks_of(self, seen: Seen, sight: Sight) -> dict[str, Mask]:
+    def masks_of(self, seen: Seen, segmenter: ViewSegmenter) -> dict[str, Mask]:
         """Find masks in the last image, which has none, about the pose to which it was followed."""
         if self._before is None:
             return {}
-        return sight.masks_at(seen, self._views, self._images[-1].at.moved(self._before))
+        return segmenter.masks_at(seen, self._views, self._images[-1].at.moved(self._before))
 
-    def _by_masks(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> tuple[Told, _Judge]:
+    def _by_masks(self, at: Posed, spread: Float64, seen: Seen, segmenter: ViewSegmenter) -> tuple[FitEvidence, _Judge]:
         """Fit an image's masks, about what is expected of its pose; also returns how the pose is then judged."""
-        views = self.calibration.corrected_views(seen_views(self.masks, self._rig, sight.ignored(seen)))
+        views = self.calibration.corrected_views(seen_views(self.masks, self._rig, segmenter.ignored(seen)))
         expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
         fitted = quick_fit(
             self._body, self._config, views, expected, self._before, self._lengths, self.calibration.masks
@@ -241,7 +241,7 @@ class Following:
         if fitted is None:
             return self._nothing(at, spread, seen)
         fit, self.score = fitted.fit, fitted.fit.score
-        told = Told.of(fit, at, spread, inflation=fitted.inflation, holds=fit.explains_mask)
+        told = FitEvidence.of(fit, at, spread, inflation=fitted.inflation, holds=fit.explains_mask)
         self._before = fit.at.minus(at) if fit.explains_mask else None
         if fit.explains_mask:
             self._lengths |= {view.name: length for view, length in zip(fitted.views, fitted.lengths, strict=True)}
@@ -254,16 +254,16 @@ class Following:
 
         return told, judge
 
-    def _by_edges(self, at: Posed, spread: Float64, seen: Seen, sight: Sight) -> tuple[Told, _Judge]:
+    def _by_edges(self, at: Posed, spread: Float64, seen: Seen, segmenter: ViewSegmenter) -> tuple[FitEvidence, _Judge]:
         """Fit the edges that the colours of an image without masks show, as `_by_masks` does."""
         expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
         start = at if self._before is None else at.moved(self._before)
-        fit = sight.fit(seen, start, expected, near=self._before is not None)
+        fit = segmenter.fit(seen, start, expected, near=self._before is not None)
         if fit is None:
             return self._nothing(at, spread, seen)
         self.score = fit.score
         margin = _EDGES_PX * change_by_margin(fit.at, self._views[0].camera, self._body.instrument)
-        told = Told.of(fit.with_margin(margin), at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
+        told = FitEvidence.of(fit.with_margin(margin), at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
         self._before = fit.at.minus(at) if fit.holds else None
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:
@@ -284,13 +284,13 @@ class Following:
 
         return told, judge
 
-    def _nothing(self, at: Posed, spread: Float64, seen: Seen) -> tuple[Told, _Judge]:
+    def _nothing(self, at: Posed, spread: Float64, seen: Seen) -> tuple[FitEvidence, _Judge]:
         """Return what an image tells that shows nothing."""
         self._before, self.score = None, np.inf
         lost = seen.problem is None or (seen.masks[seen.main] is not None and not seen.any_same)
         reason = EMPTY.format(source=seen.source) if seen.problem is None else seen.problem
         nothing = _Judged("lost" if lost else "doubtful", [reason], None, None, explained=False)
-        return Told.of(None, at, spread, holds=False), lambda found: nothing
+        return FitEvidence.of(None, at, spread, holds=False), lambda found: nothing
 
 
 def _has_moved(before: Posed, now: Posed) -> bool:

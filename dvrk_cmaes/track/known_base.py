@@ -22,7 +22,7 @@ from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeStore
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
-from dvrk_cmaes.track.sight import Seen, Sight
+from dvrk_cmaes.track.view_segmenter import Seen, ViewSegmenter
 
 _CONFIRMING = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
@@ -37,7 +37,7 @@ _SOON = 1.0  # s, since following by a calibration began
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
 
-class KnownBase:
+class CalibratedFollower:
     """Keeps keyframes, and follows by the calibration that was found from them or given; arguments as of `Tracker`.
 
     ``earlier`` tells that the calibration is of an earlier run, since which the camera may have been moved: no pose by
@@ -195,18 +195,18 @@ class KnownBase:
             self._rig, self._body, self._config, calibration, lag_std=std, uncertain=self._is_of_few
         )
 
-    def can_follow(self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight) -> bool:
+    def can_follow(self, time: float, readings: ReadingBuffer, seen: Seen, segmenter: ViewSegmenter) -> bool:
         """Whether an image of a time, s, can be followed by a calibration.
 
         There must be one, the outer joints must have been read at an image or be read now, and masks must be there, or
         colours by which they are found.
         """
-        if self._following is None or not sight.is_ready(seen):
+        if self._following is None or not segmenter.is_ready(seen):
             return False
         late = 0.0 if self.lag is None else self.lag.seconds
         return self._following.has_readings or readings.at(time - late).has_outer
 
-    def follow(self, time: float, readings: ReadingBuffer, seen: Seen, sight: Sight) -> TrackResult:
+    def follow(self, time: float, readings: ReadingBuffer, seen: Seen, segmenter: ViewSegmenter) -> TrackResult:
         """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more.
 
         Fewer are enough for one of an earlier run and, soon after it was found, for one of few keyframes.
@@ -218,13 +218,13 @@ class KnownBase:
             self._began = time
             if self._last is not None and time - self._last[0] <= _LATELY:
                 following.start_from(self._last[1], readings.at(self._last[0] - late))
-        result = following.follow(time, readings.at(time - late), seen, sight, shows_well=self.store.shows_well)
+        result = following.follow(time, readings.at(time - late), seen, segmenter, shows_well=self.store.shows_well)
         wrong = following.contradicted or (self._agreeing is not None and following.disagrees)
         soon = time - self._began <= _SOON
         if wrong or (soon and self._is_of_few and following.explains_little):
             self._give_up()
             return replace(result, status="doubtful" if result.status == "ok" else result.status)
-        kept = self.offer(time, readings.at(time), seen, sight, following)
+        kept = self.offer(time, readings.at(time), seen, segmenter, following)
         if result.status == "ok" and self._agreeing is not None:
             self._agreeing += kept and following.misfit < _AGREES
             if self._agreeing >= _CONFIRMING:
@@ -270,7 +270,9 @@ class KnownBase:
             self.store.clear()
         self._own, self._agreeing, self._confirms = False, None, None
 
-    def offer(self, time: float, reading: ReadingAt, seen: Seen, sight: Sight, following: Following | None) -> bool:
+    def offer(
+        self, time: float, reading: ReadingAt, seen: Seen, segmenter: ViewSegmenter, following: Following | None
+    ) -> bool:
         """Keep an image as a keyframe, if it is worth that; returns whether it is.
 
         Where it has no masks, they are found about the pose to which it was followed, if that explains it. Where
@@ -284,10 +286,10 @@ class KnownBase:
         if reading.ecm is not None:
             readings |= dict(zip(ECM_JOINTS, reading.ecm.tolist(), strict=True))
         rates = dict(zip(names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=True))
-        masks = sight.given(seen)
+        masks = segmenter.given(seen)
         if not masks and following is not None and following.explained and self.store.is_new(time, readings):
-            masks = following.masks_of(seen, sight)
-        return bool(masks) and self.store.offer(time, masks, sight.ignored(seen), readings, rates)
+            masks = following.masks_of(seen, segmenter)
+        return bool(masks) and self.store.offer(time, masks, segmenter.ignored(seen), readings, rates)
 
     def unconfirmed(self, result: TrackResult, readings: ReadingBuffer) -> TrackResult:
         """Return the result of an image that is not followed by a calibration, whether readings tell the base or not.

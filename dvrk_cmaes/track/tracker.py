@@ -25,10 +25,10 @@ from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
-from dvrk_cmaes.track.known_base import KnownBase
+from dvrk_cmaes.track.known_base import CalibratedFollower
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
-from dvrk_cmaes.track.sight import EvidenceKind, Images, Masks, Seen, Sight
 from dvrk_cmaes.track.unknown_base import UnknownBase
+from dvrk_cmaes.track.view_segmenter import EvidenceKind, Images, Masks, Seen, ViewSegmenter
 
 _GIVEN_LAG_STD = 1e-6  # s, of a lag that is given
 
@@ -107,9 +107,9 @@ class Tracker:
         self._names = self._body.instrument.joint_names
         self._given_lag, self._remarks = lag, rig.remarks
         self._readings = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
-        self._sight = Sight(rig, self._body, track, evidence, hints)
-        self._known = KnownBase(rig, self._body, used_arm, settings, calibration, earlier=earlier)
-        self._unknown = UnknownBase(rig, self._body, used_arm, settings, self._sight, sliced)
+        self._segmenter = ViewSegmenter(rig, self._body, track, evidence, hints)
+        self._known = CalibratedFollower(rig, self._body, used_arm, settings, calibration, earlier=earlier)
+        self._unknown = UnknownBase(rig, self._body, used_arm, settings, self._segmenter, sliced)
         self._renderer = Renderer(self._body, rig.views[0].camera)
         self._time: float | None = None
 
@@ -221,7 +221,7 @@ class Tracker:
                 f"status {result.status} with {', '.join(result.joints) or 'no joints'}"
             )
         self._check_time(time)
-        seen = None if image is None else self._sight.look(None, image, None)
+        seen = None if image is None else self._segmenter.look(None, image, None)
         self._unknown.start(time, result, seen)
         self._time = time
 
@@ -252,7 +252,7 @@ class Tracker:
         """
         started = clock.perf_counter()
         self._check_time(time)
-        seen = self._sight.look(mask, image, ignore)
+        seen = self._segmenter.look(mask, image, ignore)
         result = self._with_sparse_readings(self._followed(time, seen))
         self._time = time
         self._known.note(result)
@@ -262,12 +262,12 @@ class Tracker:
     def _followed(self, time: float, seen: Seen) -> TrackResult:
         """Follow to an image by the calibration, if there is one, and otherwise from the image before."""
         known, unknown, readings = self._known, self._unknown, self._readings
-        if known.can_follow(time, readings, seen, self._sight):
+        if known.can_follow(time, readings, seen, self._segmenter):
             unknown.forget()
-            return known.follow(time, readings, seen, self._sight)
+            return known.follow(time, readings, seen, self._segmenter)
         lag = known.lag
         result = unknown.step(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, known.calibration)
-        known.offer(time, readings.at(time), seen, self._sight, unknown.following)
+        known.offer(time, readings.at(time), seen, self._segmenter, unknown.following)
         return known.unconfirmed(result, readings)
 
     def _with_sparse_readings(self, result: TrackResult) -> TrackResult:

@@ -41,7 +41,7 @@ from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.sight import Seen, Sight
+from dvrk_cmaes.track.view_segmenter import Seen, ViewSegmenter
 from dvrk_cmaes.track.window import CORRELATED_FRAMES
 
 NOT_FOUND: Final = "not found: the first image could not be solved"
@@ -141,7 +141,7 @@ class UnknownBase:
     body: Body
     arm: Arm
     config: EstimateConfig
-    sight: Sight
+    segmenter: ViewSegmenter
     sliced: bool
     _modes: list[_Mode] = field(default_factory=list)
     _search: _Search | None = None
@@ -184,7 +184,7 @@ class UnknownBase:
         self._followed = self._unsupported = 0
         self._wait = _FIRST_WAIT
         if seen is not None:
-            self.sight.learn(seen, self.rig.views, modes[0])
+            self.segmenter.learn(seen, self.rig.views, modes[0])
 
     def step(
         self, time: float, reading: ReadingAt, seen: Seen, calibration: SessionCalibration | None = None
@@ -221,7 +221,7 @@ class UnknownBase:
         config = replace(self.config, threads=1) if self.sliced else self.config
         around = {} if calibration is None else self._around(image.reading, calibration)
         # nothing of this object, so that the thread of the call ends with it
-        search = partial(_solved, kept, self.rig, self.body, config, self.sight, around, calibration, first=first)
+        search = partial(_solved, kept, self.rig, self.body, config, self.segmenter, around, calibration, first=first)
         self._search = _Search(SlicedCall(search), [kept], first)
 
     def _go_on(self, search: _Search, image: _Image) -> None:
@@ -246,7 +246,7 @@ class UnknownBase:
         names = self.body.instrument.joint_names
         endoscope = endoscope_at(calibration, None, reading.ecm)
         expected = Prediction.of(calibration, reading.outer[None], reading.joints[None], names, endoscope=endoscope)
-        return self.sight.boxes_around(expected.at[0], calibration.corrected_views(self.rig.views))
+        return self.segmenter.boxes_around(expected.at[0], calibration.corrected_views(self.rig.views))
 
     def _follow(self, image: _Image, calibration: SessionCalibration | None) -> TrackResult:
         """Follow all modes to an image, and drop those that it makes improbable."""
@@ -282,7 +282,7 @@ class UnknownBase:
             lag_std = self.config.track.lag_std if reads else 0.0
             mode.following = Following(self.rig, self.body, self.config, wide, lag_std=lag_std, uncertain=True)
             mode.reads = reads
-        result = mode.following.follow(image.time, used, image.seen, self.sight)
+        result = mode.following.follow(image.time, used, image.seen, self.segmenter)
         assert result.camera_from_root is not None
         assert result.covariance is not None
         mode.time, mode.covariance = image.time, result.covariance
@@ -301,7 +301,7 @@ def _solved(
     rig: Rig,
     body: Body,
     config: EstimateConfig,
-    sight: Sight,
+    segmenter: ViewSegmenter,
     around: Mapping[int, Box],
     calibration: SessionCalibration | None,
     *,
@@ -311,13 +311,13 @@ def _solved(
     outer = zip(OUTER_JOINTS, image.reading.outer.tolist(), strict=True)
     joints = zip(body.instrument.joint_names, image.reading.joints.tolist(), strict=True)
     readings = {name: value for name, value in (*outer, *joints) if not math.isnan(value)}
-    masks: Mapping[str, Mask] = sight.first_masks(image.seen, hinted=first, around=around)
+    masks: Mapping[str, Mask] = segmenter.first_masks(image.seen, hinted=first, around=around)
     if not masks:
         return None
     stage("")  # what is drawn for the search is not done in the step that found the masks
     try:
         return estimate(
-            masks, rig, readings, body, ignore=sight.ignored(image.seen), session=calibration, config=config
+            masks, rig, readings, body, ignore=segmenter.ignored(image.seen), session=calibration, config=config
         )
     except InputError:
         return None

@@ -42,7 +42,7 @@ _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not supp
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class FitEvidence:
     """What a fit tells of an image's deviation from its prediction.
 
     ``information`` (D, D) and ``optimum`` (D,) are those of `FrameDeviations.of`, zero where it tells nothing;
@@ -56,7 +56,7 @@ class Told:
     @classmethod
     def of(
         cls, fit: FrameFit | EdgeFit | None, predicted: Posed, spread: Float64, *, inflation: float = 1.0, holds: bool
-    ) -> Told:
+    ) -> FitEvidence:
         """Weigh a fit by how it agrees with the prediction, whose covariance is ``spread`` (D, D).
 
         ``inflation`` is the factor by which the contour's roughness widens the covariance of the fit; one that does not
@@ -82,7 +82,7 @@ class WindowImage:
     at: Posed
     prior: Float64
     jacobian: Float64
-    told: Told
+    told: FitEvidence
     _by_masks: list[Float64] = field(default_factory=list, init=False, repr=False)
 
     def changes_by_masks(self, camera: Camera, instrument: Instrument) -> Float64:

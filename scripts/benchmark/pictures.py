@@ -13,7 +13,7 @@ from measure.places import ROOT
 from benchmark.score import LEVELS
 from dvrk_cmaes.draw.figure import new_figure, write_figure
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.json_file import read_json_object
 
 DATA: Final = ROOT / "data"
@@ -69,9 +69,18 @@ def write_page(scores: Path, data: Path = DATA) -> list[Path]:
     written = [data / "docs" / f"benchmark_{name}" for name in ("time.png", "reliability.png", "figures.json")]
     _plot_time(written[0], found["table"])
     _plot_reliability(written[1], found["reliability"])
-    write_json(written[2], {name: found[name] for name in ("given", "table", "reliability")})
+    write_text(written[2], json.dumps(_short({name: found[name] for name in ("given", "table", "reliability")})) + "\n")
     write_text(page, text)
     return [page, *written]
+
+
+def _short(value: Any) -> Any:
+    """Round the numbers in a document to six significant digits."""
+    if isinstance(value, Mapping):
+        return {name: _short(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_short(each) for each in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _plot_time(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

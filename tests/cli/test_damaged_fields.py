@@ -51,7 +51,7 @@ def changed(data: bytes, chance: random.Random) -> bytes:
     return (text[: word.start()] + chance.choice(HOSTILE) + text[word.end() :]).encode()
 
 
-def check_frame(views: Sequence[SeenView], readings: dict[str, float], body: Body, **others: Any) -> None:
+def check_frame(views: Sequence[SeenView], readings: dict[str, float], body: Body, *_: Any, **__: Any) -> None:
     """Check the inputs of an estimate, then stop the command."""
     ((mask, camera),) = [(view.mask, view.camera) for view in views]
     assert mask.dtype == np.bool_

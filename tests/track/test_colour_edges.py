@@ -21,7 +21,7 @@ from dvrk_cmaes.track.colour_edges import Appearance, ColourEdges, EdgeFit, Imag
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.histogram_ratio import REACH, ColourModel, EdgeModel, bins_of, changes_along
 from dvrk_cmaes.track.outline_model import OutlineModel
-from dvrk_cmaes.track.sight import Sight
+from dvrk_cmaes.track.view_segmenter import ViewSegmenter
 
 TOOL, TISSUE, UNKNOWN = (90, 88, 86), (60, 70, 170), (200, 40, 20)  # BGR
 HEIGHT, WIDTH = 80, 160
@@ -164,7 +164,7 @@ def test_damaged_colours_are_refused() -> None:
 
 def test_unknown_evidence_is_refused() -> None:
     with pytest.raises(InputError, match=r"evidence: expected one of .*images.*got 'image'"):
-        Sight(Rig.of(SMALL), prepare("lnd"), TrackConfig(), "image", None)  # type: ignore[arg-type]
+        ViewSegmenter(Rig.of(SMALL), prepare("lnd"), TrackConfig(), "image", None)  # type: ignore[arg-type]
 
 
 # the term, of a real outline

@@ -22,7 +22,7 @@ from dvrk_cmaes.track.confirmed_image import confirmed_by
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES
-from dvrk_cmaes.track.known_base import KnownBase
+from dvrk_cmaes.track.known_base import CalibratedFollower
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 
 CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))
@@ -258,7 +258,7 @@ def test_instrument_whose_readings_are_missing_is_followed_without_the_calibrati
     assert {result.reasons[-1] for result in results} == {"no readings of the outer joints so far"}
 
 
-def keep(known: KnownBase, count: int) -> None:
+def keep(known: CalibratedFollower, count: int) -> None:
     """Keep further images as keyframes, each farther from the one before than all others are from each other."""
     mask = np.zeros((SMALL.height, SMALL.width), np.bool_)
     mask[80:160, 100:200] = True
@@ -268,13 +268,13 @@ def keep(known: KnownBase, count: int) -> None:
         assert known.store.offer(0.1 * k, dict.fromkeys(Rig.of(SMALL).names, mask), {}, readings, {})
 
 
-def failed(known: KnownBase) -> Solution:
+def failed(known: CalibratedFollower) -> Solution:
     """Return a solution without a calibration of all keyframes."""
     return Solution(None, "no calibration", len(known.problem().keyframes), {})
 
 
 def test_keyframes_are_solved_at_some_numbers_and_when_a_third_of_the_most_are_new(world: MovingWorld) -> None:
-    known = KnownBase(Rig.of(world.camera), world.body, "classic", CONFIG, None)
+    known = CalibratedFollower(Rig.of(world.camera), world.body, "classic", CONFIG, None)
     solved_at = []
     for number in range(1, MOST_KEYFRAMES + 2 * NEW_AT_MOST + 1):
         keep(known, 1)
@@ -289,7 +289,10 @@ def test_solutions_have_at_most_twice_the_keyframes_of_those_before_and_the_last
     world: MovingWorld,
 ) -> None:
     """Images came faster than keyframes were solved; the first few are then those that are farthest apart."""
-    known, problems = KnownBase(Rig.of(world.camera), world.body, "classic", CONFIG, None), list[KeyframeProblem]()
+    known, problems = (
+        CalibratedFollower(Rig.of(world.camera), world.body, "classic", CONFIG, None),
+        list[KeyframeProblem](),
+    )
     keep(known, MOST_KEYFRAMES)
     first = [task.keyframe.name for task in known.unsolved[:4]]
     while known.due:

@@ -15,7 +15,7 @@ from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.window import Told, WindowImage, solve_window
+from dvrk_cmaes.track.window import FitEvidence, WindowImage, solve_window
 
 IMAGES, SIDE = 6, 1
 INFORMATION = np.diag([1e6] * 3 + [1e4] * 3 + [1e3] * 3)
@@ -51,7 +51,7 @@ def images(of: SessionCalibration, instrument: Instrument, px: float = 0.0) -> l
     shown = []
     for k in range(IMAGES):
         moved = px * changes_by_masks(predicted.at[k], SMALL, instrument)[:, SIDE]
-        told = Told(INFORMATION, INFORMATION @ moved, 0.0)
+        told = FitEvidence(INFORMATION, INFORMATION @ moved, 0.0)
         shown.append(WindowImage(0.1 * k, predicted.at[k], predicted.prior[k], predicted.jacobian[k], told))
     return shown
 

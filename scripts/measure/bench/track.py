@@ -17,7 +17,7 @@ from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.track.sight import EvidenceKind
+from dvrk_cmaes.track.view_segmenter import EvidenceKind
 from measure.accuracy.track import recordings_to_follow
 
 _FIRST_STEPS = 1000  # after which memory is compared

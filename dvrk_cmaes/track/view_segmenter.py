@@ -108,7 +108,7 @@ class _Look:
     along: Appearance
 
 
-class Sight:
+class ViewSegmenter:
     """Turns the arrays of the views' images into masks, and keeps how the instrument looks in them.
 
     ``kind`` is the evidence that is used; None for the mask of an image that has one, and else its colours. ``hints``
