@@ -4,9 +4,10 @@
     python scripts/segmentation.py poses SESSION...    poses from the image alone, compared with those from the masks
     python scripts/segmentation.py predicted session.json...
         first masks of a calibrated session that overlap the silhouettes predicted by the other frames, counted by image
-    python scripts/segmentation.py pictures FRAMES [--groups jhu,endovis17,...] [--predicted DIR]
-        masks of pictures of several laboratories in ../shared/frames, found by the instrument's model: how right they
-        are, how sure, and CPU seconds; with the half by which settings were tuned and the other half apart
+    python scripts/segmentation.py pictures FRAMES [--groups jhu,endovis17,...] [--predicted DIR] [--drawn 12] [--poses]
+        masks of pictures of several laboratories in ../shared/frames, found by the instrument's model, and of drawn
+        ones: how right they are, how sure, and CPU seconds; with the half by which settings were tuned and the other
+        half apart. With --poses also the poses that follow from these masks
 
 ``poses`` needs the session's camera, its readings and --instrument.
 """
@@ -14,22 +15,24 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
-from measure.pictures import GROUPS, read_pictures
+from measure.pictures import GROUPS, Picture, read_pictures
 from measure.tables import Report, add_output_options, print_report
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.evidence.gather import window_around
@@ -38,7 +41,7 @@ from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import read_any_frame, solve_frame
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 
 Bool = NDArray[np.bool_]
@@ -49,6 +52,8 @@ NEAR_DEG: Final = 10.0
 OVERLAP: Final = 0.85
 RIGHT: Final = 0.8
 SURE: Final = 0.8
+RIGHT_DEG: Final = 4.0
+_DRAWN: Final = 2000  # first seed of drawn pictures that are measured
 
 
 def main() -> int:
@@ -60,7 +65,13 @@ def main() -> int:
 def _report(options: argparse.Namespace) -> Report:
     """Return the report of a command."""
     if options.command == "pictures":
-        return pictures_report(options.sessions[0], options.groups.split(","), options.predicted)
+        groups = options.groups.split(",") if options.groups else []
+        found = (
+            itertools.islice(read_pictures(options.sessions[0], [group], options.predicted), options.most)
+            for group in groups
+        )
+        pictures = itertools.chain(itertools.chain.from_iterable(found), _drawn(options.drawn))
+        return pictures_report(pictures, poses=options.poses)
     if options.command == "predicted":
         return predicted_report({str(path): read_calibration(path) for path in options.sessions})
     sessions = {"/".join(folder.absolute().parts[-2:]): read_session(folder) for folder in options.sessions}
@@ -75,6 +86,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="for poses: instrument (default: lnd)")
     parser.add_argument("--groups", default=",".join(GROUPS), help="for pictures: groups of them, and bench")
     parser.add_argument("--predicted", type=Path, help="for pictures of the bench: folder of silhouettes by eye")
+    parser.add_argument("--most", type=int, help="for pictures: number of a group's, at most (default: all)")
+    parser.add_argument("--drawn", type=int, default=0, help="for pictures: number of drawn ones (default: none)")
+    parser.add_argument("--poses", action="store_true", help="for pictures: estimate poses, too")
     add_output_options(parser)
     return parser
 
@@ -119,17 +133,46 @@ def masks_report(sessions: Mapping[str, Session], _: str) -> dict[str, Rows]:
     return {"masks": rows, "images": frames}
 
 
-def pictures_report(frames: Path, groups: Sequence[str], predicted: Path | None) -> dict[str, Rows]:
+def _drawn(count: int) -> Iterator[Picture]:
+    """Yield the drawn pictures of some seeds, which no setting was chosen by."""
+    from measure.drawn_pictures import drawn_picture
+
+    yield from (picture for picture in map(drawn_picture, range(_DRAWN, _DRAWN + count)) if picture is not None)
+
+
+def _posed(picture: Picture, mask: Bool) -> tuple[bool | None, str]:
+    """Estimate the pose by a mask; return whether it is right, None where the truth is not known, and its status.
+
+    Right is a silhouette whose overlap with an instrument is 0.8, or a shaft within 4 deg.
+    """
+    if not mask.any() or mask.all():
+        return False, "failed"
+    body = prepare(picture.instrument)
+    result = estimate(mask, picture.camera, picture.joints, body)
+    if result.camera_from_root is None:
+        return False, result.status
+    at = np.array([result.joints[name] for name in body.instrument.joint_names])
+    if picture.tools:
+        silhouette = Renderer(body, picture.camera).masks(result.camera_from_root, at)
+        return bool(max(picture.overlap(silhouette, tool) for tool in picture.tools) > RIGHT), result.status
+    if picture.axis is None:
+        return None, result.status
+    cosine = result.camera_from_root[:3, 2] @ picture.axis / np.linalg.norm(picture.axis)
+    return bool(np.degrees(np.arccos(min(abs(float(cosine)), 1.0))) < RIGHT_DEG), result.status
+
+
+def pictures_report(pictures: Iterable[Picture], *, poses: bool = False) -> dict[str, Rows]:
     """Report how right the masks of pictures of several laboratories are, by group and half, and of each picture.
 
     Right is an overlap with an instrument's mask of 0.8, or that share of its labelled pixels near the outline.
     """
     found: Rows = []
-    for picture in read_pictures(frames, groups, predicted):
+    for picture in pictures:
         started = time.process_time()
         mask = segment(picture.image, instrument=picture.instrument, camera=picture.camera, joints=picture.joints)
         seconds = time.process_time() - started
         every = [mask.mask, *(other.mask for other in mask.others)]
+        right, status = _posed(picture, mask.mask) if poses else (None, None)
         found.append(
             {
                 "group": picture.group,
@@ -138,6 +181,8 @@ def pictures_report(frames: Path, groups: Sequence[str], predicted: Path | None)
                 "right": picture.shows(mask.mask),
                 "confidence": mask.confidence,
                 "instruments": len(every),
+                "pose right": right,
+                "status": status,
                 "jaws": f"{picture.jaws_found(every)} of {len(picture.points)}" if picture.points else None,
                 "cpu_seconds": seconds,
             }
@@ -155,6 +200,10 @@ def pictures_report(frames: Path, groups: Sequence[str], predicted: Path | None)
                 "right, mean": float(np.mean([row["right"] for row in known])) if known else None,
                 "right, least": min((row["right"] for row in known), default=None),
                 "wrong above .8": sum(row["right"] < RIGHT and row["confidence"] > SURE for row in known),
+                "poses right": sum(bool(row["pose right"]) for row in own) if poses else None,
+                "ok and wrong": sum(row["pose right"] is False and row["status"] == "ok" for row in own)
+                if poses
+                else None,
                 "cpu s, mean": float(np.mean([row["cpu_seconds"] for row in own])),
             }
         )

@@ -100,6 +100,7 @@ class _Client(WebSocketHandler):
         return True
 
     def open(self, *args: str, **kwargs: str) -> None:
+        self.set_nodelay(True)  # as rosbridge_server does: else the end of a message waits some 40 ms
         self._server._clients.add(self)
 
     def on_close(self) -> None:
