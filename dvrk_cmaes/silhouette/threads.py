@@ -28,6 +28,7 @@ class _BlasThreads:
         with self._lock:
             self._callers += 1
             if self._callers == 1:
+                self._take_over()
                 self._limit = self._libraries.limit(limits=1, user_api="blas")
 
     def release(self) -> None:
@@ -35,7 +36,16 @@ class _BlasThreads:
         with self._lock:
             self._callers -= 1
             if not self._callers:
+                self._take_over()
                 self._limit.restore_original_limits()
+                self._take_over()
+
+    def _take_over(self) -> None:
+        """Let any thread change the limits next: threadpoolctl, from 3.8 on, obeys only the first that has."""
+        for library in self._libraries.lib_controllers:
+            clear = getattr(library, "clear_controlling_thread", None)
+            if clear is not None:
+                clear(force=True)
 
 
 _blas_threads = functools.cache(_BlasThreads)

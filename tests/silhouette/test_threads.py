@@ -29,7 +29,21 @@ except ZeroDivisionError:
 assert blas_threads() == {2}
 """
 
+IN_OTHER_THREADS = """
+with single_blas_thread():
+    pass
+with ThreadPoolExecutor(1) as threads:
+    begin, end = threads.submit, ThreadPoolExecutor(1).submit
+    for _ in range(2):
+        limit = single_blas_thread()
+        begin(limit.__enter__).result()
+        assert blas_threads() == {1}
+        end(limit.__exit__, None, None, None).result()
+        assert blas_threads() == {2}
+"""
+
 SETUP = """
+from concurrent.futures import ThreadPoolExecutor
 from threadpoolctl import ThreadpoolController, threadpool_limits
 from dvrk_cmaes.silhouette.threads import single_blas_thread
 
@@ -41,7 +55,11 @@ threadpool_limits(limits=2, user_api="blas")
 """
 
 
-@pytest.mark.parametrize("code", [LIMITED, AFTER_AN_ERROR], ids=["until the last caller leaves", "not after an error"])
+@pytest.mark.parametrize(
+    "code",
+    [LIMITED, AFTER_AN_ERROR, IN_OTHER_THREADS],
+    ids=["until the last caller leaves", "not after an error", "whichever threads begin and end it"],
+)
 def test_blas_is_limited(code: str) -> None:
     """In a process of its own: the limit is the process's, and threads of other tests may need it."""
     ran = subprocess.run([sys.executable, "-c", SETUP + code], capture_output=True, text=True, check=False)
