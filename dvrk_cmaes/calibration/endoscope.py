@@ -240,7 +240,7 @@ class Steered(Endoscope):
         return read + self.shares[:, 1:] @ values.errors + values.offsets
 
     def _tips(self, values: EndoscopeValues) -> _Tips:
-        """Return where the tip is; what was computed last is kept, because many bases are tried with the same values."""
+        """Return where the tip is, and keep it, because many bases are tried with the same values."""
         if self._known is None or self._known.values is not values:
             joints, reference = self._joints(values), self.places[0].readings + values.offsets
             known = _Tips(values, *ecm_from_tip_and_jacobian(joints), *ecm_from_tip_and_jacobian(reference))
