@@ -105,20 +105,26 @@ def with_others(state: SessionState, others: Sequence[SessionState]) -> SessionS
 
 
 def _with_endoscope(state: SessionState, others: Sequence[SessionState]) -> SessionState:
-    """Return an arm's session that knows beforehand what the others tell of the endoscope."""
-    endoscope, own = state.model.endoscope, state.solution.calibration.endoscope
-    if not isinstance(endoscope, Steered) or own is None:
+    """Return an arm's session that knows beforehand what the others tell of the endoscope.
+
+    Of one that is not read, these are the moves of the camera between pieces, as far as the others have the same pieces.
+    """
+    own, read = state.solution.calibration.endoscope, isinstance(state.model.endoscope, Steered)
+    if own is None:
         return state
     prior = information = state.problem.endoscope_prior
     vector = np.zeros(len(prior))
     mine, of_mine = own.deviation, _of_endoscope(state)
     for other in others:
         values = other.solution.calibration.endoscope
-        if values is None or len(values.numbers) != len(own.numbers):
+        if values is None or (len(values.poses), len(values.numbers)) != (len(own.poses), len(own.numbers)):
             continue
         theirs, of_theirs = replace(values, expected=own.expected).deviation, _of_endoscope(other)
-        apart = (mine - theirs)[:_HAND_EYE]
-        if (np.abs(apart) > _AGREE * np.sqrt(np.diag(of_mine + of_theirs)[:_HAND_EYE])).any():
+        compared = _HAND_EYE if read else len(mine)
+        apart = np.abs(mine - theirs) > _AGREE * np.sqrt(np.diag(of_mine + of_theirs))
+        if apart[:compared].any() and not read:
+            continue
+        if apart[:compared].any():
             text = (
                 "the arms tell another camera in the endoscope's tip: each has its own; one arm's readings may be wrong"
             )

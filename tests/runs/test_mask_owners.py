@@ -24,7 +24,7 @@ from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.truth import Truth
 
-FRAMES = 14
+FRAMES = 12
 SEEDS = {"PSM1": 5, "PSM2": 8}
 SETTINGS = TrackSettings(EstimateConfig(), evidence="masks", workers=1)
 
@@ -114,7 +114,9 @@ def test_masks_that_are_exchanged_in_some_frames_are_followed_by_their_owners(
     done, _ = follow(world.exchanged(wrong), tmp_path / "some", given)
     np.testing.assert_allclose(world.errors_mm(tmp_path / "some"), world.errors_mm(tmp_path / "right"), atol=1e-6)
     for arm in SEEDS:
-        assert right[arm].calibration == given[arm]
+        same = right[arm].calibration
+        assert same is not None
+        assert same.remarks == ()
         rows = read_tracks(tmp_path / "some" / arm / TRACKS)
         assert [row["frame"] for row in rows if row["remarks"]] == wrong
         calibration = done[arm].calibration
