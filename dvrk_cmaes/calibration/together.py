@@ -107,7 +107,7 @@ def with_others(state: SessionState, others: Sequence[SessionState]) -> SessionS
 def _with_endoscope(state: SessionState, others: Sequence[SessionState]) -> SessionState:
     """Return an arm's session that knows beforehand what the others tell of the endoscope.
 
-    Of one that is not read, these are the moves of the camera between pieces, as far as the others have the same pieces.
+    Of one that is not read, these are the moves of the camera between pieces, where the others have the same pieces.
     """
     own, read = state.solution.calibration.endoscope, isinstance(state.model.endoscope, Steered)
     if own is None:
