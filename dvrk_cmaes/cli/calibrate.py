@@ -142,6 +142,7 @@ def calibrate(
     from dvrk_cmaes.results.folder import ALONE
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.manifest import check_same_session
+    from dvrk_cmaes.runs.mask_owners import exchanged_frames
 
     with output_folder(out, session, "calibration") as target:
         settings = method.resolve()
@@ -196,15 +197,19 @@ def calibrate(
         documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
         lines = {name: _lines(solution, target / name) for name, solution in solved.items()}
         answer_by_arm(documents, lines, json=json)
-        agree = True
+        agree, exchanged = True, list[str]()
         if len(solved) > 1:
             calibrations = {name: solution.calibration for name, solution in solved.items()}
+            if any(own.left_out for own in calibrations.values()):
+                exchanged = exchanged_frames(arms, calibrations, settings)
+            for text in exchanged:
+                warn(text)
             with output(target, "calibrate"):
                 agree = write_bases(calibrations, setup, target, quiet=json)
                 page = write_arms(target, arms)
             if not json:
                 show([Line(f"all arms: {page}")])
-        return _DOUBTFUL if not agree or any(map(_is_doubtful, solved.values())) else 0
+        return _DOUBTFUL if exchanged or not agree or any(map(_is_doubtful, solved.values())) else 0
 
 
 def _share(arm: ArmInSession, frames: str | None, every: int, keyframes: int | None) -> ArmInSession:

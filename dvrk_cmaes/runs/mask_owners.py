@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import combinations
 from typing import Final
 
 import numpy as np
 
+from dvrk_cmaes.calibration.calibrate import in_threads
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
-from dvrk_cmaes.calibration.together import Solving
+from dvrk_cmaes.calibration.together import Solving, solved_together
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
@@ -72,6 +75,21 @@ class AmongArms:
 
         Remarks say which masks were taken from another arm.
         """
+        for other, taken in (yield from self.exchanged(solution, work)).items():
+            if taken.any():
+                names = [own.name for own in solution.recorded.files]
+                exchanged = np.array(names)[taken].tolist()
+                remark = (
+                    f"{describe_exchanged('this arm', other, exchanged, names)}: each is followed by that of the other"
+                )
+                calibration = replace(solution.calibration, remarks=(*solution.calibration.remarks, remark))
+                changed = self._with_masks(other, solution.recorded, taken)
+                texts = dict.fromkeys(exchanged, f"mask named as that of {other}, where the base expects this tool")
+                solution = replace(solution, recorded=changed, calibration=calibration, remarks=texts)
+        return solution
+
+    def exchanged(self, solution: RecordedSolution, work: RecordedWork) -> Solving[dict[str, Bool]]:
+        """Return in which frames (N,) the masks are those of another arm, and that one's are this arm's, by that arm."""
         recorded, names = solution.recorded, [own.name for own in solution.recorded.files]
         self.of.centres[self.arm] = dict(zip(names, recorded.centres, strict=True))
         yield None
@@ -81,19 +99,7 @@ class AmongArms:
             assert predicted is not None
             self.of.gains[self.arm, other] = self._gained(other, recorded, predicted, work)
         yield None
-        for other in others:
-            taken = self._taken(other, names)
-            if taken.any():
-                exchanged = np.array(names)[taken].tolist()
-                remark = (
-                    f"the masks of this arm and {other} are exchanged in {len(exchanged)} of {len(names)} frames "
-                    f"({listed(exchanged)}), as their bases tell: each is followed by that of the other there"
-                )
-                calibration = replace(solution.calibration, remarks=(*solution.calibration.remarks, remark))
-                changed = self._with_masks(other, recorded, taken)
-                texts = dict.fromkeys(exchanged, f"mask named as that of {other}, where the base expects this tool")
-                solution = replace(solution, recorded=changed, calibration=calibration, remarks=texts)
-        return solution
+        return {other: self._taken(other, names) for other in others}
 
     def _taken(self, other: str, names: Sequence[str]) -> Bool:
         """Return in which of N frames (N,) an arm takes the masks of another one.
@@ -172,6 +178,40 @@ def gains_task(body: Body, config: EstimateConfig, frames: Sequence[ExpectedFram
     """Return what each of some frames gains by the mask of another tool, where that may be, by name."""
     gains = ((frame.name, frame.gain(body)) for frame in frames)
     return {name: gain for name, gain in gains if gain is not None}
+
+
+def exchanged_frames(
+    arms: Mapping[str, ArmInSession], calibrations: Mapping[str, SessionCalibration], config: EstimateConfig
+) -> list[str]:
+    """Say in which frames of a calibrated session two arms have each other's masks; empty without any.
+
+    ``arms`` and ``calibrations`` are by arm. Errors as of `read_frame`.
+    """
+    of = ArmsOfRecording(arms)
+
+    def telling(name: str, _: Sequence[Place]) -> Solving[dict[str, Bool]]:
+        session, body = arms[name].session, arms[name].body
+        times = np.arange(len(session.frames), dtype=np.float64)
+        recorded = RecordedFrames.of(session.frames, session.rig, session.reading_series(), times)
+        work = RecordedWork(body, arms[name].kinematics, config, partial(in_threads, body, config))
+        return AmongArms(name, of).exchanged(RecordedSolution(recorded, calibrations[name]), work)
+
+    found = solved_together({name: partial(telling, name) for name in arms})
+    texts = []
+    for first, second in combinations(arms, 2):
+        names = [own.name for own in arms[first].session.frames]
+        exchanged = np.array(names)[found[first].get(second, np.zeros(len(names), np.bool_))].tolist()
+        if exchanged:
+            texts.append(f"{describe_exchanged(first, second, exchanged, names)}: exchange them there")
+    return texts
+
+
+def describe_exchanged(first: str, second: str, exchanged: Sequence[str], names: Sequence[str]) -> str:
+    """Say in which of a recording's frames two arms have each other's masks."""
+    return (
+        f"the masks of {first} and {second} are exchanged in {len(exchanged)} of {len(names)} frames "
+        f"({listed(exchanged)}), as their bases tell"
+    )
 
 
 def _agreeing(found: SessionCalibration | str) -> float:
