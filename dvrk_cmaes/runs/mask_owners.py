@@ -89,7 +89,7 @@ class AmongArms:
         return solution
 
     def exchanged(self, solution: RecordedSolution, work: RecordedWork) -> Solving[dict[str, Bool]]:
-        """Return in which frames (N,) the masks are those of another arm, and that one's are this arm's, by that arm."""
+        """Return by other arm in which frames (N,) that one and this arm have each other's masks."""
         recorded, names = solution.recorded, [own.name for own in solution.recorded.files]
         self.of.centres[self.arm] = dict(zip(names, recorded.centres, strict=True))
         yield None
@@ -202,7 +202,7 @@ def exchanged_frames(
         names = [own.name for own in arms[first].session.frames]
         exchanged = np.array(names)[found[first].get(second, np.zeros(len(names), np.bool_))].tolist()
         if exchanged:
-            texts.append(f"{describe_exchanged(first, second, exchanged, names)}: exchange them there")
+            texts.append(f"{describe_exchanged(first, second, exchanged, names)}: exchange their labels or files there")
     return texts
 
 

@@ -18,7 +18,7 @@ from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession, with_masks_of
-from dvrk_cmaes.runs.mask_owners import AmongArms, ArmsOfRecording
+from dvrk_cmaes.runs.mask_owners import AmongArms, ArmsOfRecording, exchanged_frames
 from dvrk_cmaes.runs.track_folder import TrackSummary, tracking_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.silhouette.prepare import prepare
@@ -111,6 +111,9 @@ def test_masks_that_are_exchanged_in_some_frames_are_followed_by_their_owners(
     found = {arm: own.calibration for arm, own in followed[1].items()}
     given = {arm: replace(own, remarks=()) for arm, own in found.items() if own is not None}
     wrong = world.names[4:7]
+    assert exchanged_frames(world.arms, given, QUICK) == []
+    (text,) = exchanged_frames(world.exchanged(wrong), given, QUICK)
+    assert text.startswith(f"the masks of PSM1 and PSM2 are exchanged in 3 of {FRAMES} frames ({', '.join(wrong)})")
     right, _ = follow(world.arms, tmp_path / "right", given)
     done, _ = follow(world.exchanged(wrong), tmp_path / "some", given)
     np.testing.assert_allclose(world.errors_mm(tmp_path / "some"), world.errors_mm(tmp_path / "right"), atol=1e-6)
