@@ -36,8 +36,7 @@ NAMED: Final = {
         calibration/constants.py:linearise              calibration/lag.py:LagRefiner._near
         track/colour_edges.py:fit_edges""",
     "drivers of a fit": """
-        calibration/frame_fit.py:fit_frame
-        track/recorded_frames.py:fit_followed           track/quick_fit.py:quick_fit""",
+        calibration/frame_fit.py:fit_frame""",
     "predictions from readings": """
         calibration/prediction.py:Prediction""",
     "followers": """

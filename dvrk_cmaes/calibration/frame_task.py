@@ -174,16 +174,10 @@ def _with_views(changes: Mapping[str, ViewChange], data: FrameData) -> FrameData
     return replace(data, views=changed_views(data.views, changes))
 
 
-def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, float]) -> Readings:
-    """Return the readings and limits of the instrument's joints."""
-    return split_readings(body.instrument, readings, config)[0]
-
-
 def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior."""
     fit, _ = fit_frame(
         restored_views(body, task.stored, task.change),
-        _of_instrument(body, config, {}),
         config,
         task.expected,
         task.starts,
@@ -198,7 +192,7 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
     """Make a frame's result, and measure the quality of its leave-one-out prediction."""
     started = time.perf_counter()
     views = restored_views(body, task.stored)
-    readings = _of_instrument(body, config, task.result.readings)
+    readings, _, _ = split_readings(body.instrument, task.result.readings, config)
     poses = Posed.stacked([task.predicted, task.fit.at])
     if task.brief:
         of_views, rays = [[measure_overlap(view, at) for at in (task.predicted, task.fit.at)] for view in views], 0

@@ -27,9 +27,8 @@ from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus, without_pose
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.images import Mask
-from dvrk_cmaes.track.quick_fit import quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, judged
+from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, fit_near, judged, views_that_show
 from dvrk_cmaes.track.view_segmenter import Seen, ViewSegmenter
 from dvrk_cmaes.track.window import LIMITS, FitEvidence, WindowImage, result_of, solve_window, status_of
 
@@ -233,21 +232,20 @@ class Following:
 
     def _by_masks(self, at: Posed, spread: Float64, seen: Seen, segmenter: ViewSegmenter) -> tuple[FitEvidence, _Judge]:
         """Fit an image's masks, about what is expected of its pose; also returns how the pose is then judged."""
-        views = self.calibration.corrected_views(seen_views(self.masks, self._rig, segmenter.ignored(seen)))
-        expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
-        fitted = quick_fit(
-            self._body, self._config, views, expected, self._before, self._lengths, self.calibration.masks
-        )
-        if fitted is None:
+        shown = self.calibration.corrected_views(seen_views(self.masks, self._rig, segmenter.ignored(seen)))
+        views = views_that_show(shown, self._body)
+        if not views:
             return self._nothing(at, spread, seen)
-        fit, self.score = fitted.fit, fitted.fit.score
-        told = FitEvidence.of(fit, at, spread, inflation=fitted.inflation, holds=fit.explains_mask)
+        expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
+        fit, own = fit_near(views, self._config, expected, self._before, self.calibration.masks, self._lengths)
+        self.score = fit.score
+        told = FitEvidence.of(fit, at, spread, inflation=own.noises[0].inflation, holds=fit.explains_mask)
         self._before = fit.at.minus(at) if fit.explains_mask else None
         if fit.explains_mask:
-            self._lengths |= {view.name: length for view, length in zip(fitted.views, fitted.lengths, strict=True)}
+            self._lengths |= {view.name: length for view, length in zip(views, own.lengths, strict=True)}
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:
-            quality = judged(fitted.views, *found, self._body, self._config)
+            quality = judged(views, *found, self._body, self._config)
             status, reasons = status_of(quality, told.misfit, self.calibration, self._config)
             explained = quality.quality.iou >= self.calibration.iou - LIMITS.overlap_loss
             return _Judged(status, reasons, quality.error, quality.residual_px, explained)
