@@ -61,7 +61,7 @@ def initialised(state: SessionState) -> SessionState:
             raise InputError(f"--camera: expected a camera file, which these frames do not replace: {reason}")
         raise InputError(f"--refine-camera: {reason}")
     state, consensus = _on_one_base(_less_lag(state))
-    solution, _ = solve_with_modes(state.model, state.modes, consensus.calibration, state.problem.prior)
+    solution = solve_with_modes(state.model, state.modes, consensus.calibration, state.problem.prior)
     return replace(state, found=solution)
 
 
