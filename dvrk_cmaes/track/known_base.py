@@ -36,7 +36,7 @@ _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrat
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Given:
     """The keyframes that were last given to be solved, by name, and the number of all that had been kept until then."""
 
     names: frozenset[str] = frozenset()
@@ -63,7 +63,7 @@ class CalibratedFollower:
         self.store = KeyframeStore(given.rig, given.instrument.joint_names)
         self._given = given
         self._alone: dict[str, Result] = {}
-        self._solved, self._asked = _Solved(), _Asked()
+        self._solved, self._asked = _Solved(), _Given()
         self._bases = 0  # that were given up
         self._own = False  # whether the calibration is that of the keyframes
         self._agreeing: int | None = 0 if earlier else None  # images so far; None where none need to agree
@@ -133,7 +133,7 @@ class CalibratedFollower:
         They test the camera file, which takes long, once as many as are kept have been solved without that.
         """
         keyframes, config = self.store.spread(self._most, self._asked.names), self._given.config
-        self._asked = _Asked(frozenset(one.name for one in keyframes), self.store.taken)
+        self._asked = _Given(frozenset(one.name for one in keyframes), self.store.taken)
         if self._solved.keyframes < SOLVED_AT[-1]:
             config = replace(config, session=replace(config.session, test_camera=False))
         return self.store.problem(keyframes, self._given.arm, config, self._alone, self._bases)
