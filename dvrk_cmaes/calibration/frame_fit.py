@@ -15,13 +15,14 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.selection import Selection
-from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
-from dvrk_cmaes.pose.terms.shared_errors import side_deviation
+from dvrk_cmaes.pose.terms.shared_errors import LASTING, side_deviation
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView, overlap
+from dvrk_cmaes.silhouette import OutlinePoints
 
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
@@ -76,7 +77,8 @@ class FrameFit:
     as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to frame, in their
     usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated from the others.
     ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
-    where that is not measured.
+    where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline tells of the
+    pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
     """
 
     at: Posed
@@ -89,6 +91,7 @@ class FrameFit:
     lasting: Quadratic | None = None
     side_px: float = 0.0
     side_offsets: Float64 | None = None
+    by_masks: Float64 | None = None
 
     @property
     def whole_outline(self) -> Quadratic:
@@ -256,7 +259,13 @@ def _without_shared(
     """
     has_outlines = all(one.outlined for one in fit.drawn)
     start, drawn = (fit.drawn_at, fit.drawn) if has_outlines else (fit.at, None)
-    lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, as_seen=config.session.shadows)
+    shadows = config.session.shadows
+    if preset is not IN_SESSION:
+        outline, by_masks = outline_and_masks(coverage, start, own.noises, preset.size, drawn, as_seen=shadows)
+        at, slope = stepped(start, outline, terms)
+        found = FrameFit(at, outline.information[0], slope, fit.score, evaluations, iou, own.iou, by_masks=by_masks)
+        return replace(found, side_px=side_deviation(own.noises[0]))
+    lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, as_seen=shadows)
     outline = without_lasting(lasting, lasting.dimension - (6 + len(start.joints)), preset.size)
     at, slope = stepped(start, outline, terms)
     return FrameFit(
@@ -265,12 +274,37 @@ def _without_shared(
         slope=slope,
         lasting=_after(lasting, at.minus(start)),
         side_px=side_deviation(own.noises[0]),
-        side_offsets=coverage.views[0].side_offsets(at) if preset is IN_SESSION else None,
+        side_offsets=coverage.views[0].side_offsets(at),
         score=fit.score,
         evaluations=evaluations,
         iou=iou,
         own_iou=own.iou,
     )
+
+
+def outline_and_masks(
+    coverage: Coverage,
+    at: Posed,
+    noises: Sequence[OutlineNoise],
+    size: LastingSize,
+    drawn: DrawnCoverage | None,
+    *,
+    stride: int = 1,
+    as_seen: bool,
+) -> tuple[Quadratic, Float64]:
+    """Return the outline's terms (1, D) near a pose, and what the mean errors of all masks do to them, (D, 7).
+
+    ``size`` is that of the errors that last, which are eliminated. An error on a side that the fit discounts, since the
+    mask shows it there, hardly changes what the fit tells. Other arguments are those of `Coverage.near_with_lasting`,
+    the result is as ``by_masks`` of `FrameFit`.
+    """
+
+    def errors(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
+        return coverage.views[number].mean_errors(outline, at)
+
+    lasting = coverage.near_with_lasting(at, noises, errors, drawn, stride=stride, as_seen=as_seen)
+    both, own = without_lasting(lasting, LASTING * len(coverage.views), size), 6 + len(at.joints)
+    return Quadratic(both.information[:, :own, :own], both.slope[:, :own]), both.information[0, :own, own:]
 
 
 def stepped(at: Posed, outline: Quadratic, terms: Sequence[Term]) -> tuple[Posed, Float64]:

@@ -156,13 +156,13 @@ def follow_window(solution: RecordedSolution, work: RecordedWork) -> list[TrackR
     camera, images = recorded.rig.views[0].camera, []
     for i, fitted in enumerate(fits):
         at, spread = predicted.at[i], predicted.spread[i]
-        told = (
-            FitEvidence.of(None, at, spread, holds=False)
-            if fitted is None
-            else FitEvidence.of(fitted.fit, at, spread, inflation=fitted.inflation, holds=fitted.fit.explains_mask)
-        )
+        if fitted is None:
+            told = FitEvidence.of(None, at, spread, holds=False)
+        else:
+            fit = fitted.fit
+            told = FitEvidence.of(fit, at, spread, fit.by_masks, inflation=fitted.inflation, holds=fit.explains_mask)
         images.append(WindowImage(float(recorded.times[i]), at, predicted.prior[i], predicted.jacobian[i], told))
-    found = solve_window(images, session, camera, instrument)
+    found = solve_window(images, session, camera)
     shown = [(fitted, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
     judged = iter(run(judge_frame, [JudgeTask(fitted.stored, *own) for fitted, own in shown]))
     frozen = describe_frozen(recorded.frozen, [own.name for own in recorded.files])

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.mask_growth import change_by_margin
+from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope_at
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
@@ -190,7 +190,7 @@ class Following:
         self.misfit = told.misfit
         self._images.append(WindowImage(time, at, predicted.prior[0], predicted.jacobian[0], told))
         camera = self._rig.views[0].camera
-        (found,) = solve_window(list(self._images), self.calibration, camera, instrument, only_last=True)
+        (found,) = solve_window(list(self._images), self.calibration, camera, only_last=True)
         of_image = judge(found)
         reasons = of_image.reasons
         if of_image.error is not None:
@@ -241,7 +241,7 @@ class Following:
         if fitted is None:
             return self._nothing(at, spread, seen)
         fit, self.score = fitted.fit, fitted.fit.score
-        told = FitEvidence.of(fit, at, spread, inflation=fitted.inflation, holds=fit.explains_mask)
+        told = FitEvidence.of(fit, at, spread, fit.by_masks, inflation=fitted.inflation, holds=fit.explains_mask)
         self._before = fit.at.minus(at) if fit.explains_mask else None
         if fit.explains_mask:
             self._lengths |= {view.name: length for view, length in zip(fitted.views, fitted.lengths, strict=True)}
@@ -262,8 +262,10 @@ class Following:
         if fit is None:
             return self._nothing(at, spread, seen)
         self.score = fit.score
-        margin = _EDGES_PX * change_by_margin(fit.at, self._views[0].camera, self._body.instrument)
-        told = FitEvidence.of(fit.with_margin(margin), at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
+        moves = changes_by_masks(fit.at, self._views[0].camera, self._body.instrument)
+        edges = fit.with_margin(_EDGES_PX * moves[:, 0])
+        by_masks = edges.information @ moves
+        told = FitEvidence.of(edges, at, spread, by_masks, inflation=_EDGES_ALIKE, holds=fit.holds)
         self._before = fit.at.minus(at) if fit.holds else None
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:

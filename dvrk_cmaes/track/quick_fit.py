@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.frame_fit import FrameFit, OwnEstimate, stepped
-from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, without_lasting
+from dvrk_cmaes.calibration.frame_fit import FrameFit, OwnEstimate, outline_and_masks, stepped
+from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE
 from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.frames.seen_view import SeenView
@@ -82,10 +82,9 @@ def quick_fit(
     (drawn,) = coverage.draw(Posed.stacked([fit.at]))
     silhouettes = [view.silhouette(image) for view, image in zip(sized, drawn, strict=True)]
     own = OwnEstimate.drawn_as(views, fit.at, silhouettes)
-    lasting = coverage.near_with_lasting(fit.at, own.noises, drawn=drawn, stride=_STRIDE, as_seen=True)
-    told = without_lasting(lasting, lasting.dimension - len(expected.information), SINGLE_SIZE)
+    told, by_masks = outline_and_masks(coverage, fit.at, own.noises, SINGLE_SIZE, drawn, stride=_STRIDE, as_seen=True)
     end, slope = stepped(fit.at, told, terms)
-    found = FrameFit(end, told.information[0], slope, score=fit.score, evaluations=coverage.silhouettes, iou=own.iou)
+    found = FrameFit(end, told.information[0], slope, fit.score, coverage.silhouettes, own.iou, by_masks=by_masks)
     return QuickFit(tuple(views), found, own.lengths, own.noises[0].inflation)
 
 
