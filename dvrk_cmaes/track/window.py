@@ -63,20 +63,19 @@ class FitEvidence:
         fit: FrameFit | EdgeFit | None,
         predicted: Posed,
         spread: Float64,
-        by_masks: Float64 | None = None,
         *,
         inflation: float = 1.0,
         holds: bool,
     ) -> FitEvidence:
         """Weigh a fit by how it agrees with the prediction, whose covariance is ``spread`` (D, D).
 
-        ``by_masks`` (D, 7) is that of `FrameFit`, None if the masks' errors change nothing. ``inflation`` is the factor
-        by which the contour's roughness widens the covariance of the fit; one that does not hold tells nothing.
+        ``inflation`` is the factor by which the contour's roughness widens the covariance of the fit; one that does not
+        hold tells nothing.
         """
         size = len(spread)
-        by_masks = np.zeros((size, MEAN_ERRORS)) if by_masks is None else by_masks
+        nothing = np.zeros((size, MEAN_ERRORS))
         if fit is None:
-            return cls(np.zeros((size, size)), np.zeros(size), by_masks, 0.0)
+            return cls(np.zeros((size, size)), np.zeros(size), nothing, 0.0)
         deviation = fit.at.minus(predicted)
         own = np.linalg.pinv(fit.information, rcond=1e-9, hermitian=True)
         least = deviation - own @ fit.slope
@@ -84,7 +83,9 @@ class FitEvidence:
         weight = float(robust_weights(np.array([misfit * size]), size)[0]) if holds else 0.0
         weight /= inflation * CORRELATED_FRAMES
         optimum = weight * (fit.information @ deviation - fit.slope)
-        return cls(weight * fit.information, optimum, weight * by_masks, misfit)
+        return cls(
+            weight * fit.information, optimum, weight * (nothing if fit.by_masks is None else fit.by_masks), misfit
+        )
 
 
 @dataclass(frozen=True, eq=False)
