@@ -8,7 +8,7 @@ from __future__ import annotations
 import time as clock
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np

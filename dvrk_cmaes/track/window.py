@@ -59,13 +59,7 @@ class FitEvidence:
 
     @classmethod
     def of(
-        cls,
-        fit: FrameFit | EdgeFit | None,
-        predicted: Posed,
-        spread: Float64,
-        *,
-        inflation: float = 1.0,
-        holds: bool,
+        cls, fit: FrameFit | EdgeFit | None, predicted: Posed, spread: Float64, *, inflation: float = 1.0, holds: bool
     ) -> FitEvidence:
         """Weigh a fit by how it agrees with the prediction, whose covariance is ``spread`` (D, D).
 
@@ -83,9 +77,8 @@ class FitEvidence:
         weight = float(robust_weights(np.array([misfit * size]), size)[0]) if holds else 0.0
         weight /= inflation * CORRELATED_FRAMES
         optimum = weight * (fit.information @ deviation - fit.slope)
-        return cls(
-            weight * fit.information, optimum, weight * (nothing if fit.by_masks is None else fit.by_masks), misfit
-        )
+        by_masks = nothing if fit.by_masks is None else weight * fit.by_masks
+        return cls(weight * fit.information, optimum, by_masks, misfit)
 
 
 @dataclass(frozen=True, eq=False)
