@@ -4,9 +4,13 @@
     python scripts/segmentation.py poses SESSION...    poses from the image alone, compared with those from the masks
     python scripts/segmentation.py predicted session.json...
         first masks of a calibrated session that overlap the silhouettes predicted by the other frames, counted by image
-    python scripts/segmentation.py pictures FRAMES [--groups jhu,endovis17,...] [--predicted DIR]
-        masks of pictures of several laboratories in ../shared/frames, found by the instrument's model: how right they
-        are, how sure, and CPU seconds; with the half by which settings were tuned and the other half apart
+    python scripts/segmentation.py pictures FRAMES [--groups jhu,endovis17,...] [--predicted DIR] [--drawn 12] [--poses]
+        masks of pictures of several laboratories in ../shared/frames, found by the instrument's model, and of drawn
+        ones: how right they are, how sure, and CPU seconds; with the half by which settings were tuned and the other
+        half apart. With --poses also the poses that follow from these masks
+    python scripts/segmentation.py fit 20 [--seed 1000]
+        the weights of ``segment/by_model.py`` by which a candidate's confidence follows, fitted to drawn pictures, and
+        how sure and how right candidates of as many other drawn pictures are
 
 ``poses`` needs the session's camera, its readings and --instrument.
 """
@@ -14,22 +18,24 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
-from measure.pictures import GROUPS, read_pictures
+from measure.pictures import GROUPS, Picture, read_pictures
 from measure.tables import Report, add_output_options, print_report
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
@@ -37,7 +43,8 @@ from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import read_any_frame, solve_frame
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.segment.sizes import resized
+from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 
 Bool = NDArray[np.bool_]
@@ -48,6 +55,10 @@ NEAR_DEG: Final = 10.0
 OVERLAP: Final = 0.85
 RIGHT: Final = 0.8
 SURE: Final = 0.8
+RIGHT_POSE: Final = 0.5
+RIGHT_DEG: Final = 4.0
+_RIDGE: Final = 0.5
+_DRAWN: Final = 2000  # first seed of drawn pictures that are measured
 
 
 def main() -> int:
@@ -58,8 +69,16 @@ def main() -> int:
 
 def _report(options: argparse.Namespace) -> Report:
     """Return the report of a command."""
+    if options.command == "fit":
+        return fit_report(int(str(options.sessions[0])), options.seed)
     if options.command == "pictures":
-        return pictures_report(options.sessions[0], options.groups.split(","), options.predicted)
+        groups = options.groups.split(",") if options.groups else []
+        found = (
+            itertools.islice(read_pictures(options.sessions[0], [group], options.predicted), options.most)
+            for group in groups
+        )
+        pictures = itertools.chain(itertools.chain.from_iterable(found), _drawn(options.drawn))
+        return pictures_report(pictures, poses=options.poses)
     if options.command == "predicted":
         return predicted_report({str(path): read_calibration(path) for path in options.sessions})
     sessions = {"/".join(folder.absolute().parts[-2:]): read_session(folder) for folder in options.sessions}
@@ -69,11 +88,17 @@ def _report(options: argparse.Namespace) -> Report:
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("masks", "poses", "predicted", "pictures"), help="what to measure")
-    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="session folders, or session.json")
+    parser.add_argument("command", choices=("masks", "poses", "predicted", "pictures", "fit"), help="what to measure")
+    parser.add_argument(
+        "sessions", nargs="+", type=Path, metavar="SESSION", help="session folders, session.json, or a number"
+    )
     parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="for poses: instrument (default: lnd)")
     parser.add_argument("--groups", default=",".join(GROUPS), help="for pictures: groups of them, and bench")
     parser.add_argument("--predicted", type=Path, help="for pictures of the bench: folder of silhouettes by eye")
+    parser.add_argument("--most", type=int, help="for pictures: number of a group's, at most (default: all)")
+    parser.add_argument("--drawn", type=int, default=0, help="for pictures: number of drawn ones (default: none)")
+    parser.add_argument("--poses", action="store_true", help="for pictures: estimate poses, too")
+    parser.add_argument("--seed", type=int, default=1000, help="for fit: first seed (default: 1000)")
     add_output_options(parser)
     return parser
 
@@ -118,17 +143,46 @@ def masks_report(sessions: Mapping[str, Session], _: str) -> dict[str, Rows]:
     return {"masks": rows, "images": frames}
 
 
-def pictures_report(frames: Path, groups: Sequence[str], predicted: Path | None) -> dict[str, Rows]:
+def _drawn(count: int) -> Iterator[Picture]:
+    """Yield the drawn pictures of some seeds, which no setting was chosen by."""
+    from measure.drawn_pictures import drawn_picture
+
+    yield from (picture for picture in map(drawn_picture, range(_DRAWN, _DRAWN + count)) if picture is not None)
+
+
+def _posed(picture: Picture, mask: Bool) -> tuple[bool | None, str]:
+    """Estimate the pose by a mask; return whether it is right, None where the truth is not known, and its status.
+
+    Right is a silhouette whose overlap with an instrument is 0.8, or a shaft within 4 deg.
+    """
+    if not mask.any() or mask.all():
+        return False, "failed"
+    body = prepare(picture.instrument)
+    result = estimate(mask, picture.camera, picture.joints, body)
+    if result.camera_from_root is None:
+        return False, result.status
+    at = np.array([result.joints[name] for name in body.instrument.joint_names])
+    if picture.tools:
+        silhouette = Renderer(body, picture.camera).masks(result.camera_from_root, at)
+        return bool(max(picture.overlap(silhouette, tool) for tool in picture.tools) > RIGHT), result.status
+    if picture.axis is None:
+        return None, result.status
+    cosine = result.camera_from_root[:3, 2] @ picture.axis / np.linalg.norm(picture.axis)
+    return bool(np.degrees(np.arccos(min(abs(float(cosine)), 1.0))) < RIGHT_DEG), result.status
+
+
+def pictures_report(pictures: Iterable[Picture], *, poses: bool = False) -> dict[str, Rows]:
     """Report how right the masks of pictures of several laboratories are, by group and half, and of each picture.
 
     Right is an overlap with an instrument's mask of 0.8, or that share of its labelled pixels near the outline.
     """
     found: Rows = []
-    for picture in read_pictures(frames, groups, predicted):
+    for picture in pictures:
         started = time.process_time()
         mask = segment(picture.image, instrument=picture.instrument, camera=picture.camera, joints=picture.joints)
         seconds = time.process_time() - started
         every = [mask.mask, *(other.mask for other in mask.others)]
+        right, status = _posed(picture, mask.mask) if poses else (None, None)
         found.append(
             {
                 "group": picture.group,
@@ -137,6 +191,8 @@ def pictures_report(frames: Path, groups: Sequence[str], predicted: Path | None)
                 "right": picture.shows(mask.mask),
                 "confidence": mask.confidence,
                 "instruments": len(every),
+                "pose right": right,
+                "status": status,
                 "jaws": f"{picture.jaws_found(every)} of {len(picture.points)}" if picture.points else None,
                 "cpu_seconds": seconds,
             }
@@ -154,10 +210,57 @@ def pictures_report(frames: Path, groups: Sequence[str], predicted: Path | None)
                 "right, mean": float(np.mean([row["right"] for row in known])) if known else None,
                 "right, least": min((row["right"] for row in known), default=None),
                 "wrong above .8": sum(row["right"] < RIGHT and row["confidence"] > SURE for row in known),
+                "poses right": sum(bool(row["pose right"]) for row in own) if poses else None,
+                "ok and wrong": sum(row["pose right"] is False and row["status"] == "ok" for row in own)
+                if poses
+                else None,
                 "cpu s, mean": float(np.mean([row["cpu_seconds"] for row in own])),
             }
         )
     return {"pictures": rows, "each": found}
+
+
+def fit_report(count: int, seed: int) -> dict[str, Rows]:
+    """Report weights of a candidate's measures fitted to drawn pictures from a seed on, and those of as many others."""
+    measures, right = _candidates(count, seed)
+    known, truth = _candidates(count, seed + count)
+    inputs = np.c_[measures, np.ones(len(measures))]
+    weights = np.zeros(inputs.shape[1])
+    ridge = _RIDGE * np.diag([1.0] * (inputs.shape[1] - 1) + [0.0])
+    for _ in range(30):
+        chance = 1 / (1 + np.exp(-inputs @ weights))
+        slope = inputs.T @ (right - chance) - ridge @ weights
+        weights += np.linalg.solve(inputs.T @ (inputs * (chance * (1 - chance))[:, None]) + ridge, slope)
+    rows: Rows = []
+    for name, own, of in (("fitted", measures, right), ("others", known, truth)):
+        chance = 1 / (1 + np.exp(-np.c_[own, np.ones(len(own))] @ weights))
+        for low, high in ((0.0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 1.0)):
+            among = (chance >= low) & (chance <= high)
+            share = float(of[among].mean()) if among.any() else None
+            rows.append(
+                {"pictures": name, "confidence": f"{low} to {high}", "number": int(among.sum()), "right": share}
+            )
+    return {"weights": [{"weights": ", ".join(f"{value:.2f}" for value in weights)}], "confidence": rows}
+
+
+def _candidates(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the measures (N, 5) of the candidates in drawn pictures, and whether each is an instrument's, (N,)."""
+    from measure.drawn_pictures import drawn_picture
+
+    from dvrk_cmaes.segment.by_model import find_instruments
+
+    measures, right = [], []
+    drawn = (drawn_picture(own) for own in range(seed, seed + count))
+    for picture in (each for each in drawn if each is not None):
+        outside = np.zeros(picture.image.shape[:2], np.bool_)
+        body = prepare(picture.instrument)
+        for found in find_instruments(picture.image, outside, body, picture.camera, picture.joints):
+            height, width = found.silhouette.shape
+            tools = [resized(tool, (width, height)) for tool in picture.tools]
+            overlaps = [(found.silhouette & tool).sum() / (found.silhouette | tool).sum() for tool in tools]
+            measures.append(found.measures)
+            right.append(float(max(overlaps, default=0.0) > RIGHT_POSE))
+    return np.array(measures), np.array(right)
 
 
 def _mask_row(

@@ -287,7 +287,7 @@ class UnknownBase:
         assert result.covariance is not None
         mode.time, mode.covariance = image.time, result.covariance
         mode.at = Posed(result.camera_from_root, np.array([result.joints[name] for name in names]))
-        if math.isfinite(mode.following.score):
+        if math.isfinite(mode.following.score) and not reading.still:  # the images of an arm that stands still are one
             mode.cost += mode.following.score / CORRELATED_FRAMES
         if reads:
             return result

@@ -17,6 +17,7 @@ from dvrk_cmaes.silhouette.prepare import prepare
 CAMERA = Camera(480, 384, 500.0, 500.0, 239.5, 191.5)
 BODY = prepare("lnd")
 LEFT = ((0.9, 0.25, 0.36), (-0.026, 0.0, 0.11), 0.4, (0.3, -0.2, 0.5))
+JOINTS = BODY.instrument.joint_names
 RIGHT = ((-0.75, 0.6, 0.28), (0.030, -0.012, 0.12), 1.9, (-0.4, 0.3, 0.6))
 Pose = tuple[tuple[float, ...], tuple[float, ...], float, tuple[float, ...]]
 
@@ -75,6 +76,12 @@ def test_the_one_that_is_taken_is_named(two: tuple[np.ndarray, list[np.ndarray],
     assert f"two instruments, the {side} one taken (pass --point)" in found.notes
 
 
+def test_readings_do_not_tell_which_of_two_they_are_of(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
+    found = segment(two[0], instrument=BODY, camera=CAMERA, joints=dict(zip(JOINTS, LEFT[3], strict=True)))
+    assert len(found.others) == 1
+    assert GUESS <= found.confidence <= 0.75
+
+
 def test_a_point_chooses(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
     image, masks, _ = two
     for mask in masks:
@@ -91,12 +98,23 @@ def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None
     found = find_instruments(image, outside, BODY, CAMERA)
     size = found[0].silhouette.shape[::-1]
     small = cv2.resize(masks[0].astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.5
-    assert overlap(found[0].silhouette, small) > 0.6
+    assert overlap(found[0].silhouette, small) > 0.75
     axis = np.array(RIGHT[0]) / np.linalg.norm(RIGHT[0])
     assert np.degrees(np.arccos(found[0].at.pose[:3, 2] @ axis)) < 8
-    assert [each.score for each in found] == sorted((each.score for each in found), reverse=True)
+    assert [each.confidence for each in found] == sorted((each.confidence for each in found), reverse=True)
     again = find_instruments(image, outside, BODY, CAMERA)
     assert np.array_equal(again[0].at.pose, found[0].at.pose)
+
+
+def test_what_lies_before_an_instrument_is_not_in_its_mask() -> None:
+    image, masks = drawn(LEFT)
+    flap = np.zeros_like(masks[0])
+    flap[:, 90:125] = True
+    noise = 4 * np.random.default_rng(1).standard_normal((int(flap.sum()), 3))
+    image[flap] = np.clip(np.array([90, 150, 220]) + noise, 0, 255)
+    found = segment(image, instrument=BODY, camera=CAMERA)
+    assert overlap(found.mask & ~flap, masks[0] & ~flap) > 0.8
+    assert found.mask[flap & masks[0]].mean() < 0.2
 
 
 def test_a_plate_is_no_instrument() -> None:
