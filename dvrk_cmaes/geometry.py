@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dvrk_cmaes import _kernel
+
 Bool = NDArray[np.bool_]
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Indices = NDArray[np.intp]
-
-_BELOW, _ABOVE = [7, 2, 3], [5, 6, 1]  # the entries of a 3 x 3 matrix whose differences are those of a cross product
 
 
 def skew(v: Float64) -> Float64:
@@ -34,16 +34,7 @@ def cross(a: Float64, b: Float64) -> Float64:
 
 def exp_rotation(rotvec: ArrayLike) -> Float64:
     """Convert rotation vectors (..., 3), rad, to rotation matrices (..., 3, 3) by Rodrigues' formula."""
-    v = np.asarray(rotvec, dtype=np.float64)
-    squared = (v * v).sum(axis=-1)[..., None, None]
-    angle = np.sqrt(squared)
-    small = angle < 1e-6
-    safe = np.where(small, 1.0, angle)
-    a = np.where(small, 1 - squared / 6, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - squared / 24, (1 - np.cos(safe)) / safe**2)
-    rotation = a * skew(v) + b * v[..., :, None] * v[..., None, :]
-    np.einsum("...ii->...i", rotation)[...] += 1 - b[..., 0] * squared[..., 0]
-    return np.asarray(rotation)
+    return _kernel.exp_rotation(np.asarray(rotvec, dtype=np.float64))
 
 
 def quaternion_wxyz(rotation: ArrayLike) -> Float64:
@@ -72,19 +63,7 @@ def quaternion_wxyz(rotation: ArrayLike) -> Float64:
 
 def log_rotation(rotation: ArrayLike) -> Float64:
     """Convert rotation matrices (..., 3, 3) to rotation vectors (..., 3), rad, of length at most pi."""
-    r = np.asarray(rotation, dtype=np.float64)
-    nine = r.reshape(*r.shape[:-2], 9)
-    cosine = nine[..., ::4].sum(axis=-1, keepdims=True) - 1  # twice that of the angle
-    if (cosine > -1).all():  # of angles up to 120 deg, whose sines are exact enough
-        vector = nine[..., _BELOW] - nine[..., _ABOVE]  # along the axis, twice the sine long
-        sine = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-        angle = np.arctan2(sine, cosine)
-        return np.asarray(np.where(sine < 1e-9, 0.5, angle / np.maximum(sine, 1e-300)) * vector)
-    q = quaternion_wxyz(r)
-    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(sine, q[..., :1])
-    scale = np.where(sine < 1e-9, 2.0, angle / np.maximum(sine, 1e-300))
-    return np.asarray(scale * q[..., 1:])
+    return _kernel.log_rotation(np.asarray(rotation, dtype=np.float64))
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Float64:
@@ -96,15 +75,26 @@ def transform(rotation: ArrayLike, translation: ArrayLike) -> Float64:
 
 
 def moved(pose: Float64, change: ArrayLike) -> Float64:
-    """Apply small changes (..., 6) = [tx ty tz rx ry rz], m and rad, in the body's own axes, to poses (..., 4, 4)."""
-    c = np.asarray(change, dtype=np.float64)
-    return np.asarray(pose @ transform(exp_rotation(c[..., 3:6]), c[..., :3]))
+    """Apply small changes (..., 6) = [tx ty tz rx ry rz], m and rad, in the body's own axes, to poses (..., 4, 4).
+
+    Further columns of the changes are passed over.
+    """
+    return _kernel.moved(*_together(pose, 2, np.asarray(change, dtype=np.float64), 1))
 
 
 def change_between(pose: Float64, other: Float64) -> Float64:
     """Compute the small changes (..., 6) = [tx ty tz rx ry rz] with ``moved(pose, change) == other``."""
-    relative = inverse(pose) @ other
-    return np.concatenate([relative[..., :3, 3], log_rotation(relative[..., :3, :3])], axis=-1)
+    return _kernel.change_between(*_together(pose, 2, other, 2))
+
+
+def _together(one: Float64, axes: int, other: Float64, of_other: int) -> tuple[Float64, Float64]:
+    """Broadcast the leading axes of two arrays, of which the kernel takes a single row or as many as of the other."""
+    leading, with_other = one.shape[:-axes], other.shape[:-of_other]
+    if not leading or not with_other or leading == with_other:
+        return one, other
+    shape = np.broadcast_shapes(leading, with_other)
+    rows = one.shape[-axes:], other.shape[-of_other:]
+    return np.broadcast_to(one, shape + rows[0]), np.broadcast_to(other, shape + rows[1])
 
 
 def adjoint(pose: Float64) -> Float64:
@@ -168,7 +158,7 @@ class Posed:
 
     def moved(self, change: Float64) -> Posed:
         """Return where it is after small changes (..., 6 + J)."""
-        return Posed(moved(self.pose, change[..., :6]), self.joints + change[..., 6:])
+        return Posed(moved(self.pose, change), self.joints + change[..., 6:])
 
     def minus(self, other: Posed) -> Float64:
         """Return the small changes (..., 6 + J) that move ``other`` here."""

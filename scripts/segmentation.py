@@ -36,6 +36,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
@@ -364,7 +365,7 @@ def _estimated(session: Session, files: FrameFiles, body: Body, *, from_image: b
     """Estimate a frame with the given mask, or from the image alone; return the result and the mask used."""
     files = replace(files, mask=None) if from_image else files
     frame = read_any_frame(files, session.camera)
-    solved = solve_frame(files, frame, body, arm="classic", config=EstimateConfig())
+    solved = solve_frame(files, frame, body, FrameMethod("classic", EstimateConfig()))
     return solved.result, solved.data.mask
 
 

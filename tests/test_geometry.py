@@ -196,3 +196,24 @@ def test_cross_product_is_that_of_numpy() -> None:
     a, b = np.random.default_rng(5).normal(size=(2, 50, 3))
     for first, second in zip(a, b, strict=True):
         np.testing.assert_array_equal(cross(first, second), np.cross(first, second))
+
+
+def test_a_single_pose_or_change_goes_with_many() -> None:
+    rng = np.random.default_rng(1)
+    changes = rng.uniform(-1, 1, (4, 8))
+    pose = moved(np.eye(4), changes[0])
+    of_one, of_many = moved(pose, changes), moved(moved(np.eye(4), changes), changes[1])
+    for k, change in enumerate(changes):
+        np.testing.assert_array_equal(of_one[k], moved(pose, change))
+        np.testing.assert_array_equal(of_many[k], moved(moved(np.eye(4), change), changes[1]))
+        np.testing.assert_allclose(change_between(pose, of_one)[k], change[:6], atol=1e-12)
+        np.testing.assert_allclose(change_between(of_one, pose)[k], change_between(of_one[k], pose), atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [1e-12, 1e-7, 1.0, np.pi - 1e-7, np.pi])
+def test_rotation_vectors_of_any_angle_are_exact(angle: float) -> None:
+    axes = np.random.default_rng(2).standard_normal((50, 3))
+    vectors = angle * axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    found = log_rotation(Rotation.from_rotvec(vectors).as_matrix())
+    apart = np.minimum(np.linalg.norm(found - vectors, axis=1), np.linalg.norm(found + vectors, axis=1))
+    assert apart.max() < 2e-15 + 1e-15 * angle

@@ -27,7 +27,8 @@ LAYERS = (
     ("export", "frames", "silhouette", "evidence"),
     ("joints", "results", "instrument", "camera"),
     ("io",),
-    ("errors", "config", "geometry", "_kernel"),
+    ("errors", "config", "geometry"),
+    ("_kernel",),
 )
 """The packages and modules of dvrk_cmaes and the folder scripts, from the top layer to the lowest."""
 

@@ -312,6 +312,7 @@ def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[Fr
     for i, task in enumerate(tasks):
         further = covariance_of_camera(camera, task.fit.at, state.stored[i].camera)
         if state.imaging.growth is not None:
-            further = further + state.imaging.growth.of_frames[i]
+            moves = state.imaging.growth.of_frames[i]
+            further = further + moves @ state.imaging.growth.squares @ moves.T
         tasks[i] = replace(task, first=first.get(i), change=state.imaging.change, covariance=task.covariance + further)
     return problem.run(report_task, tasks), reasons

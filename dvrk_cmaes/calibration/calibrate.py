@@ -157,12 +157,14 @@ def solving_arm(
     qualities = [quality for quality in used if quality is not None]
     described = describe_solution(state.model, state.solution, check.covariance, settings)
     described["untold"] += state.notes.undetermined
+    given_camera = replace(state.solution, of_growth=None).covariance
     endoscope = SessionEndoscope.of(
         state.model,
         state.solution.calibration,
-        replace(state.solution, of_growth=None).covariance,
+        given_camera,
         [frame.name for frame in state.frames],
         [frame.time for frame in state.frames],
+        state.solution.covariance - given_camera + check.covariance,
     )
     described["untold"] += () if endoscope is None else tuple(endoscope.untold)
     if lag.lag is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -210,6 +210,17 @@ class SessionCalibration:
         """All doubts and remarks, the doubts first."""
         return (*self.doubts, *self.remarks)
 
+    def in_words(self) -> Iterator[str]:
+        """Yield what the frames tell beside base, offsets and cables, in words: endoscope, lag, cameras, masks."""
+        yield from () if self.endoscope is None else self.endoscope.in_words()
+        if self.lag is not None:
+            done = "taken out of the readings" if self.lag.applied else "zero within its error, not taken out"
+            yield f"lag: {self.lag.describe()}; {done}"
+        if self.camera is not None:
+            yield f"camera, against its file: {self.camera.describe()}"
+        yield from (text for view in self.rig for text, _ in view.lines())
+        yield from (each.describe() for each in (self.masks, self.masks_again) if each is not None)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration in the documented schema, ready for JSON."""
         std = np.sqrt(np.diag(self.covariance))
@@ -280,6 +291,8 @@ class SessionCalibration:
         found = replace(convert_document(where, fields, cls), endoscope=endoscope)
         if found.cables is not None:
             found.cables.check(where, tuple(parts.offsets)[1:])
+        if found.masks is not None:
+            found.masks.check(where, len(found.whole_covariance))
         return replace(found, doubts=doubts_of(found)) if older else found
 
     def at(
@@ -316,6 +329,7 @@ class SessionCalibration:
             camera_from_base=np.asarray(endoscope.relative(values)[0] @ self.camera_from_base),
             covariance=given_camera + self.covariance - self.covariance_given_camera,
             covariance_given_camera=given_camera,
+            masks=None if self.masks is None else self.masks.after(move),
             endoscope=None,
         )
 

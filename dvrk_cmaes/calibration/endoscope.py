@@ -29,7 +29,7 @@ OFFSET_STD: Final = np.array([np.deg2rad(3.0), np.deg2rad(3.0), 0.005, np.deg2ra
 """Standard deviations of the offsets of the ECM's joints beforehand, rad and m."""
 
 PLACE_STD: Final = np.sqrt(2) * np.array([np.deg2rad(0.3), np.deg2rad(0.3), 0.0005, np.deg2rad(0.3)])
-"""Those of the errors of its readings at a place, against those at another one: cables, sag."""
+"""Those of the errors of its readings at a place, against that at the reference, in all of these: cables, sag."""
 
 HAND_EYE_STD: Final = np.array([0.005, 0.005, 0.010, np.deg2rad(4.0), np.deg2rad(4.0), np.deg2rad(30.0)])
 """Those of the camera in the endoscope's tip, along and about the tip's axes, m, rad; the last is a turn about it."""
@@ -40,6 +40,7 @@ _TURNS: Final = np.deg2rad(np.arange(-150.0, 181.0, 30.0))
 _NOISE: Final = np.array([np.deg2rad(0.02), np.deg2rad(0.02), 3e-5, np.deg2rad(0.02)])  # least, from frame to frame
 _MOST_NOISE: Final = np.array([np.deg2rad(0.5), np.deg2rad(0.5), 8e-4, np.deg2rad(0.5)])
 _SAME: Final = 4.0  # standard deviations of that, within which readings are of one place
+_LIKE_A_RADIAN: Final = np.array([1.0, 1.0, 0.1, 1.0])  # of each joint, in distances between readings, rad and m
 _STANDS: Final = 3  # frames, from which on a place is one where the endoscope stands
 
 
@@ -70,6 +71,15 @@ class EndoscopeValues:
     def of_pieces(cls, cameras: Float64) -> EndoscopeValues:
         """Return the values of an endoscope that is not read, with the reference camera in pieces (P, 4, 4)."""
         return cls(cameras, cameras, np.zeros(0), np.tile(_PIECE_STD, len(cameras)))
+
+    @property
+    def information(self) -> Float64:
+        """Information matrix (M, M) beforehand. The errors at all places have that of the reference in them."""
+        information, places = np.diag(self.std**-2.0), len(self.errors) if len(self.numbers) else 0
+        if places:
+            alike = 2 * (np.eye(places) - 1 / (places + 1))  # the inverse of (1 + identity) / 2
+            information[10:, 10:] = np.kron(alike, np.diag(PLACE_STD**-2.0))
+        return information
 
     @property
     def tip_from_camera(self) -> Float64:
@@ -181,6 +191,27 @@ class Steered(Endoscope):
         away = (np.abs(self.read[:, None] - readings) / np.maximum(within, 1e-12)).max(axis=2)
         return np.where(away.min(axis=1) <= 1, away.argmin(axis=1), -1)
 
+    @cached_property
+    def shares(self) -> Float64:
+        """Shares (N, P + 1) of the errors at the places in that of the readings of each frame.
+
+        While the endoscope is moved, the error changes from that at one place to that at the other in proportion to the
+        way: these are the two places between whose readings those of the frame lie.
+        """
+        places, out = len(self.places), np.zeros((len(self.read), len(self.places)))
+        at = np.array([one.readings for one in self.places]) / _LIKE_A_RADIAN
+        away = np.linalg.norm(self.read[:, None] / _LIKE_A_RADIAN - at, axis=2)
+        pairs = np.array([(i, j) for i in range(places) for j in range(i + 1, places)] or [(0, 0)])
+        apart = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1)
+        first, second = pairs[(away[:, pairs].sum(axis=2) - apart).argmin(axis=1)].T
+        frames = np.arange(len(out))
+        way = np.maximum(away[frames, first] + away[frames, second], 1e-12)
+        np.add.at(out, (frames, first), away[frames, second] / way)
+        np.add.at(out, (frames, second), away[frames, first] / way)
+        stands = self.place >= 0
+        out[stands] = np.eye(places)[self.place[stands]]
+        return out
+
     def at(self, read: Float64) -> Steered:
         """Return the endoscope with other readings (N, 4) of the frames; a frame without has those of its neighbour."""
         return Steered(filled(read), self.places, self.start, self.loose)
@@ -188,9 +219,8 @@ class Steered(Endoscope):
     def _joints(self, values: EndoscopeValues) -> Float64:
         """Return the joints (N, 4) of the ECM in each frame."""
         readings = np.array([one.readings for one in self.places])
-        errors = np.concatenate([np.zeros((1, 4)), values.errors])
-        at_place = (readings + errors)[self.place]
-        return np.where(self.place[:, None] >= 0, at_place, self.read) + values.offsets
+        read = np.where(self.place[:, None] >= 0, readings[self.place], self.read)
+        return read + self.shares[:, 1:] @ values.errors + values.offsets
 
     def relative(self, values: EndoscopeValues) -> Float64:
         """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
@@ -223,9 +253,8 @@ class Steered(Endoscope):
         out = np.zeros((len(self.read), 6, len(values.deviation)))
         out[:, :, :6] = (to_base - adjoint(own)) @ in_tip(values.tip_from_camera).T
         out[:, :, 6:10] = of_joints + to_base @ adjoint(inverse(values.tip_from_camera)) @ first
-        for number in range(1, len(self.places)):
-            stands = self.place == number
-            out[stands, :, 6 + 4 * number : 10 + 4 * number] = of_joints[stands]
+        for number, share in enumerate(self.shares.T[1:], start=1):
+            out[:, :, 6 + 4 * number : 10 + 4 * number] = share[:, None, None] * of_joints
         return out
 
     def loadings(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:

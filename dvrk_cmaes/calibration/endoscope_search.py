@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
 from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.lasting_errors import frames_alike
 from dvrk_cmaes.calibration.model import Calibration, SessionModel, ecm_readings
 from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.calibration.solve import Solution, robust_costs, solve_with_modes
@@ -43,7 +44,7 @@ def with_readings(state: SessionState, places: Sequence[Place] = ()) -> SessionS
         return state
     state.problem.progress("finding the camera in the endoscope", len(state.frames))
     found = find_hand_eye(state.model, state.modes, state.problem.offset_std, state.problem.prior, steered)
-    problem = replace(state.problem, endoscope_prior=np.diag(found.start.std**-2.0))
+    problem = replace(state.problem, endoscope_prior=found.start.information)
     return replace(state, model=replace(state.model, endoscope=found), problem=problem)
 
 
@@ -57,7 +58,8 @@ def with_pieces(state: SessionState, consensus: Consensus | None = None) -> Sess
         return None
     if consensus is None:
         consensus = find_consensus(state.model, state.modes, problem.offset_std)
-    found = find_pieces(state.model, state.modes, problem.offset_std, problem.prior, consensus)
+    alike = float(np.median(frames_alike(state.times, problem.config.session.alike_seconds)))
+    found = find_pieces(state.model, state.modes, problem.offset_std, problem.prior, consensus, alike=alike)
     if found is None:
         return None
     pieces, _ = found
@@ -65,7 +67,7 @@ def with_pieces(state: SessionState, consensus: Consensus | None = None) -> Sess
     return replace(
         state,
         model=replace(state.model, endoscope=pieces),
-        problem=replace(problem, endoscope_prior=np.diag(pieces.start.std**-2.0)),
+        problem=replace(problem, endoscope_prior=pieces.start.information),
     )
 
 
@@ -95,7 +97,9 @@ def find_hand_eye(
         of_few = replace(model, endoscope=offered.subset(few))
         consensus = find_consensus(of_few, modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES)
         tried.append((consensus.mean_misfit, offered, consensus))
-    prior = np.diag([*np.diag(prior), *steered.start.std**-2.0])
+    of_endoscope = steered.start.information
+    prior = np.pad(prior, (0, len(of_endoscope)))
+    prior[-len(of_endoscope) :, -len(of_endoscope) :] = of_endoscope
     refined: list[tuple[float, Steered]] = []
     for _, offered, consensus in sorted(tried, key=lambda one: one[0])[:_TRIED]:
         of_few = replace(model, endoscope=offered.subset(few))
@@ -116,6 +120,8 @@ def find_pieces(
     offset_std: Float64,
     prior: Float64,
     consensus: Consensus,
+    *,
+    alike: float = 1.0,
 ) -> tuple[Pieces, Indices] | None:
     """Find the pieces of a session whose base or camera moved without readings that tell, None if it stood still.
 
@@ -130,6 +136,8 @@ def find_pieces(
         As in `solve`.
     consensus
         The consensus of all frames.
+    alike
+        Number of frames that count as one, because their masks err alike: what they cost counts as much less.
 
     Returns
     -------
@@ -158,7 +166,7 @@ def find_pieces(
             one.cost - before.cost - after.cost for one, (before, after) in zip(joined, pairwise(runs), strict=True)
         ]
         best = int(np.argmin(gains))
-        if gains[best] > _JOIN:
+        if gains[best] > _JOIN * alike:
             break
         runs[best : best + 2] = [joined[best]]
         first = max(best - 1, 0)
@@ -166,7 +174,7 @@ def find_pieces(
     found = [agreement(model, modes, offset_std, run.solution.calibration) for run in runs]
     if not found:
         return None
-    held, place = np.unique(_fewest_changes(np.array([one.cost for one in found])), return_inverse=True)
+    held, place = np.unique(_fewest_changes(np.array([one.cost for one in found]) / alike), return_inverse=True)
     if len(held) < 2:
         return None
     kept, found = [runs[number].solution.calibration for number in held], [found[number] for number in held]

@@ -24,9 +24,7 @@ _LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from 
 
 
 def predict_from_first(
-    first: Sequence[SessionFrame],
-    others: Mapping[str, Mapping[str, float]],
-    problem: SessionProblem,
+    first: Sequence[SessionFrame], others: Mapping[str, Mapping[str, float]], problem: SessionProblem
 ) -> dict[str, Posed]:
     """Predict frames of a recording from the modes of its ``first`` frames, in the order they were taken.
 

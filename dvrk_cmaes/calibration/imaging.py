@@ -99,7 +99,8 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     outlines = replace(outlines, constants=(*outlines.constants, *further))
     check = check_camera(of_all, config, outlines, applied=change)
     if check.growth is not None:
-        widened = replace(state.solution, of_growth=check.growth.of_calibration)
+        moves = check.growth.of_calibration
+        widened = replace(state.solution, of_growth=moves @ check.growth.squares @ moves.T)
         imaging = replace(state.imaging, growth=check.growth)
         state = replace(state, found=widened, imaging=imaging)
     if check.camera is None:

@@ -8,14 +8,14 @@ errors hardly widen what is known of a session, and masks that do not fit its po
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, ViewAsSeen
-from dvrk_cmaes.calibration.session_masks import MARGIN
+from dvrk_cmaes.calibration.session_masks import MARGIN, SessionMasks
 from dvrk_cmaes.calibration.solve import marginalise
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Posed, apply
@@ -35,6 +35,7 @@ _LEAST, _OF_MARGIN = 0.1, 0.5
 _LOG_STD = 0.7  # of the logarithm of the size beforehand
 _SIZES = np.geomspace(0.03, 0.999 * _STD, 16)  # px
 _NONE = 1e-3  # px, of an error that is not there
+_MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
 
 
 class MaskGrowth(Constant):
@@ -71,23 +72,23 @@ class MaskGrowth(Constant):
 class GrowthTold:
     """What a session tells of the errors on some sides, and what they do to it.
 
-    ``px`` (6,) are their means, ``square`` (6, 6) their mean squares, px^2, ``std_px`` (6,) what is known of them
-    beforehand: their usual size, and next to nothing where they would be negative. ``values``
-    (K + E,) and ``covariance`` (K + E, K + E) are those of the calibration, as changes, and all constants with errors
-    of this size. ``of_calibration`` (K, K) and ``of_frames`` (N, D, D) are the mean squares of the errors of the
-    calibration and of the frames' poses that they cause together with the margin that is left on the masks.
+    ``px`` (6,) are their means, and ``std_px`` (6,) what is known of them beforehand: their usual size, and next to
+    nothing where they would be negative. ``values`` (K + E,) and ``covariance`` (K + E, K + E) are those of the
+    calibration, as changes, and all constants with errors of this size. ``squares`` (7, 7) are the mean squares, px^2,
+    of the margin that is left on the masks and of these errors. ``of_calibration`` (K, 7) and ``of_frames`` (N, D, 7)
+    are the errors of the calibration and of the frames' poses that each of them causes, per px.
     """
 
     px: Float64
-    square: Float64
     std_px: Float64
     values: Float64
     covariance: Float64
+    squares: Float64
     of_calibration: Float64
     of_frames: Float64
 
 
-def growth_told(there: Linearised, count: int, growth: MaskGrowth) -> GrowthTold:
+def growth_told(there: Linearised, count: int, growth: MaskGrowth, beside: Mapping[str, Float64 | float]) -> GrowthTold:
     """Tell the size of the errors on some sides, and what they do, from outlines that were linearised in them.
 
     Parameters
@@ -98,6 +99,8 @@ def growth_told(there: Linearised, count: int, growth: MaskGrowth) -> GrowthTold
         Number of the calibration's own unknowns, K.
     growth
         The constant.
+    beside
+        Standard deviations beforehand of other constants, by name, with which ``squares`` is told: a camera's file.
     """
     calibration = there.solution.calibration
     place = calibration.place(GROWTH)
@@ -112,24 +115,21 @@ def growth_told(there: Linearised, count: int, growth: MaskGrowth) -> GrowthTold
         if not below.any():
             break
         std[below] = _NONE
-    square = spread[place, place] + np.outer(known[place], known[place])
-    margin = calibration.place(MARGIN)
-    both, left = np.r_[margin, place], known.copy()
-    left[margin] -= growth.margin_px
-    of_both = spread[np.ix_(both, both)] + np.outer(left[both], left[both])
+    both = np.r_[calibration.place(MARGIN), place]
+    left, of_errors = there.with_std({GROWTH: std, **beside})
+    left[calibration.place(MARGIN)] -= growth.margin_px
     information = there.information
-    response = -np.linalg.solve(information[:count, :count], information[:count, both])
+    of_calibration = np.asarray(np.linalg.solve(information[:count, :count], information[:count, both]), np.float64)
     frames = marginalise(there.model, there.fits, calibration)
     by_all = frames.gain @ there.model.jacobian(calibration)
-    by_errors = by_all[:, :, :count] @ response + by_all[:, :, both]
     return GrowthTold(
-        np.maximum(known[place], 0.0),
-        square,
+        np.maximum(left[place], 0.0),
         std,
         known,
         spread,
-        response @ of_both @ response.T,
-        by_errors @ of_both @ by_errors.swapaxes(1, 2),
+        np.asarray(of_errors[np.ix_(both, both)] + np.outer(left[both], left[both]), dtype=np.float64),
+        of_calibration,
+        by_all[:, :, :count] @ of_calibration - by_all[:, :, both],
     )
 
 
@@ -153,39 +153,53 @@ def change_by_margin(at: Posed, camera: Camera, instrument: Instrument) -> Float
     if instrument.shaft is not None:
         tips = apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
         width = camera.fx * 2 * instrument.shaft.radius / float(np.linalg.norm(tips))
-        along[:3] = at.pose[:3, :3].T @ tips * 2 / width
+        along[:3] = -at.pose[:3, :3].T @ tips * 2 / width
     return along
 
 
-def covariance_of_growth(
-    rms_px: Sequence[float], at: Posed, camera: Camera, instrument: Instrument, *, margin_square: float = 0.0
-) -> Float64:
-    """Return the covariance (D, D) of a pose by errors that all masks share, all round and on some sides.
+def changes_by_masks(at: Posed, camera: Camera, instrument: Instrument) -> Float64:
+    """Return the changes (D, 7) of a pose that fits an outline, per px of the masks' margin and of each growth.
 
     Half of the error of a side of the shaft is a margin, which makes it seem nearer; half of it moves its axis aside.
-    What is not known of a margin is mostly the same as what is not known of the sides: the larger one counts.
 
     Parameters
     ----------
-    rms_px
-        The roots of the mean squares of the errors (6,) on some sides, px; none where they are not known.
     at
         The pose.
     camera, instrument
         The camera that sees the instrument.
-    margin_square
-        Mean square of the margin, px^2.
     """
     nearer = change_by_margin(at, camera, instrument)
-    covariance = margin_square * np.outer(nearer, nearer)
-    if len(rms_px) == 0 or instrument.shaft is None:
-        return np.asarray(covariance)
+    moves = np.zeros((len(nearer), 1 + LASTING + _DIRECTIONS.shape[1]))
+    moves[:, 0] = nearer
+    if instrument.shaft is None:
+        return moves
     along, aside = image_axis(instrument, camera, at)
-    squares, across = np.square(rms_px), np.array([-aside, along])
-    facing = np.maximum(np.array([across, -across]) @ _DIRECTIONS, 0.0) ** 2
-    mean = float((squares[:LASTING] + facing @ squares[LASTING:]).sum()) / LASTING**2
+    across = np.array([-aside, along])
+    sides = np.column_stack([np.eye(LASTING), np.maximum(np.array([across, -across]) @ _DIRECTIONS, 0.0)])
     distance = float(np.linalg.norm(apply(at.pose, instrument.ends(at.joints)).mean(axis=0)))
-    moved = np.zeros(len(covariance))
-    moved[:3] = at.pose[:3, :3].T @ [*across, 0.0] * distance / camera.fx
-    more = max(mean - margin_square, 0.0)
-    return np.asarray(covariance + more * np.outer(nearer, nearer) + mean * np.outer(moved, moved))
+    moved = at.pose[:3, :3].T @ [*across, 0.0] * distance / camera.fx
+    moves[:, 1:] = np.outer(nearer, sides.mean(axis=0))
+    moves[:3, 1:] += np.outer(moved, (sides[0] - sides[1]) / LASTING)
+    return moves
+
+
+def covariance_of_masks(masks: SessionMasks | None, own: Float64, by_calibration: Float64 | None = None) -> Float64:
+    """Return the covariance (D, D) of a pose by the errors that all masks of a session share.
+
+    Parameters
+    ----------
+    masks
+        What the session tells of these errors; None where they were not estimated.
+    own : (D, 7)
+        Changes of the pose by the errors in its own mask, given the calibration, as of `changes_by_masks`.
+    by_calibration : (D, K)
+        Changes of the pose with the calibration, which the same errors have moved; None if it does not rest on one.
+    """
+    squares, moves = np.zeros((own.shape[1],) * 2), own
+    squares[0, 0] = _MARGIN_PX**2
+    if masks is not None:
+        squares += masks.squares
+        if by_calibration is not None and masks.by_errors:
+            moves = own + by_calibration @ np.array(masks.by_errors)
+    return np.asarray(moves @ squares @ moves.T)

@@ -54,7 +54,7 @@ In six synthetic sessions of 20 frames with the right camera (three of easy, thr
 distance of the estimate from the truth was 4.0 instead of 3, in its own standard deviations.
 """
 
-_CONTRADICTION = 7.81  # squared Mahalanobis distance from no change; that of 95 % with three unknowns
+_CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
 _LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
 _HARDLY_TOLD = 2.0  # standard deviations of the file's principal point
@@ -330,8 +330,13 @@ def estimate_camera(
     growth, shaft, constants = None, None, there.solution.calibration.constants
     of_masks = next((one for one in outlines.constants if isinstance(one, MaskGrowth)), None)
     if of_masks is not None:
-        known = [growth_told(one, count, of_masks) for one in ((there,) if first is there else (there, first))]
-        told, growth = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])], known[0]
+        changed_camera = any(one.name == CAMERA and one.start.any() for one in outlines.constants)
+        beside = {} if changed_camera else {CAMERA: file_deviations(config)}
+        each = (there,) if first is there else (there, first)
+        known = [growth_told(one, count, of_masks, beside) for one in each]
+        told = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])]
+        # the file's camera is nearest to what was linearised first, about it; the last one has all frames
+        growth = replace(known[-1], of_frames=known[0].of_frames)
         if SHAFT in constants:
             shaft = SessionShaft.of(there, {CAMERA: file_deviations(config), GROWTH: growth.std_px})
     return CameraEstimate(

@@ -92,6 +92,7 @@ class SessionEndoscope:
         covariance: Float64,
         names: Sequence[str],
         times: Sequence[float | None],
+        further: Float64 | float = 0.0,
     ) -> SessionEndoscope | None:
         """Return what was estimated of N frames; None of an endoscope that stands still.
 
@@ -103,6 +104,8 @@ class SessionEndoscope:
             That of the solution.
         names, times
             Names of the frames, and the times of their images, s, None where unknown.
+        further : (K + M, K + M)
+            What errors of the camera and of all masks add to that covariance, which the standard deviations have, too.
         """
         endoscope, values, base = model.endoscope, calibration.endoscope, calibration.camera_from_base
         if endoscope is None or values is None:
@@ -121,7 +124,8 @@ class SessionEndoscope:
         jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
         jacobian[:, :6] = np.eye(6)
         ecm_from_base, jacobian[:, count : count + 10] = endoscope.ecm_from_base(values, base)
-        std = np.sqrt(np.diag(covariance))[count:]
+        whole = covariance + further
+        std = np.sqrt(np.diag(whole))[count:]
         errors = np.concatenate([np.zeros((1, 4)), values.errors])
         return cls(
             tuple(stands),
@@ -132,7 +136,7 @@ class SessionEndoscope:
             values.tip_from_camera,
             ecm_from_base,
             _row(std[:6]),
-            _row(np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))),
+            _row(np.sqrt(np.diag(jacobian @ whole @ jacobian.T))),
             values.expected[0],
             dict(zip(ECM_JOINTS, values.offsets.tolist(), strict=True)),
             dict(zip(ECM_JOINTS, std[6:10].tolist(), strict=True)),

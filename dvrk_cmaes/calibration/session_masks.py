@@ -18,7 +18,7 @@ from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.typed_document import Number
+from dvrk_cmaes.io.typed_document import Number, refused
 from dvrk_cmaes.pose.terms.coverage import of_margin
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ _CLEAR = 2.5  # standard deviations from zero, and ...
 _LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
 _LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
 _PASSES = 5  # largest number of linearisations of the outlines
+_ON_SIDES = 6  # errors of both sides of the shaft, and of what faces four directions
 _MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those less the margin
 
 
@@ -92,7 +93,8 @@ class SessionMasks(Document):
     these errors falls to 37 %, s; None where the times of the frames are not known.
     growth_px : mean errors, px, of both sides of the shaft (to the right of its direction towards the tip in the image,
     and to the left) and of what faces right, left, down and up, none below 0. rms_growth_px : the roots of their mean
-    squares, with what is not known of them.
+    squares, with what is not known of them. error_squares : the mean squares (7, 7), px^2, of the margin that is left
+    and of these errors. by_errors : what each of them, per px, does to the calibration, in the order of its covariance.
     """
 
     margin_px: Number
@@ -105,6 +107,8 @@ class SessionMasks(Document):
     std_lasting_seconds: Number | None = None
     growth_px: tuple[Number, ...] = ()
     rms_growth_px: tuple[Number, ...] = ()
+    error_squares: tuple[tuple[Number, ...], ...] = ()
+    by_errors: tuple[tuple[Number, ...], ...] = ()
 
     @classmethod
     def of(
@@ -115,8 +119,13 @@ class SessionMasks(Document):
         further = tuple(ViewMargin(view, margin.px, margin.std_px, margin.applied) for view, margin in others)
         stated = cls(first.px, first.std_px, first.applied, further)
         if growth is not None:
-            rms = np.sqrt(np.diag(growth.square))
-            stated = replace(stated, growth_px=tuple(growth.px.tolist()), rms_growth_px=tuple(rms.tolist()))
+            stated = replace(
+                stated,
+                growth_px=tuple(growth.px.tolist()),
+                rms_growth_px=tuple(np.sqrt(np.diag(growth.squares)[1:]).tolist()),
+                error_squares=_rows(growth.squares),
+                by_errors=_rows(growth.of_calibration),
+            )
         if lasting is None:
             return stated
         seconds = lasting.size.seconds if lasting.timed else None
@@ -129,9 +138,50 @@ class SessionMasks(Document):
         )
 
     @property
+    def squares(self) -> Float64:
+        """Mean squares (7, 7), px^2, of the margin that is left on masks of this session, and of the errors on sides.
+
+        What of the margin was found but is not clear counts as one more standard deviation, at most.
+        """
+        if self.error_squares:
+            squares = np.array(self.error_squares)
+            squares[0, 0] += _LEAST_STD**2
+            return squares
+        left = min(abs(self.margin_px - self.taken_off), self.std_margin_px)
+        return np.asarray(np.diag([self.std_margin_px**2 + left**2, *np.zeros(_ON_SIDES)]))
+
+    @property
     def taken_off(self) -> float:
         """Margin, px, that was taken off the masks of the first view."""
         return self.margin_px if self.applied else 0.0
+
+    def check(self, where: str, unknowns: int) -> None:
+        """Raise `InputError` unless the matrices of a document are those of a calibration with some unknowns.
+
+        Parameters
+        ----------
+        where
+            Where the document is from, for messages.
+        unknowns
+            Number of the calibration's unknowns, K.
+        """
+        for name, count in (("error_squares", 1 + _ON_SIDES), ("by_errors", unknowns)):
+            rows = getattr(self, name)
+            whole = len(rows) == count and all(len(row) == 1 + _ON_SIDES for row in rows)
+            if (self.error_squares or self.by_errors) and not whole:  # older files have neither
+                raise refused(where, f"masks.{name}", f"{count} rows of {1 + _ON_SIDES} numbers", rows)
+        if any(row[i] < 0 for i, row in enumerate(self.error_squares)):
+            raise refused(where, "masks.error_squares", "no negative mean square", self.error_squares)
+
+    def after(self, change: Float64) -> SessionMasks:
+        """Return the same for a calibration that is a linear function (K', K) of this session's.
+
+        Parameters
+        ----------
+        change
+            The matrix of that function.
+        """
+        return replace(self, by_errors=_rows(change @ np.array(self.by_errors))) if self.by_errors else self
 
     def taken_off_in(self, view: str) -> float:
         """Return the margin, px, that was taken off the masks of a view.
@@ -191,6 +241,11 @@ def estimate_margin(frames: FramesAt, outlines: SessionOutlines) -> tuple[Margin
         calibration = solve(model, fits, calibration, prior).calibration
         at = at.moved(marginalise(model, fits, calibration).own)
     return margin, calibration, at
+
+
+def _rows(matrix: Float64) -> tuple[tuple[float, ...], ...]:
+    """Return a matrix as the document has it."""
+    return tuple(map(tuple, matrix.tolist()))
 
 
 def _in_words(view: str, margin: Margin) -> str:

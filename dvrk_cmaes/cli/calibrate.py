@@ -408,17 +408,7 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
         yield Line("cables: what they add to the offsets", "bold")
         for text in calibration.cables.in_words():
             yield Line(f"  {text}")
-    if calibration.endoscope is not None:
-        yield from (Line(text) for text in calibration.endoscope.in_words())
-    if calibration.camera is not None:
-        yield Line(f"camera, against its file: {calibration.camera.describe()}")
-    for view in calibration.rig:
-        for text, _ in view.lines():
-            yield Line(text)
-    if calibration.masks is not None and calibration.masks.applied:
-        yield Line(calibration.masks.describe())
-    if calibration.masks_again is not None:
-        yield Line(calibration.masks_again.describe())
+    yield from map(Line, calibration.in_words())
     for text in calibration.untold:
         yield Line(f"  not told by this session: {text}", STATUS_STYLES["doubtful"].removeprefix("bold "))
     for name, reason in list(calibration.left_out.items())[:_MOST_LISTED]:

@@ -104,6 +104,7 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
     from rich.console import Console
     from rich.progress import track
 
+    from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.evaluate.pose_error import compare_poses
     from dvrk_cmaes.frames.frame import read_frame
     from dvrk_cmaes.runs.frame import run_frame
@@ -112,9 +113,8 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
     config, body = method.resolve(), prepare("lnd")
     console = Console(stderr=True)
     for files in track(session.frames, "Estimating", console=console, disable=not console.is_terminal):
-        result = run_frame(
-            files, read_frame(files, session.camera), body, arm="classic", config=config, out=out, command="demo"
-        ).result
+        data, solved_as = read_frame(files, session.camera), FrameMethod("classic", config)
+        result = run_frame(files, data, body, solved_as, out, command="demo").result
         assert result.camera_from_root is not None
         truth = session.truth.frames[files.name]
         error = compare_poses(

@@ -160,6 +160,7 @@ def estimate(
     if mask is not None and (prompts, model) != (DEFAULT_PROMPTS, DEFAULT_SEGMENT):
         raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
     from dvrk_cmaes.cli.session_tools import read_calibration_of
+    from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.keypoints import parse_keypoints
     from dvrk_cmaes.frames.label import parse_label
@@ -192,17 +193,9 @@ def estimate(
     read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag, reading.read_as(only))
     files = replace(files, readings=read.readings)
     data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
-    run = run_frame(
-        files,
-        data,
-        body,
-        arm=instrument.kinematics,
-        config=settings,
-        out=out,
-        session=known,
-        settings=model.resolve(),
-        hints=hints_within(prompts.resolve(), files.crop),
-    )
+    shown = hints_within(prompts.resolve(), files.crop)
+    solved_as = FrameMethod(instrument.kinematics, settings, known, model.resolve(), shown)
+    run = run_frame(files, data, body, solved_as, out)
     for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
         warn(text)
     answer(run.result.to_dict(), describe(run.result, run.written), json=json)

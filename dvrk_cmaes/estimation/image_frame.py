@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.estimation.one_tool import estimate_views
+from dvrk_cmaes.estimation.one_tool import FrameMethod, estimate_views
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
@@ -55,17 +53,7 @@ class _FoundMask:
     result: Result | None
 
 
-def segment_and_estimate(
-    data: FrameData,
-    files: FrameFiles,
-    body: Body,
-    *,
-    arm: Arm = "classic",
-    session: SessionCalibration | None = None,
-    config: EstimateConfig | None = None,
-    settings: SegmentSettings | None = None,
-    hints: Hints | None = None,
-) -> SegmentedFrame:
+def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method: FrameMethod) -> SegmentedFrame:
     """Find the instrument's masks in the images of a frame's views, and its pose from these masks.
 
     Each image is segmented; with the classic model, the pose is estimated and the image segmented again with the pose's
@@ -77,13 +65,11 @@ def segment_and_estimate(
     ----------
     data, files
         The frame, whose first view has an image; its name, time, readings and paths.
-    body, arm, session, config
+    body
         As in `estimate`.
-    settings
-        The model that segments the images.
-    hints
-        Prompts in the first view: a box, points on the instrument and points beside it. In further views the
-        instrument that they choose, or the one that is taken of several, is looked for.
+    method
+        How the frame is solved. Its prompts hold in the first view; in further views the instrument that they choose,
+        or the one that is taken of several, is looked for.
 
     Raises
     ------
@@ -92,7 +78,7 @@ def segment_and_estimate(
     DvrkCmaesError
         Nothing was found that could be the instrument; names the image's file.
     """
-    settings, config = settings or SegmentSettings(), config or EstimateConfig()
+    settings, config, arm, session = method.segment or SegmentSettings(), method.config, method.arm, method.session
     started = perf_counter()
 
     def solve(views: Sequence[SeenView], session: SessionCalibration | None = None) -> Result:
@@ -110,7 +96,7 @@ def segment_and_estimate(
 
     found: list[_FoundMask] = []
     for view in data.views:
-        own = hints or Hints()
+        own = method.hints or Hints()
         if found:  # the prompts are pixels of the first view
             chosen = found[0].segmentation.others or own != Hints()
             own = prompt_in(view, found[0].view.mask, found[0].view, body) if chosen else Hints()

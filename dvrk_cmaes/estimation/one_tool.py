@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -34,6 +34,21 @@ from dvrk_cmaes.silhouette.threads import single_blas_thread
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
+    from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMethod:
+    """How a frame is solved: the kinematics of its arm, the settings, and the calibration of its session.
+
+    ``segment`` and ``hints`` are the model and the prompts by which masks are found in images of frames without.
+    """
+
+    arm: Arm
+    config: EstimateConfig
+    session: SessionCalibration | None = None
+    segment: SegmentSettings | None = None
+    hints: Hints | None = None
 
 
 def estimate(
@@ -175,9 +190,7 @@ def estimate_views(
         frame=frame,
         status="doubtful" if reasons else "ok",
         reasons=reasons,
-        instrument=model.name,
-        root_link=model.root_link,
-        shaft_radius=model.shaft_radius,
+        **model.stated,
         camera_from_root=found.at.pose,
         joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.evidence.distance_field import FARTHEST, distance_within
-from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.evidence.shaft_edges import Contour
 
@@ -24,7 +23,6 @@ Float64 = NDArray[np.float64]
 _LEAST_SIGMA = 0.25  # px; that of an exact mask, from quantisation to pixels
 _LENGTHS = (2.0, 40.0)  # px, smallest and largest correlation length
 _REMAP_WIDTH = 512  # points in a row; OpenCV limits each side of the array that it samples
-_AROUND = 2  # px around a silhouette and pixels, so that the window has background and the samples their neighbours
 _CLIP = 3.0  # standard deviations; larger errors are outliers of the segmentation
 _NEXT = 1.0  # px, of margins for which pixels 2 px from the outline and farther count alike
 _NEIGHBOURS = cv2.MORPH_CROSS, cv2.MORPH_RECT
@@ -84,35 +82,8 @@ def _place(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 
 def distances_to(silhouette: NDArray[np.bool_], pixels: Float64) -> Float64:
-    """Compute the signed distances (N,), px, of pixels (N, 2) to a silhouette's outline, as `signed_distance`.
-
-    The distance transforms are of the part of the image that has both: the nearest pixels of either kind are in it.
-    """
-    height, width = silhouette.shape
-    first, highest, wide, tall = window_around(silhouette, 0)
-    low = np.minimum([first, highest], np.floor(pixels.min(axis=0, initial=np.inf))) - _AROUND
-    last = [first + wide - 1, highest + tall - 1]
-    high = np.maximum(last, np.ceil(pixels.max(axis=0, initial=-np.inf))) + _AROUND + 1
-    left, top = np.clip(low, 0, [width, height]).astype(int)
-    right, bottom = np.clip(high, 0, [width, height]).astype(int)
-    part = np.ascontiguousarray(silhouette[top:bottom, left:right])
-    at = np.floor(pixels).astype(np.intp)
-    row = np.clip(at[:, 1], top, bottom - 1), np.clip(at[:, 1] + 1, top, bottom - 1)
-    column = np.clip(at[:, 0], left, right - 1), np.clip(at[:, 0] + 1, left, right - 1)
-    needed = np.zeros(part.shape, dtype=np.bool_)
-    for v in row:
-        for u in column:
-            needed[v - top, u - left] = True
-    index = np.flatnonzero(needed)
-    of_part = np.zeros(part.shape, dtype=np.float32)
-    of_part.ravel()[index] = _signed_at(part, index)
-    return sampled(of_part, pixels.astype(np.float32) - np.array([left, top], dtype=np.float32))  # exact
-
-
-def _signed_at(mask: NDArray[np.bool_], index: NDArray[np.intp]) -> NDArray[np.float32]:
-    """Compute `signed_distance` of M pixels of a mask (H, W) only, whose indices (M,) are of the flattened mask."""
-    distance = np.sqrt(_kernel.squares_to_other(mask, index, int(FARTHEST) ** 2))
-    return np.where(mask.take(index), np.float32(0.5) - distance, distance - np.float32(0.5))
+    """Compute the signed distances (N,), px, of pixels (N, 2) to a silhouette's outline, as `signed_distance`."""
+    return _kernel.signed_distances(silhouette, pixels, FARTHEST)
 
 
 def sampled(image: NDArray[np.float32], at: NDArray[np.floating]) -> Float64:
@@ -139,10 +110,10 @@ def measure_noise(contour: Contour, silhouette: NDArray[np.bool_]) -> OutlineNoi
     rms = max(float(np.sqrt(np.mean(error**2))), _LEAST_SIGMA)
     spacing = median(np.linalg.norm(np.diff(contour.pixels, axis=0), axis=1))
     most = min(int(_LENGTHS[1]), len(error) // 4)
-    variance = float(np.mean(error**2)) + 1e-12
+    variance = float(error @ error) / len(error) + 1e-12
     length = spacing
     for lag in range(1, most):
-        correlation = float(np.mean(error[lag:] * error[:-lag])) / variance
+        correlation = float(error[lag:] @ error[:-lag]) / (len(error) - lag) / variance
         if correlation < 0.1:
             break
         length += 2 * correlation * spacing

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -99,10 +98,9 @@ def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.boo
     # Replicated borders, because the instrument continues outside the image.
     blurred = cv2.GaussianBlur(mask[window].astype(np.float32), (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
     softer = cv2.GaussianBlur(blurred, (0, 0), _NORMAL_BLUR, borderType=cv2.BORDER_REPLICATE)
-    u, v = column - low[0], row - low[1]
-    gx, gy = _sobel(blurred, u, v)
-    nx, ny = _sobel(softer, u, v)
-    grey = blurred[v, u]
+    at = np.column_stack([column - low[0], row - low[1]])
+    (gx, gy), (nx, ny) = (_kernel.sobel_at(np.asarray(image, np.float32), at).T for image in (blurred, softer))
+    grey = blurred[at[:, 1], at[:, 0]]
     steep = np.hypot(gx, gy)
     keep = steep > 0.02
     inside = (points >= _BORDER).all(axis=1) & (points <= [width - 1 - _BORDER, height - 1 - _BORDER]).all(axis=1)
@@ -121,20 +119,6 @@ def find_contour(mask: NDArray[np.bool_], camera: Camera, ignore: NDArray[np.boo
     across = camera.project_along(np.c_[xy, np.ones(len(xy))], normal)[1][:, :2] / focal  # towards the normal's side
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     return Contour(pixels, xy * focal + centre, across)
-
-
-def _sobel(
-    image: NDArray[np.integer[Any] | np.floating[Any]], u: NDArray[np.intp], v: NDArray[np.intp]
-) -> tuple[Float64, Float64]:
-    """Return the derivatives (N,) of an image along u and v at N of its pixels, by Sobel's filter."""
-    rows, columns = (
-        {step: np.clip(at + step, 0, length - 1) for step in (-1, 0, 1)}
-        for at, length in zip((v, u), image.shape, strict=True)
-    )
-    around = {(i, j): image[rows[i], columns[j]].astype(np.float64) for i in rows for j in columns if i or j}
-    along_u = around[-1, 1] - around[-1, -1] + 2 * (around[0, 1] - around[0, -1]) + around[1, 1] - around[1, -1]
-    along_v = around[1, -1] - around[-1, -1] + 2 * (around[1, 0] - around[-1, 0]) + around[1, 1] - around[-1, 1]
-    return along_u / 8, along_v / 8
 
 
 def _votes(contour: Contour, line: Float64, index: NDArray[np.intp]) -> float:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument import Instrument
 
@@ -50,24 +51,13 @@ def largest_bend(outline: Float64, distances: Float64, width: float) -> float:
     return largest
 
 
-def _straight_stretches(outline: Float64, shortest: float) -> list[tuple[NDArray[np.intp], Float64]]:
+def _straight_stretches(outline: Float64, shortest: float) -> list[tuple[NDArray[np.int64], Float64]]:
     """Find straight stretches of an outline that have all of it on one side.
 
     Returns for each, of at least ``shortest`` px, the indices of its points and their positions along the line, px.
     """
-    found: list[tuple[NDArray[np.intp], Float64]] = []
     if len(outline) < 3:
-        return found
+        return []
     corners = cv2.convexHull(outline.astype(np.float32), clockwise=True)[:, 0].astype(np.float64)
-    sides = np.roll(corners, -1, axis=0) - corners
-    lengths = np.linalg.norm(sides, axis=1)
-    for k in np.flatnonzero(lengths >= max(_LEAST_SIDE * shortest, 1.0)):
-        direction = sides[k] / lengths[k]
-        inside = np.abs((outline - corners[k]) @ np.array([direction[1], -direction[0]]))
-        near = np.flatnonzero(inside < _BAND)
-        near = near[np.argsort(outline[near] @ direction, kind="stable")]
-        along = outline[near] @ direction
-        for piece in np.split(np.arange(len(near)), np.flatnonzero(np.diff(along) > _LARGEST_GAP) + 1):
-            if along[piece[-1]] - along[piece[0]] >= shortest:
-                found.append((near[piece], along[piece] - along[piece[0]]))
-    return found
+    side = max(_LEAST_SIDE * shortest, 1.0)
+    return _kernel.straight_stretches(outline, corners, _BAND, _LARGEST_GAP, shortest, side)

@@ -223,6 +223,11 @@ class Instrument:
             raise InputError(f"{self.name}: unknown joint {name!r}; expected one of: {known}")
         return self.joint_names.index(name)
 
+    @property
+    def stated(self) -> dict[str, Any]:
+        """What results state of the instrument: ``instrument``, its name, ``root_link`` and ``shaft_radius``, m."""
+        return {"instrument": self.name, "root_link": self.root_link, "shaft_radius": self.shaft_radius}
+
     def describe_limits(self, arm: Arm) -> dict[str, Any]:
         """Return the joint limits and the arm kinematics used for a result, for its ``config``; in rad and m.
 

@@ -164,10 +164,11 @@ class Folder:
 
     def read(self, name: str) -> bytes | None:
         """Return the content of a file; None if there is none."""
-        if self.status(name) is None:
+        try:
+            with open(self.open(name, os.O_RDONLY), "rb") as file:
+                return file.read()
+        except FileNotFoundError:
             return None
-        with open(self.open(name, os.O_RDONLY), "rb") as file:
-            return file.read()
 
     def entries(self) -> list[tuple[str, bool, bool]]:
         """Return the names in the folder, sorted, and whether each is a link, and whether it is a folder itself."""

@@ -129,7 +129,7 @@ class Output(_Place):
         self._journal: IO[bytes] | None = None
         record = _read_list(folder, path)
         self.listed = record is not None
-        if record is not None and record.command != command:
+        if record is not None and record.command not in ("", command):
             raise InputError(
                 f"{path}: it has what `{record.command}` wrote, which stays as it is; choose another --out"
             )
@@ -396,15 +396,29 @@ def check_output_folder(
 ) -> None:
     """Check, before any work, that a command may write to a folder; arguments and errors as of `output`.
 
-    ``names`` are files that it will write.
+    ``names`` are files that it will write. What is wrong without the folder's lock is looked at again with it, since
+    another command may have written a file between the list and the file that were looked at.
     """
+    names = tuple(names)
     with _writing(path, "a folder"):
         if not os.path.lexists(path):
             return
         with _folder_of(path, make=False) as (folder, strict):
-            out = Output(path, folder, command, strict=strict)
-            out.check(owns=owns, whole=whole, replaces=replaces, kept=kept)
-            out.refuse(names)
+
+            def check() -> None:
+                out = Output(path, folder, command, strict=strict)
+                out.check(owns=owns, whole=whole, replaces=replaces, kept=kept)
+                out.refuse(names)
+
+            try:
+                check()
+            except InputError as error:
+                with contextlib.ExitStack() as held:
+                    try:
+                        held.enter_context(locked(folder, wait=0.0 if owns else LONG))
+                    except OSError:
+                        raise error from None
+                    check()
 
 
 @contextlib.contextmanager

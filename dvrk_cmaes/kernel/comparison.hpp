@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "blurred.hpp"
+#include "dense.hpp"
 #include "moving.hpp"
 #include "silhouette.hpp"
 
@@ -172,26 +173,6 @@ inline double largest_displacement(const Comparison& at, const double* change) {
   return largest;
 }
 
-// Solve A x = b for a matrix (D, D), which is overwritten, by elimination with pivots; x replaces b.
-inline void solve(std::vector<double>& a, std::vector<double>& b) {
-  const std::size_t D = b.size();
-  for (std::size_t k = 0; k < D; ++k) {
-    std::size_t pivot = k;
-    for (std::size_t i = k + 1; i < D; ++i) pivot = std::abs(a[D * i + k]) > std::abs(a[D * pivot + k]) ? i : pivot;
-    std::swap_ranges(a.begin() + D * k, a.begin() + D * (k + 1), a.begin() + D * pivot);
-    std::swap(b[k], b[pivot]);
-    for (std::size_t i = k + 1; i < D; ++i) {
-      const double factor = a[D * i + k] / a[D * k + k];
-      for (std::size_t j = k; j < D; ++j) a[D * i + j] -= factor * a[D * k + j];
-      b[i] -= factor * b[k];
-    }
-  }
-  for (std::size_t k = D; k-- > 0;) {
-    for (std::size_t j = k + 1; j < D; ++j) b[k] -= a[D * k + j] * b[j];
-    b[k] /= a[D * k + k];
-  }
-}
-
 // How a sum of terms is made small: at most so many steps, up to one whose squared length in standard deviations is below
 // `solved`. Without damping, `least` of each diagonal element and of the largest one is added, so that the information is
 // invertible. A change moves no point of an outline by more than `farthest` px.
@@ -230,7 +211,7 @@ void minimise(const Minimisation& how, const double* information, const double* 
       step[a] = -step[a] - held[a] * change[a];
     }
     const std::vector<double> right = step;  // the square of the step is its product with this
-    solve(full, step);
+    solve(full.data(), step.data(), D, 1);
     double square = 0.0;
     for (std::size_t a = 0; a < D; ++a) change[a] += step[a], square += step[a] * right[a];
     if (square < how.solved) break;

@@ -24,11 +24,13 @@
 #include "camera.hpp"
 #include "chain.hpp"
 #include "comparison.hpp"
+#include "dense.hpp"
 #include "lines.hpp"
 #include "mesh.hpp"
 #include "moving.hpp"
 #include "nearest.hpp"
 #include "outline.hpp"
+#include "rotation.hpp"
 #include "silhouette.hpp"
 #include "straight.hpp"
 
@@ -79,12 +81,19 @@ void check_positive(const char* name, long value) {
 
 // A new array of zeros, which owns its memory.
 template <class T>
-Made<T> zeros(std::initializer_list<std::size_t> shape) {
+Made<T> zeros(const std::vector<std::size_t>& shape) {
   std::size_t count = 1;
   for (std::size_t length : shape) count *= length;
   T* data = new T[std::max<std::size_t>(count, 1)]();
   nb::capsule owner(data, [](void* memory) noexcept { delete[] static_cast<T*>(memory); });
-  return Made<T>(data, shape.size(), shape.begin(), owner);
+  return Made<T>(data, shape.size(), shape.data(), owner);
+}
+
+template <class T>
+Made<T> copied(const std::vector<T>& values) {
+  Made<T> out = zeros<T>({values.size()});
+  std::copy(values.begin(), values.end(), out.data());
+  return out;
 }
 
 struct Workspace {
@@ -597,13 +606,46 @@ std::vector<std::tuple<Made<double>, Made<std::int64_t>, double>> fit_lines(
   for (std::size_t i = 0; i < lines.shape(0); ++i) {
     const double* line = lines.data() + 3 * i;
     const FittedLine fitted = fit_line(contour, {line[0], line[1], line[2]}, how);
-    Made<double> out = zeros<double>({3});
-    Made<std::int64_t> index = zeros<std::int64_t>({fitted.points.size()});
-    std::copy(fitted.line.begin(), fitted.line.end(), out.data());
-    std::copy(fitted.points.begin(), fitted.points.end(), index.data());
-    found.emplace_back(out, index, fitted.sigma);
+    const std::vector<std::int64_t> index(fitted.points.begin(), fitted.points.end());
+    found.emplace_back(copied(std::vector<double>(fitted.line.begin(), fitted.line.end())), copied(index), fitted.sigma);
   }
   return found;
+}
+
+std::vector<std::tuple<Made<std::int64_t>, Made<double>>> straight_stretches(const Given<double>& outline,
+                                                                             const Given<double>& corners, double band,
+                                                                             double gap, double shortest, double side) {
+  check_shape("outline", outline, {kAny, 2}), check_shape("corners", corners, {kAny, 2});
+  for (const Given<double>* one : {&outline, &corners}) check_finite("outline and corners", one->data(), one->size());
+  const std::size_t count = corners.shape(0);
+  std::vector<Stretch> found;
+  for (std::size_t k = 0; k < count; ++k) {
+    const double *from = corners.data() + 2 * k, *to = corners.data() + 2 * ((k + 1) % count);
+    const double u = to[0] - from[0], v = to[1] - from[1], length = std::sqrt(u * u + v * v);
+    if (!(length > 0.0) || length < side) continue;
+    add_stretches(outline.data(), outline.shape(0), {from[0], from[1]}, {u / length, v / length}, band, gap, shortest, found);
+  }
+  std::vector<std::tuple<Made<std::int64_t>, Made<double>>> out;
+  for (const Stretch& one : found) out.emplace_back(copied(one.points), copied(one.along));
+  return out;
+}
+
+Made<double> sobel_at(const Given<float>& image, const Given<std::int64_t>& pixels) {
+  check_shape("image", image, {kAny, kAny}), check_shape("pixels", pixels, {kAny, 2});
+  const std::int64_t height = image.shape(0), width = image.shape(1);
+  Made<double> out = zeros<double>({pixels.shape(0), 2});
+  for (std::size_t i = 0; i < pixels.shape(0); ++i) {
+    const std::int64_t u = pixels.data()[2 * i], v = pixels.data()[2 * i + 1];
+    if (u < 0 || u >= width || v < 0 || v >= height) throw std::invalid_argument("pixels: expected some of the image's");
+    const auto at = [&](int down, int right) {
+      const std::int64_t row = std::clamp<std::int64_t>(v + down, 0, height - 1);
+      return double(image.data()[width * row + std::clamp<std::int64_t>(u + right, 0, width - 1)]);
+    };
+    const double rising = at(1, 1) - at(-1, -1), falling = at(-1, 1) - at(1, -1);
+    out.data()[2 * i] = (rising + falling + 2.0 * (at(0, 1) - at(0, -1))) / 8.0;
+    out.data()[2 * i + 1] = (rising - falling + 2.0 * (at(1, 0) - at(-1, 0))) / 8.0;
+  }
+  return out;
 }
 
 std::tuple<Made<double>, Made<double>> line_support(const Given<double>& points, const Given<double>& normals,
@@ -632,9 +674,133 @@ Made<float> squares_to_other(const Given<bool>& mask, const Given<std::int64_t>&
   }
   Made<float> out = zeros<float>({pixels.size()});
   const nb::gil_scoped_release released;
-  const NearestOther nearest(mask.data(), std::int64_t(mask.shape(1)), std::int64_t(mask.shape(0)));
-  for (std::size_t i = 0; i < pixels.size(); ++i) out.data()[i] = float(nearest.square(pixels.data()[i], most));
+  NearestOther nearest(mask.data(), std::int64_t(mask.shape(1)), std::int64_t(mask.shape(0)));
+  for (std::size_t i = 0; i < pixels.size(); ++i) {
+    const std::int64_t at = pixels.data()[i];
+    out.data()[i] = float(nearest.square(at % nearest.width(), at / nearest.width(), most));
+  }
   return out;
+}
+
+Made<double> signed_distances(const Given<bool>& mask, const Given<double>& pixels, double farthest) {
+  check_shape("mask", mask, {kAny, kAny}), check_shape("pixels", pixels, {kAny, 2});
+  if (mask.size() == 0) throw std::invalid_argument("mask: expected at least one pixel");
+  if (!(farthest >= 1.0 && farthest <= 1e6)) throw std::invalid_argument("farthest: expected 1 to 1000000 px");
+  check_finite("pixels", pixels.data(), pixels.size());
+  Made<double> out = zeros<double>({pixels.shape(0)});
+  const nb::gil_scoped_release released;
+  NearestOther nearest(mask.data(), std::int64_t(mask.shape(1)), std::int64_t(mask.shape(0)));
+  for (std::size_t i = 0; i < pixels.shape(0); ++i) {
+    out.data()[i] = signed_distance(nearest, pixels.data()[2 * i], pixels.data()[2 * i + 1], farthest);
+  }
+  return out;
+}
+
+void check_solved(const Made<double>& found) {
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    if (!std::isfinite(found.data()[i])) throw std::invalid_argument("equations: expected finite ones with a solution");
+  }
+}
+
+// An array (..., numbers), of which the rows are matrices or vectors of a known shape.
+struct Rows {
+  std::vector<std::size_t> shape;  // of the rows
+  std::size_t count = 1, size = 1;
+
+  Rows(const char* name, const Given<double>& array, std::initializer_list<long> row) {
+    std::size_t axis = array.ndim() - row.size();
+    bool right = array.ndim() >= row.size();
+    for (long length : row) {
+      if (!right) break;
+      right = length == kAny ? array.shape(axis) >= 6 : static_cast<long>(array.shape(axis)) == length;
+      size *= array.shape(axis++);
+    }
+    if (!right) throw std::invalid_argument(std::string(name) + ": expected an array of other rows");
+    for (std::size_t k = 0; k + row.size() < array.ndim(); ++k) shape.push_back(array.shape(k)), count *= shape.back();
+  }
+
+  // A new array of as many rows of another shape.
+  Made<double> make(std::initializer_list<std::size_t> row) const {
+    std::vector<std::size_t> whole(shape);
+    whole.insert(whole.end(), row);
+    return zeros<double>(whole);
+  }
+};
+
+// The rows of both, of which one may be a single one; refuse others.
+const Rows& both_rows(const Rows& one, const Rows& other) {
+  if (!one.shape.empty() && !other.shape.empty() && one.shape != other.shape) {
+    throw std::invalid_argument("poses: expected as many of both, or a single one");
+  }
+  return one.shape.empty() ? other : one;
+}
+
+Made<double> exponentials(const Given<double>& vectors) {
+  const Rows rows("vectors", vectors, {3});
+  Made<double> out = rows.make({3, 3});
+  for (std::size_t i = 0; i < rows.count; ++i) rotation_by(vectors.data() + 3 * i, out.data() + 9 * i, 3);
+  return out;
+}
+
+Made<double> logarithms(const Given<double>& rotations) {
+  const Rows rows("rotations", rotations, {3, 3});
+  Made<double> out = rows.make({3});
+  for (std::size_t i = 0; i < rows.count; ++i) rotation_vector(rotations.data() + 9 * i, 3, out.data() + 3 * i);
+  return out;
+}
+
+Made<double> moved(const Given<double>& poses, const Given<double>& changes) {
+  const Rows of_poses("poses", poses, {4, 4}), of_changes("changes", changes, {kAny});
+  const Rows& both = both_rows(of_poses, of_changes);
+  Made<double> out = both.make({4, 4});
+  const std::size_t pose = of_poses.shape.empty() ? 0 : 16, change = of_changes.shape.empty() ? 0 : of_changes.size;
+  for (std::size_t i = 0; i < both.count; ++i) {
+    move_pose(poses.data() + pose * i, changes.data() + change * i, out.data() + 16 * i);
+  }
+  return out;
+}
+
+Made<double> changes_between(const Given<double>& poses, const Given<double>& others) {
+  const Rows of_poses("poses", poses, {4, 4}), of_others("others", others, {4, 4});
+  const Rows& both = both_rows(of_poses, of_others);
+  Made<double> out = both.make({6});
+  const std::size_t pose = of_poses.shape.empty() ? 0 : 16, other = of_others.shape.empty() ? 0 : 16;
+  for (std::size_t i = 0; i < both.count; ++i) {
+    change_of_pose(poses.data() + pose * i, others.data() + other * i, out.data() + 6 * i);
+  }
+  return out;
+}
+
+std::tuple<Made<double>, Made<double>> eliminate_frames(const Given<double>& diagonal, const Given<double>& beside,
+                                                        const Given<double>& right) {
+  check_shape("diagonal", diagonal, {kAny, kAny, kAny});
+  const std::size_t N = diagonal.shape(0), M = diagonal.shape(1);
+  if (N == 0) throw std::invalid_argument("diagonal: expected at least one frame");
+  check_shape("diagonal", diagonal, {kAny, long(M), long(M)});
+  check_shape("beside", beside, {long(N) - 1, long(M), long(M)}), check_shape("right", right, {long(N), long(M), kAny});
+  Made<double> inverses = zeros<double>({N, M, M}), left = zeros<double>({N, M, right.shape(2)});
+  const nb::gil_scoped_release released;
+  std::copy_n(right.data(), right.size(), left.data());
+  eliminate_chain(diagonal.data(), beside.data(), inverses.data(), left.data(), N, M, right.shape(2));
+  check_solved(inverses);
+  return {inverses, left};
+}
+
+std::tuple<Made<double>, Made<double>> eliminate_unknowns(const Given<double>& information, const Given<double>& slope,
+                                                          const Given<double>& known) {
+  check_shape("slope", slope, {kAny, kAny}), check_shape("known", known, {kAny, kAny});
+  const std::size_t N = slope.shape(0), all = slope.shape(1), M = known.shape(0);
+  check_shape("known", known, {long(M), long(M)}), check_shape("information", information, {long(N), long(all), long(all)});
+  if (M > all) throw std::invalid_argument("known: expected at most as many unknowns as the terms have");
+  const std::size_t D = all - M;
+  Made<double> left = zeros<double>({N, D, D}), left_slope = zeros<double>({N, D});
+  const nb::gil_scoped_release released;
+  for (std::size_t n = 0; n < N; ++n) {
+    eliminate_last(information.data() + all * all * n, slope.data() + all * n, known.data(), D, M, left.data() + D * D * n,
+                   left_slope.data() + D * n);
+  }
+  check_solved(left);
+  return {left, left_slope};
 }
 
 }  // namespace
@@ -738,10 +904,31 @@ NB_MODULE(_kernel, module) {
   module.def("squares_to_other", &squares_to_other, "mask"_a, "pixels"_a, "most"_a,
              "Compute the squared distances (N,), px^2, of pixels, indices into the flattened mask (H, W), to the nearest "
              "one of the other kind, at most so many.");
+  module.def("signed_distances", &signed_distances, "mask"_a, "pixels"_a, "farthest"_a,
+             "Compute the signed distances (N,), px, of pixels (N, 2) to the outline of a mask (H, W), negative inside, at "
+             "most so many.");
+  module.def("exp_rotation", &exponentials, "vectors"_a, "Convert rotation vectors (..., 3), rad, to matrices (..., 3, 3).");
+  module.def("log_rotation", &logarithms, "rotations"_a, "Convert rotation matrices (..., 3, 3) to vectors (..., 3), rad.");
+  module.def("moved", &moved, "poses"_a, "changes"_a,
+             "Apply changes, the first six of (..., D), in the body's own axes, to poses (..., 4, 4).");
+  module.def("change_between", &changes_between, "poses"_a, "others"_a,
+             "Compute the changes (..., 6) by which poses (..., 4, 4) become others.");
+  module.def("eliminate_chain", &eliminate_frames, "diagonal"_a, "beside"_a, "right"_a,
+             "Eliminate N frames of a block-tridiagonal system one after the other: the inverses (N, M, M) of what is left "
+             "of the diagonal, and what is left of the right sides (N, M, K).");
+  module.def("eliminate_last", &eliminate_unknowns, "information"_a, "slope"_a, "known"_a,
+             "Eliminate the last M unknowns of N quadratic terms, of which (M, M) is known beforehand: information "
+             "(N, D, D) and slope (N, D) of the others.");
   module.def("fit_lines", &fit_lines, "points"_a, "normals"_a, "lines"_a, "sigma"_a, "near"_a, "facing"_a, "gap"_a,
              "least_sigma"_a, "reach"_a, "least_reach"_a, "normal_median"_a, "iterations"_a, "least"_a,
              "Fit lines (M, 3) to the contour points (N, 2) near them, robustly: each line (3,), the numbers of its points "
              "in their order along it, and their standard deviation, px.");
+  module.def("straight_stretches", &straight_stretches, "outline"_a, "corners"_a, "band"_a, "gap"_a, "shortest"_a, "side"_a,
+             "Find stretches of an outline (N, 2) beside sides, of a least length, of its hull with corners (K, 2): of each the "
+             "numbers of its points in their order, and their places along it, px.");
+  module.def("sobel_at", &sobel_at, "image"_a, "pixels"_a,
+             "Compute the derivatives (N, 2) of an image (H, W) along its rows and columns at some of its pixels (N, 2), by "
+             "Sobel's filter.");
   module.def("line_support", &line_support, "points"_a, "normals"_a, "lines"_a, "sigma"_a, "facing"_a,
              "Compute the support (M,) of lines (M, 3) by contour points (N, 2), normally distributed about them with sigma "
              "px, and the weighted means (M, 2), px, of their points.");

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "mesh.hpp"
@@ -127,6 +129,34 @@ inline FittedLine fit_line(const ContourPoints& contour, Line line, const LineFi
     points = on_line(contour, line, std::max(how.reach * sigma, how.least_reach), how);
   }
   return {line, std::move(points), sigma};
+}
+
+// A stretch of an outline that is straight: the numbers of its points in their order along it, and their places, px.
+struct Stretch {
+  std::vector<std::int64_t> points;
+  std::vector<double> along;
+};
+
+// Find the stretches within `band` px of the line through a side of the outline's convex hull, from `corner` in a `direction`
+// of unit length; at least `shortest` px long and without a larger gap than `gap` px. `outline` is (N, 2).
+inline void add_stretches(const double* outline, std::size_t count, const std::array<double, 2>& corner,
+                          const std::array<double, 2>& direction, double band, double gap, double shortest,
+                          std::vector<Stretch>& found) {
+  std::vector<std::pair<double, std::int64_t>> near;
+  for (std::size_t i = 0; i < count; ++i) {
+    const double u = outline[2 * i], v = outline[2 * i + 1];
+    const double away = (u - corner[0]) * direction[1] - (v - corner[1]) * direction[0];
+    if (std::abs(away) < band) near.emplace_back(u * direction[0] + v * direction[1], std::int64_t(i));
+  }
+  std::stable_sort(near.begin(), near.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  for (std::size_t begin = 0, end = 0; begin < near.size(); begin = end) {
+    for (end = begin + 1; end < near.size() && !(near[end].first - near[end - 1].first > gap);) ++end;
+    if (near[end - 1].first - near[begin].first < shortest) continue;
+    Stretch& one = found.emplace_back();
+    for (std::size_t i = begin; i < end; ++i) {
+      one.points.push_back(near[i].second), one.along.push_back(near[i].first - near[begin].first);
+    }
+  }
 }
 
 }  // namespace kernel

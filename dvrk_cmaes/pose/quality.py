@@ -23,6 +23,7 @@ from dvrk_cmaes.results.result import Quality
 from dvrk_cmaes.silhouette.ray_check import trace_near_outlines
 
 _BACK = 0.004  # m, from the root's origin to another point of its axis
+_AROUND = 2  # px around a mask and silhouettes, so that the window has background
 _FIELD = 160  # px, largest width and height of images of distances from a mask
 _FARTHEST = 15.0  # px, to which distances of the contour beyond the shaft are limited
 
@@ -165,8 +166,14 @@ def _far(mask: Bool, where: Bool, method: str) -> Float64:
 
 def _window(evidence: Evidence, masks: Bool) -> tuple[slice, slice]:
     """Return the rows and columns of the window around a mask and silhouettes (C, H, W)."""
-    left, top, width, height = window_around(np.logical_or(evidence.mask, masks.any(axis=0)), 2)
-    return np.s_[top : top + height, left : left + width]
+    whole = evidence.mask.shape
+    low, high = np.array(whole), np.zeros(2, dtype=np.intp)
+    for mask in (evidence.mask, *masks):
+        left, top, width, height = window_around(mask, 0)
+        if width:
+            low, high = np.minimum(low, [top, left]), np.maximum(high, [top + height, left + width])
+    low, high = np.maximum(low - _AROUND, 0), np.minimum(high + _AROUND, whole)
+    return np.s_[low[0] : high[0], low[1] : high[1]]
 
 
 def _overlaps(evidence: Evidence, masks: Bool) -> list[float]:
@@ -183,7 +190,7 @@ def _without_losses(view: FrameView, seen: Posed, masks: Bool) -> list[Quality]:
     window = _window(evidence, masks)
     top, left = window[0].start, window[1].start
     qualities = []
-    for i, (silhouette, iou) in enumerate(zip(masks[:, window[0], window[1]], _overlaps(evidence, masks), strict=True)):
+    for i, silhouette in enumerate(masks[:, window[0], window[1]]):
         # infinite for a silhouette outside the image: limited to the diagonal of the image
         diagonal = float(np.hypot(*evidence.mask.shape))
         signed = np.clip(_contour_distances(silhouette, evidence.contour.pixels - [left, top]), -diagonal, diagonal)
@@ -191,7 +198,7 @@ def _without_losses(view: FrameView, seen: Posed, masks: Bool) -> list[Quality]:
         shaft = shaft_width(renderer.body.instrument, evidence.camera, seen.pose[i])
         qualities.append(
             Quality(
-                iou=iou,
+                iou=evidence.overlap_with(masks[i], window),
                 loss=0.0,
                 terms={},
                 contour_px_median=median(distances),

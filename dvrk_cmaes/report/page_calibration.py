@@ -14,13 +14,8 @@ from urllib.parse import quote
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import outer_readings
-from dvrk_cmaes.calibration.session_camera import SessionCamera
-from dvrk_cmaes.calibration.session_masks import SessionMasks
-from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.geometry import Float64, change_between
-from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
 from dvrk_cmaes.report.page_layers import embedded_picture
 from dvrk_cmaes.report.page_session import KeyFigure, correction
@@ -61,10 +56,10 @@ class Prediction:
 class CalibrationView:
     """Contents of the page's section on a session's calibration.
 
-    figures : key figures. base, offsets : rows of tables. matrix : camera_from_base as text, m.
+    figures : key figures. words : what the frames tell of lag, cameras and masks. base, offsets : rows of tables.
+    matrix : camera_from_base as text, m.
     offset_panels, shafts : plots. predictions : the worst first. pictures : predictions whose pictures are shown.
     left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
-    lag : lag of the images that was taken out of the readings, as text; empty if there is none.
     cables : what the cables add to the offsets, in words. cables_plot : plots of the joints' errors, None if the
     session does not tell of its cables.
     lag_plot : plot of the frames' disagreement as a function of the lag, None if no lag was searched.
@@ -73,6 +68,7 @@ class CalibrationView:
 
     calibration: SessionCalibration
     figures: tuple[KeyFigure, ...]
+    words: tuple[str, ...]
     base: tuple[TableRow, ...]
     matrix: str
     offsets: tuple[TableRow, ...]
@@ -81,7 +77,6 @@ class CalibrationView:
     predictions: tuple[Prediction, ...]
     pictures: tuple[Prediction, ...]
     left_out: tuple[tuple[str, str, bool], ...]
-    lag: str
     cables: tuple[str, ...]
     cables_plot: Plot | None
     lag_plot: LagPlot | None
@@ -135,6 +130,7 @@ def calibration_view(
     return CalibrationView(
         calibration=calibration,
         figures=tuple(_figures(calibration, predictions)),
+        words=tuple(calibration.in_words()),
         base=tuple(_base(calibration)),
         matrix="\n".join("  ".join(f"{value:12.9f}" for value in row) for row in calibration.camera_from_base),
         offsets=tuple(_offsets(calibration)),
@@ -145,7 +141,6 @@ def calibration_view(
             folder, [prediction for prediction in predictions if prediction.picture][:MOST_PICTURES]
         ),
         left_out=tuple((name, reason, name in folder.frames) for name, reason in calibration.left_out.items()),
-        lag=_lag(calibration),
         cables=() if calibration.cables is None else tuple(calibration.cables.in_words()),
         cables_plot=cables_plot(results, calibration, used),
         lag_plot=lag_plot(calibration),
@@ -199,96 +194,6 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
         f"{np.degrees(std[3:6].max()):.2f}°",
         "about the base's least certain axis",
     )
-    if calibration.lag is not None:
-        yield _lag_figure(calibration.lag)
-    if calibration.camera is not None:
-        yield from _camera_figures(calibration.camera)
-    for rotation in calibration.rig:
-        yield _rotation_figure(rotation)
-        yield from _scale_figures(rotation)
-    if calibration.masks is not None:
-        yield from _mask_figures(calibration.masks)
-    if calibration.masks_again is not None:
-        yield _again_figure(calibration.masks_again)
-
-
-def _lag_figure(lag: Lag) -> KeyFigure:
-    """Return the lag and what was done about it."""
-    std = "" if lag.std_frames is None else f"standard deviation {lag.std_frames:.2f} frames; "
-    done = "taken out of the readings" if lag.applied else "zero within its error, not taken out"
-    return KeyFigure("Images later than readings", _frames_or_seconds(lag), f"{std}{done}")
-
-
-def _frames_or_seconds(lag: Lag) -> str:
-    return f"{lag.seconds:.3f} s" if lag.frames is None else f"{lag.frames:.2f} frames"
-
-
-def _camera_figures(camera: SessionCamera) -> Iterator[KeyFigure]:
-    """Yield the change of the camera that the frames fit."""
-    note = "applied" if camera.applied else "contradicts the camera file" if camera.contradicts else "not applied"
-    yield KeyFigure(
-        "Focal length, against its file",
-        f"{100 * (camera.focal_scale - 1):+z.1f} %",
-        f"standard deviation {100 * camera.std_focal_scale:.1f} %; {note}",
-    )
-    (right, down), std = camera.principal_point_px, max(camera.std_principal_point_px)
-    yield KeyFigure(
-        "Principal point, against its file",
-        f"{right:+z.0f}, {down:+z.0f} px",
-        f"right, down; standard deviation {std:.0f} px; {note}",
-    )
-
-
-def _rotation_figure(rotation: ViewRotation) -> KeyFigure:
-    """Return by how much a further view is turned against the rig's file, and what was done about it."""
-    done = "applied" if rotation.applied else "zero within its error, not applied"
-    std = ", ".join(f"{value:.2f}" for value in rotation.std_deg)
-    note = f"about the first camera's x (right), y (down), z (forward); standard deviations {std}°; {done}"
-    turned = ", ".join(f"{value:+z.2f}" for value in rotation.rotation_deg)
-    return KeyFigure(f"{rotation.view.capitalize()} eye turned, against its file", f"{turned}°", note)
-
-
-def _mask_figures(masks: SessionMasks) -> Iterator[KeyFigure]:
-    """Yield the margins by which all masks are too wide, what was done about them, and what lasts of other errors."""
-    margins = [("Masks", masks.margin_px, masks.std_margin_px, masks.applied)]
-    margins += [
-        (f"Masks of the {one.view} eye", one.margin_px, one.std_margin_px, one.applied) for one in masks.further_views
-    ]
-    for name, margin, std, applied in margins:
-        done = "taken off the masks" if applied else "zero within its error, not taken off"
-        note = f"all round, negative if too narrow; standard deviation {std:.2f} px; {done}"
-        yield KeyFigure(f"{name} too wide", f"{margin:+z.2f} px", note)
-    if masks.side_px is not None:
-        note = f"of its whole length, in one frame; standard deviation {masks.std_side_px:.2f} px"
-        yield KeyFigure("Errors of a side of the shaft", f"{masks.side_px:.2f} px", note)
-    if masks.lasting_seconds is not None:
-        note = f"in which their correlation falls to 37 %; standard deviation {masks.std_lasting_seconds:.2f} s"
-        yield KeyFigure("These errors last", f"{masks.lasting_seconds:.2f} s", note)
-
-
-def _scale_figures(view: ViewRotation) -> Iterator[KeyFigure]:
-    """Yield what is told of a further view's baseline and focal length, and what was done about it."""
-    names = {"baseline": view.baseline, "focal length beside the first eye's": view.focal_length}
-    for name, scale in names.items():
-        if scale is not None:
-            percent, std = scale.percent
-            done = "applied" if scale.applied else "not applied"
-            yield KeyFigure(
-                f"{view.view.capitalize()} eye's {name}, against its file",
-                f"{percent:+z.1f} %",
-                f"standard deviation {std:.1f} %; {done}",
-            )
-
-
-def _again_figure(again: MasksAgain) -> KeyFigure:
-    """Return what changed as masks were found again, and what the frames then predict of each other's first masks."""
-    note = (
-        f"frames, around the expected silhouettes; mean IoU {again.iou:.4f} with the first masks; base moved by "
-        f"{again.base_mm:.2f} mm, {again.base_deg:.2f}°; first masks predicted by the others: IoU "
-        f"{again.iou_before:.4f}, then {again.iou_after:.4f}, outline {again.contour_px_before:.2f}, then "
-        f"{again.contour_px_after:.2f} px; {'used' if again.applied else 'not used'}"
-    )
-    return KeyFigure("Masks changed when found again", f"{again.changed} of {again.frames}", note)
 
 
 def _base(calibration: SessionCalibration) -> Iterator[TableRow]:
@@ -357,9 +262,3 @@ def _corrections(
         found["insertion"][place] = float(constants.offsets[0] + change_of_root[2])
         found["roll"][place] = float(expected + change_of_root[5])
     return found
-
-
-def _lag(calibration: SessionCalibration) -> str:
-    """Describe the lag that was taken out of the readings; empty if there is none."""
-    lag = calibration.applied_lag
-    return "" if lag is None else lag.describe()

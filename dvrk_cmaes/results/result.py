@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
@@ -147,21 +147,7 @@ class Result:
         return f"Result({', '.join(said)})"
 
     @classmethod
-    def failed(
-        cls,
-        frame: str,
-        reason: str,
-        readings: Mapping[str, float],
-        *,
-        instrument: str,
-        root_link: str,
-        shaft_radius: float | None = None,
-        warnings: Sequence[str] = (),
-        remarks: Sequence[str] = (),
-        time: float | None = None,
-        seed: int = 0,
-        config: Mapping[str, Any] | None = None,
-    ) -> Result:
+    def failed(cls, frame: str, reason: str, readings: Mapping[str, float], **fields: Any) -> Result:
         """Return the result of a frame without a pose; ``reason`` states why, on one line.
 
         Parameters
@@ -172,40 +158,11 @@ class Result:
             Why there is no pose, on one line.
         readings
             Readings by joint, rad (insertion: m).
-        instrument
-            Name of the instrument.
-        root_link
-            Name of its root link.
-        shaft_radius
-            Radius of its shaft, m; None if it has no straight shaft.
-        warnings
-            Warnings on the frame.
-        remarks
-            Remarks on the camera's file.
-        time
-            Time of the image, s.
-        seed
-            Seed of the search.
-        config
-            Settings of the estimate.
+        fields
+            Other fields of the result: at least ``instrument`` and ``root_link``, the names of both.
         """
-        return cls(
-            frame=frame,
-            status="failed",
-            reasons=(reason,),
-            instrument=instrument,
-            root_link=root_link,
-            shaft_radius=shaft_radius,
-            camera_from_root=None,
-            joints={},
-            readings=dict(readings),
-            warnings=tuple(warnings),
-            remarks=tuple(remarks),
-            time=time,
-            seed=seed,
-            version=__version__,
-            config=dict(config or {}),
-        )
+        fields |= {"camera_from_root": None, "joints": {}, "version": __version__}
+        return cls(frame=frame, status="failed", reasons=(reason,), readings=dict(readings), **fields)
 
     @classmethod
     def from_dict(cls, document: object, *, where: str = "result") -> Result:

@@ -15,6 +15,7 @@ import numpy as np
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument.arm import Arm
@@ -138,7 +139,7 @@ def _loss(files: FrameFiles, arm: ArmInSession, config: EstimateConfig) -> float
     """Estimate a frame and return its loss; None without a pose."""
     try:
         data = read_frame(files, arm.session.rig)
-        result = estimate_frame(files, data, arm.body, arm=arm.kinematics, config=config)
+        result = estimate_frame(files, data, arm.body, FrameMethod(arm.kinematics, config))
     except DvrkCmaesError:
         return None
     return None if result.quality is None else result.quality.loss

@@ -11,21 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.frame_layers import frame_layers
 from dvrk_cmaes.draw.overlay import draw_failed
 from dvrk_cmaes.draw.view_overlays import draw_views
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import better_of, estimate_views
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.output import LONG, output
 from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.paths import check_output, write_frame
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
 
 if TYPE_CHECKING:
@@ -61,17 +59,7 @@ def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
 
 
 def run_frame(
-    files: FrameFiles,
-    frame: FrameData,
-    body: Body,
-    *,
-    arm: Arm,
-    config: EstimateConfig,
-    out: Path | None,
-    session: SessionCalibration | None = None,
-    settings: SegmentSettings | None = None,
-    hints: Hints | None = None,
-    command: str = "estimate",
+    files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod, out: Path | None, command: str = "estimate"
 ) -> FrameRun:
     """Estimate the pose in a frame that was read, and write its result and overlay to the folder ``out`` if given.
 
@@ -84,7 +72,7 @@ def run_frame(
     """
     if out is not None:
         check_output(out, files.name)
-    solved = solve_frame(files, frame, body, arm=arm, config=config, session=session, settings=settings, hints=hints)
+    solved = solve_frame(files, frame, body, method)
     if out is None:
         return FrameRun(solved.result, ())
     overlay = draw_views(solved.result, solved.data.views, body)
@@ -92,32 +80,19 @@ def run_frame(
         return FrameRun(solved.result, write_frame(out, solved.result, overlay, solved.found_masks))
 
 
-def solve_frame(
-    files: FrameFiles,
-    frame: FrameData,
-    body: Body,
-    *,
-    arm: Arm,
-    config: EstimateConfig,
-    session: SessionCalibration | None = None,
-    settings: SegmentSettings | None = None,
-    hints: Hints | None = None,
-) -> SolvedFrame:
+def solve_frame(files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod) -> SolvedFrame:
     """Estimate the pose in a frame that was read; in a frame without a mask, find the mask first.
 
-    ``settings`` and ``hints`` say how, as in `segment_and_estimate`. Errors as `estimate` and `segment_and_estimate`.
+    Errors as `estimate` and `segment_and_estimate`.
     """
     if any(view.given for view in frame.views):
-        result = estimate_frame(files, frame, body, arm=arm, config=config, session=session)
-        return SolvedFrame(as_calibrated(frame, session), result)
+        return SolvedFrame(as_calibrated(frame, method.session), estimate_frame(files, frame, body, method))
     from dvrk_cmaes.estimation.image_frame import segment_and_estimate
 
-    segmented = segment_and_estimate(
-        frame, files, body, arm=arm, session=session, config=config, settings=settings, hints=hints
-    )
+    segmented = segment_and_estimate(frame, files, body, method)
     alone = len(frame.views) == 1
     masks = {"" if alone else view.name: view.mask for view in segmented.data.views if view.given}
-    return SolvedFrame(as_calibrated(segmented.data, session), segmented.result, masks)
+    return SolvedFrame(as_calibrated(segmented.data, method.session), segmented.result, masks)
 
 
 def as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameData:
@@ -125,15 +100,7 @@ def as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameD
     return data if session is None else replace(data, views=session.corrected_views(data.views))
 
 
-def estimate_frame(
-    files: FrameFiles,
-    data: FrameData,
-    body: Body,
-    *,
-    arm: Arm,
-    config: EstimateConfig,
-    session: SessionCalibration | None = None,
-) -> Result:
+def estimate_frame(files: FrameFiles, data: FrameData, body: Body, method: FrameMethod) -> Result:
     """Estimate the pose in a frame with a mask that was read from its files; errors as `estimate`.
 
     Of a frame that starts from an earlier result, the better one of the two is returned, as by `better_of`.
@@ -143,12 +110,12 @@ def estimate_frame(
         files.readings,
         body,
         named=len(data.views) > 1,
-        arm=arm,
-        session=session,
+        arm=method.arm,
+        session=method.session,
         start=files.start,
         frame=files.name,
         time=files.time,
-        config=config,
+        config=method.config,
         warnings=data.notes,
     )
     return result if files.start is None else better_of(files.start, result)

@@ -8,6 +8,7 @@ from typing import Any
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evaluate.pose_check import PoseCheck, check_pose
 from dvrk_cmaes.evaluate.pose_error import Tolerance
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
@@ -32,17 +33,9 @@ def estimate_all(frames: Iterable[FrameFiles], arm: ArmInSession, config: Estima
     camera, model = arm.session.camera, arm.body.instrument
     for files in frames:
         try:
-            yield estimate_frame(files, read_frame(files, camera), arm.body, arm=arm.kinematics, config=config)
+            yield estimate_frame(files, read_frame(files, camera), arm.body, FrameMethod(arm.kinematics, config))
         except DvrkCmaesError as error:
-            yield Result.failed(
-                files.name,
-                str(error),
-                files.readings,
-                instrument=model.name,
-                root_link=model.root_link,
-                shaft_radius=model.shaft_radius,
-                time=files.time,
-            )
+            yield Result.failed(files.name, str(error), files.readings, **model.stated, time=files.time)
 
 
 def record(results: Iterable[Result], instrument: Instrument, *, allow_doubtful: bool = False) -> GoldenRecord:

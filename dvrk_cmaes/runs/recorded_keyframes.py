@@ -21,6 +21,7 @@ from dvrk_cmaes.calibration.together import solved_alone
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Float64, Posed
@@ -193,10 +194,10 @@ def alone_task(body: Body, config: EstimateConfig, task: AloneTask) -> Result:
     files, data = task.keyframe.files, task.keyframe.read()
     if task.start is not None:
         started = replace(files, start=_as_result(task.start, body, files.name))
-        result = estimate_frame(started, data, body, arm=task.arm, config=config)
+        result = estimate_frame(started, data, body, FrameMethod(task.arm, config))
         if result.quality is not None and result.quality.iou >= task.least_iou:
             return result
-    return estimate_frame(files, data, body, arm=task.arm, config=config)
+    return estimate_frame(files, data, body, FrameMethod(task.arm, config))
 
 
 def _as_result(at: Posed, body: Body, name: str) -> Result:
@@ -206,9 +207,7 @@ def _as_result(at: Posed, body: Body, name: str) -> Result:
         frame=name,
         status="doubtful",
         reasons=("expected",),
-        instrument=instrument.name,
-        root_link=instrument.root_link,
-        shaft_radius=instrument.shaft_radius,
+        **instrument.stated,
         camera_from_root=at.pose,
         joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
         readings={},

@@ -23,6 +23,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.view_overlays import draw_views
 from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -130,9 +131,7 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
         files.name,
         relative_text(setup.folder, reason),
         files.readings,
-        instrument=setup.instrument.name,
-        root_link=setup.instrument.root_link,
-        shaft_radius=setup.instrument.shaft_radius,
+        **setup.instrument.stated,
         warnings=files.notes,
         remarks=setup.rig.remarks,
         time=files.time,
@@ -146,16 +145,8 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
 def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, Mapping[str, bytes], bytes]:
     frame = read_any_frame(files, setup.rig)
     frame = replace(frame, notes=tuple(relative_text(setup.folder, note) for note in frame.notes))
-    solved = solve_frame(
-        files,
-        frame,
-        body,
-        arm=setup.arm,
-        config=setup.config,
-        session=setup.calibration,
-        settings=setup.segment,
-        hints=hints_of(files),
-    )
+    method = FrameMethod(setup.arm, setup.config, setup.calibration, setup.segment, hints_of(files))
+    solved = solve_frame(files, frame, body, method)
     drawing = draw_views(solved.result, solved.data.views, body)
     masks = {
         view: encoded_image(mask_path(Path(), files.name, view), mask) for view, mask in solved.found_masks.items()

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope_at
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
@@ -18,7 +19,7 @@ from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.window import covariance_of_masks, mean_of_tips_mm
+from dvrk_cmaes.track.window import mean_of_tips_mm
 
 _KNOWN: Final = 2.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
 _AGREES: Final = 4.0  # largest squared misfit per parameter
@@ -54,7 +55,7 @@ def confirmed_by(
     if float(apart @ np.linalg.solve(spread, apart)) > _AGREES * len(apart):
         return None
     camera = calibration.corrected(rig.views[0].camera)
-    covariance = result.covariance + covariance_of_masks(at, calibration.masks, camera, instrument)
+    covariance = result.covariance + covariance_of_masks(calibration.masks, changes_by_masks(at, camera, instrument))
     error = expected_error(instrument, at, covariance)
     reasons = doubts_of_tips(error, config.trust)
     return replace(

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.silhouette.threads import single_blas_thread
 
 SLOW_SHARE: Final = 0.8
 SLOW_SECONDS: Final = 0.5
@@ -50,7 +50,6 @@ class FrameDeviations:
     jacobian: Float64
 
     @classmethod
-    @single_blas_thread()
     def of(
         cls,
         times: Float64,
@@ -80,31 +79,27 @@ class FrameDeviations:
         slow_share, slow, fast
             Share of the variance that wanders slowly, and the times, s, over which both parts do.
         """
-        size = optimum.shape[1]
-        both = np.concatenate([np.eye(size), np.eye(size)], axis=1)  # the deviation is the sum of both parts
-        covariance = np.zeros((len(prior), 2 * size, 2 * size))
-        covariance[:, :size, :size] = slow_share * prior
-        covariance[:, size:, size:] = (1 - slow_share) * prior
-        scale = np.repeat([slow, fast], size)
-        steps = np.exp(-np.diff(times)[:, None] / scale)
-        diagonal = np.zeros_like(covariance)
-        beside = np.zeros((0, 2 * size, 2 * size))  # between a frame and the next one
-        diagonal[0] = np.linalg.inv(covariance[0])
-        if len(steps):
-            root = _carried(prior, steps, size)
-            noise = covariance[1:] - root @ covariance[:-1] @ root.swapaxes(1, 2)
-            precision = np.linalg.inv(noise + _JITTER * covariance[1:])
-            beside = -root.swapaxes(1, 2) @ precision
-            diagonal[:-1] -= beside @ root
-            diagonal[1:] += precision
-        diagonal += both.T @ information @ both
+        size, parts = optimum.shape[1], np.array([slow_share, 1 - slow_share])
+        left = np.exp(-np.diff(times)[:, None] / np.array([slow, fast]))  # of both parts, from a frame to the next one
+        noise = parts * (1 - left**2 + _JITTER)
+        # A covariance is carried to the next frame as its Cholesky factor, since it may be another one there.
+        inverse_root = np.linalg.inv(np.linalg.cholesky(prior))
+        turned = inverse_root.swapaxes(1, 2)
+        own, across = turned @ inverse_root, turned[:-1] @ inverse_root[1:]
+        factors = np.concatenate([1 / parts[None], 1 / noise])
+        factors[:-1] += left**2 / noise
+        diagonal = np.tile(information, (1, 2, 2))  # the deviation is the sum of both parts
+        beside = np.zeros((len(left), 2 * size, 2 * size))  # between a frame and the next one
+        for k, part in enumerate((slice(0, size), slice(size, None))):
+            diagonal[:, part, part] += factors[:, k, None, None] * own
+            beside[:, part, part] = -(left / noise)[:, k, None, None] * across
         right = np.concatenate([optimum[:, :, None], -information @ jacobian], axis=2)
-        return cls(diagonal, beside, both.T @ right, both, jacobian)
+        both = np.tile(np.eye(size), 2)
+        return cls(diagonal, beside, np.tile(right, (1, 2, 1)), both, jacobian)
 
-    @single_blas_thread()
     def smoothed(self, *, only_last: bool = False) -> Smoothed:
         """Find the most probable deviations of all frames, or of the last one only, N = 1, given all."""
-        pivots, sides = _eliminated(self.diagonal, self.beside, self.right)
+        pivots, sides = _kernel.eliminate_chain(self.diagonal, self.beside, self.right)
         if only_last:
             pivots, found = pivots[-1:], pivots[-1:] @ sides[-1:]
         else:
@@ -112,20 +107,6 @@ class FrameDeviations:
         found = self.both @ found
         jacobian = self.jacobian[-len(found) :]
         return Smoothed(found[:, :, 0], self.both @ pivots @ self.both.T, jacobian + found[:, :, 1:])
-
-
-def _carried(prior: Float64, steps: Float64, size: int) -> Float64:
-    """Return the matrices (N - 1, M, M) that carry both parts of the deviation to the next frame.
-
-    ``prior`` (N, D, D) are the frames' covariances, which change from frame to frame; ``steps`` (N - 1, M) are what is
-    left of each part. A share of a covariance is carried as the whole of it.
-    """
-    lower = np.linalg.cholesky(prior)
-    carried = lower[1:] @ np.linalg.inv(lower[:-1])
-    out = np.zeros((len(steps), 2 * size, 2 * size))
-    for part in (slice(0, size), slice(size, None)):
-        out[:, part, part] = steps[:, part, None] * carried
-    return out
 
 
 def _substituted(pivots: Float64, sides: Float64, beside: Float64) -> tuple[Float64, Float64]:
@@ -139,17 +120,3 @@ def _substituted(pivots: Float64, sides: Float64, beside: Float64) -> tuple[Floa
         solution[k] -= gain @ solution[k + 1]
         blocks[k] += gain @ blocks[k + 1] @ gain.T
     return solution, blocks
-
-
-def _eliminated(diagonal: Float64, beside: Float64, right: Float64) -> tuple[Float64, Float64]:
-    """Eliminate the frames of a system one after the other.
-
-    Returns the inverses (N, M, M) of what is left of the diagonal, and what is left of the right sides (N, M, C).
-    """
-    pivots, sides = np.empty_like(diagonal), right.copy()
-    pivots[0] = np.linalg.inv(diagonal[0])
-    for k in range(1, len(diagonal)):
-        gain = beside[k - 1].T @ pivots[k - 1]
-        pivots[k] = np.linalg.inv(diagonal[k] - gain @ beside[k - 1])
-        sides[k] = right[k] - gain @ sides[k - 1]
-    return pivots, sides

@@ -52,6 +52,7 @@ class KeyframeStore:
         self._kept: list[Keyframe] = []
         self._places = np.zeros((0, len(self._names) + 1))
         self._shapes: list[MaskShape] = []
+        self._measured: tuple[Bool, MaskShape] | None = None  # the last mask
         self._rows = ReadingRows(joint_names)
         self._added = 0
         self._last: float | None = None
@@ -79,7 +80,13 @@ class KeyframeStore:
     def shows_well(self, masks: Mapping[str, Bool]) -> bool:
         """Return whether an image's masks, by view, show enough of the instrument, by those that were offered."""
         mask = self._first_of(masks)
-        return mask is not None and bool(well_in_view([*self._shapes, MaskShape.of(mask)])[-1])
+        return mask is not None and bool(well_in_view([*self._shapes, self._shape_of(mask)])[-1])
+
+    def _shape_of(self, mask: Bool) -> MaskShape:
+        """Measure a mask, which may be the last one once more."""
+        if self._measured is None or self._measured[0] is not mask:
+            self._measured = mask, MaskShape.of(mask)
+        return self._measured[1]
 
     def _first_of(self, masks: Mapping[str, Bool]) -> Bool | None:
         """Return the mask (H, W) of the first view that has one."""
@@ -118,7 +125,7 @@ class KeyframeStore:
         mask = self._first_of(masks)
         if mask is None:
             return False
-        self._shapes = [*self._shapes[-_SHAPES:], MaskShape.of(mask)]
+        self._shapes = [*self._shapes[-_SHAPES:], self._shape_of(mask)]
         if not well_in_view(self._shapes)[-1] or not self.is_new(time, readings):
             return False
         place = self._place(time, readings)

@@ -48,12 +48,13 @@ class MaskShape:
     @classmethod
     def of(cls, mask: Bool) -> MaskShape:
         """Measure a mask (H, W)."""
-        area = int(mask.sum())
+        area = int(np.count_nonzero(mask))
         if not area:
             return cls(0.0, 1.0)
-        border = int(mask[0].sum() + mask[-1].sum() + mask[:, 0].sum() + mask[:, -1].sum())
-        inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
-        inside = area - int(inner.sum())
+        border = sum(int(np.count_nonzero(side)) for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
+        pixels = np.ascontiguousarray(mask).view(np.uint8)
+        inner = cv2.erode(pixels, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
+        inside = area - int(np.count_nonzero(inner))
         return cls(float(area), border / max(border + inside, 1))
 
 

@@ -67,6 +67,7 @@ class KnownBase:
         self._own = False  # whether the calibration is that of the keyframes
         self._agreeing: int | None = 0 if earlier else None  # images so far; None where none need to agree
         self._following: Following | None = None
+        self._lag: FoundLag | None = None  # of the calibration
         self._confirms: SessionCalibration | None = None  # that does not tell the lag: images are not followed by it
         self._began = 0.0  # s, the image from which the calibration has been followed by
         self._last: tuple[float, Posed] | None = None  # time, s, pose and joints of the last image that has some
@@ -81,7 +82,7 @@ class KnownBase:
     @property
     def lag(self) -> FoundLag | None:
         """The lag of the calibration; None if it does not tell one."""
-        return None if self.calibration is None else lag_of(self.calibration, self._config.track.lag_std)
+        return None if self._following is None else self._lag
 
     @property
     def known(self) -> BaseKnown:
@@ -188,7 +189,8 @@ class KnownBase:
 
     def _begin(self, calibration: SessionCalibration) -> None:
         """Follow by a calibration."""
-        _, std = lag_and_std(calibration, self._config.track.lag_std)
+        unknown = self._config.track.lag_std
+        self._lag, (_, std) = lag_of(calibration, unknown), lag_and_std(calibration, unknown)
         self._following = Following(
             self._rig, self._body, self._config, calibration, lag_std=std, uncertain=self._is_of_few
         )

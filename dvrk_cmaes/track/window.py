@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.mask_growth import covariance_of_growth
+from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
-from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -40,7 +39,6 @@ LIMITS = OF_FRAMES["followed"]
 """How far an image may be from what its calibration expects."""
 
 _LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
-_MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,33 +97,30 @@ def solve_window(
 
     The covariances include those of the calibration. With ``only_last``, the list has the last image alone.
     """
+    corrected = calibration.corrected(camera)
+    by_masks = [changes_by_masks(image.at, corrected, instrument) for image in images]
     smoothed = FrameDeviations.of(
         np.array([image.time for image in images]),
         np.array([image.prior for image in images]),
         np.array([image.told.information for image in images]),
         np.array([image.told.optimum for image in images]),
-        np.array([image.jacobian for image in images]),
+        # an error of the masks moves what an image tells, which is as if its prediction had moved the other way
+        np.concatenate([np.array([image.jacobian for image in images]), -np.array(by_masks)], axis=2),
     ).smoothed(only_last=only_last)
-    calibrated, camera = calibration_covariance(calibration), calibration.corrected(camera)
-    found = []
-    for image, deviation, own, response in zip(
-        images[-len(smoothed.deviations) :], smoothed.deviations, smoothed.covariance, smoothed.response, strict=True
+    calibrated, found = calibration_covariance(calibration), []
+    for image, moves, deviation, own, response in zip(
+        images[-len(smoothed.deviations) :],
+        by_masks[-len(smoothed.deviations) :],
+        smoothed.deviations,
+        smoothed.covariance,
+        smoothed.response,
+        strict=True,
     ):
-        at = image.at.moved(deviation)
-        covariance = own + response @ calibrated @ response.T
-        covariance += covariance_of_masks(at, calibration.masks, camera, instrument)
-        found.append((at, covariance + covariance_of_camera(calibration.camera, at, camera)))
+        at, (by_calibration, beside) = image.at.moved(deviation), np.split(response, [len(calibrated)], axis=1)
+        covariance = own + by_calibration @ calibrated @ by_calibration.T
+        covariance += covariance_of_masks(calibration.masks, moves + beside, by_calibration)
+        found.append((at, covariance + covariance_of_camera(calibration.camera, at, corrected)))
     return found
-
-
-def covariance_of_masks(at: Posed, masks: SessionMasks | None, camera: Camera, instrument: Instrument) -> Float64:
-    """Return the covariance (D, D) of a pose by errors that all masks share, all round and on some sides."""
-    margin = _MARGIN_PX**2
-    if masks is not None:  # what was found but is not clear counts as one more standard deviation, at most
-        left = min(abs(masks.margin_px - masks.taken_off), masks.std_margin_px)
-        margin += masks.std_margin_px**2 + left**2
-    rms_px = () if masks is None else masks.rms_growth_px
-    return covariance_of_growth(rms_px, at, camera, instrument, margin_square=margin)
 
 
 def mean_of_tips_mm(instrument: Instrument, error: ExpectedError) -> float | None:

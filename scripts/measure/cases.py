@@ -22,6 +22,7 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.geometry import Posed
@@ -260,7 +261,7 @@ def _cases(recording: Recording, frames: int | None, *, truth: bool, every_view:
 
 def _estimate(frame: str, data: FrameData, readings: Mapping[str, float], body: Body, config: EstimateConfig) -> Result:
     """Estimate a frame in memory."""
-    return estimate_frame(FrameFiles(frame, None, readings=readings), data, body, arm="classic", config=config)
+    return estimate_frame(FrameFiles(frame, None, readings=readings), data, body, FrameMethod("classic", config))
 
 
 def _run(

@@ -63,7 +63,9 @@ def solved(world: Steered40, endoscope: Endoscope, index: np.ndarray | None = No
     model = replace(world.model, endoscope=endoscope)
     some = np.arange(FRAMES) if index is None else index
     consensus = find_consensus(model.subset(some), [world.modes[i] for i in some], EXPECTED_OFFSETS)
-    prior = np.diag([*np.diag(PRIOR), *endoscope.start.std**-2.0])
+    of_endoscope = endoscope.start.information
+    prior = np.pad(PRIOR, (0, len(of_endoscope)))
+    prior[len(PRIOR) :, len(PRIOR) :] = of_endoscope
     solution, _ = solve_with_modes(model, world.modes, consensus.calibration, prior)
     return model, solution
 
@@ -121,6 +123,35 @@ def test_camera_in_the_tip_is_found_within_its_deviation(
     assert np.median(np.linalg.norm(apart[stands, :3], axis=1)) < 1e-3
 
 
+def test_errors_at_all_places_have_that_of_the_reference_in_them() -> None:
+    values = EndoscopeValues.read(np.eye(4), np.eye(4), np.zeros(4), np.zeros((3, 4)))
+    covariance = np.linalg.inv(values.information)
+    np.testing.assert_allclose(np.diag(covariance), values.std**2)
+    of_yaw = covariance[10::4, 10::4] / np.deg2rad(0.3) ** 2
+    np.testing.assert_allclose(of_yaw, np.eye(3) + 1)
+
+
+def test_error_of_a_moving_endoscope_is_between_those_at_its_places() -> None:
+    stands = np.array([[0.1, 0.05, 0.12, 0.2], [0.3, -0.05, 0.13, 0.1], [0.2, 0.1, 0.1, 0.4]])
+    steered = Steered.of(np.concatenate([np.repeat(stands, 4, axis=0), stands[[0]] + 0.25 * (stands[1] - stands[0])]))
+    assert steered is not None
+    np.testing.assert_allclose(steered.shares[:12], np.repeat(np.eye(3), 4, axis=0))
+    np.testing.assert_allclose(steered.shares[12], [0.75, 0.25, 0.0], atol=1e-9)
+
+
+def test_deviations_of_the_tip_have_errors_of_camera_and_masks_in_them(found: tuple[SessionModel, Solution]) -> None:
+    model, solution = found
+    covariance = np.linalg.inv(solution.information)
+    times = [0.1 * k for k in range(FRAMES)]
+    given = model, solution.calibration, covariance, NAMES_OF_FRAMES, times
+    alone, whole = SessionEndoscope.of(*given), SessionEndoscope.of(*given, 3.0 * covariance)
+    assert alone is not None
+    assert whole is not None
+    np.testing.assert_allclose(whole.std_tip_from_camera, 2 * np.array(alone.std_tip_from_camera))
+    np.testing.assert_allclose(whole.std_ecm_from_base, 2 * np.array(alone.std_ecm_from_base))
+    np.testing.assert_allclose(whole.covariance, alone.covariance)
+
+
 def test_readings_of_an_endoscope_that_stands_change_nothing() -> None:
     rng = np.random.default_rng(3)
     read = np.array([0.1, 0.2, 0.1, 0.3]) + 1e-5 * rng.standard_normal((30, 4))
@@ -154,22 +185,28 @@ def test_a_session_without_readings_is_cut_where_the_camera_moved(seed: int) -> 
     assert np.linalg.norm(apart[:, :3], axis=1).max() < 4e-3
 
 
-def test_every_piece_has_frames_where_neighbours_err_alike() -> None:
-    """The modes of a hundred frames err as masks do: those near each other by nearly as much."""
+def test_frames_that_err_alike_count_as_one_where_a_session_is_cut() -> None:
+    """The modes of a hundred frames err as masks do: those near each other by nearly as much.
+
+    Taken as independent they make more pieces than there are, each with some frames; ten of them as one do not.
+    """
     world, rng = steered_world(1, frames=100), np.random.default_rng(1)
     error, modes = np.zeros(9), []
     for of_frame in world.modes:
         error = 0.9 * error + np.sqrt(1 - 0.9**2) * rng.standard_normal(9)
         modes.append([replace(mode, at=mode.at.moved(2 * SEEN * error)) for mode in of_frame])
-    found = find_pieces(
-        world.model, modes, EXPECTED_OFFSETS, PRIOR, find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    )
-    assert found is not None
-    pieces, _ = found
-    counts = np.bincount(pieces.piece, minlength=len(pieces.start.poses) + 1)
-    assert len(counts) == len(pieces.start.poses) + 1
-    assert counts.min() > 0
-    assert counts[0] == counts.max()
+    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    numbers = []
+    for alike in (1.0, 10.0):
+        found = find_pieces(world.model, modes, EXPECTED_OFFSETS, PRIOR, consensus, alike=alike)
+        assert found is not None
+        pieces, _ = found
+        counts = np.bincount(pieces.piece, minlength=len(pieces.start.poses) + 1)
+        assert len(counts) == len(pieces.start.poses) + 1
+        assert counts.min() > 0
+        assert counts[0] == counts.max()
+        numbers.append(len(counts))
+    assert numbers[0] > numbers[1] == 4
 
 
 def test_a_session_whose_camera_stands_still_is_not_cut() -> None:

@@ -13,11 +13,14 @@ from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.constants import OutlineOfView
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.mask_growth import MaskGrowth, covariance_of_growth
+from dvrk_cmaes.calibration.mask_growth import MaskGrowth, changes_by_masks, covariance_of_masks
+from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.pose.terms.shared_errors import image_axis
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.silhouette import Body
 
@@ -82,13 +85,57 @@ def test_shadows_widen_what_is_known_and_exact_masks_do_not(
     assert calibrations[3][1] < 3
 
 
-def test_pose_is_less_known_with_more_shadow(bundled_body: Body) -> None:
+def test_errors_of_masks_move_a_pose_as_they_move_the_outline(bundled_body: Body) -> None:
+    """The shaft seems wider by two margins and nearer; an error of one side moves that side alone."""
     _, truths, _ = make_frames_in_memory(bundled_body, 3, level="clean", seed=11)
     at, instrument = Posed(truths[0].camera_from_root, truths[0].values), bundled_body.instrument
-    none, some, twice = (covariance_of_growth(px, at, SMALL, instrument) for px in ((), [0.5] * 6, [1.0] * 6))
-    assert not none.any()
-    np.testing.assert_allclose(twice, 4 * some)
-    assert np.linalg.matrix_rank(some) == 2  # nearer or farther, and aside
-    margin = covariance_of_growth((), at, SMALL, instrument, margin_square=100.0)
-    both = covariance_of_growth([0.5] * 6, at, SMALL, instrument, margin_square=100.0)
-    assert np.trace(margin) < np.trace(both) < np.trace(margin) + np.trace(some)
+    moves = changes_by_masks(at, SMALL, instrument)
+    axis = image_axis(instrument, SMALL, at)
+    across = np.array([-axis[1], axis[0]])
+
+    def sides(change: np.ndarray) -> np.ndarray:
+        """Give the places of both sides of the shaft across it, px, at the instrument's end."""
+        seen = at.moved(change)
+        end = apply(seen.pose, instrument.ends(seen.joints)).mean(axis=0)
+        half = SMALL.fx * instrument.shaft.radius / np.linalg.norm(end) if instrument.shaft is not None else 0.0
+        return float(SMALL.project(end[None])[0] @ across) + half * np.array([1.0, -1.0])
+
+    for changed, expected in ((0, [1.0, -1.0]), (1, [1.0, 0.0]), (2, [0.0, -1.0])):
+        found = (sides(0.1 * moves[:, changed]) - sides(0.0 * moves[:, 0])) / 0.1
+        np.testing.assert_allclose(found, expected, atol=0.15)
+    both = moves[:, 3 : 3 + 4] @ np.array([1.0, 1.0, 1.0, 1.0])  # what faces any direction is all that a margin is
+    np.testing.assert_allclose(both, moves[:, 0] * np.abs(across).sum(), atol=1e-12)
+
+
+def test_what_arm_and_base_hold_does_not_follow_the_masks() -> None:
+    masks = SessionMasks(
+        0.0,
+        0.1,
+        applied=False,
+        growth_px=(0.5,) * 6,
+        error_squares=tuple(map(tuple, np.diag([0.0] + [0.25] * 6).tolist())),
+        by_errors=tuple(map(tuple, (-np.eye(11, 7)).tolist())),
+    )
+    own, by_calibration = np.eye(9, 7), np.eye(9, 11)
+    follows = covariance_of_masks(masks, own)
+    assert np.trace(follows) > 1.5
+    assert np.trace(covariance_of_masks(masks, own, by_calibration)) < 1e-12  # the base has moved against it
+    assert np.trace(covariance_of_masks(masks, own, -by_calibration)) == pytest.approx(4 * np.trace(follows))
+    alone = covariance_of_masks(SessionMasks(0.3, 0.4, applied=False), own)
+    assert 0.4**2 < alone[0, 0] < 0.6**2
+    assert not alone[1:].any()
+    assert 0 < covariance_of_masks(None, own)[0, 0] < 0.1**2
+
+
+@pytest.mark.parametrize("change", [{"by_errors": [[1.0]]}, {"error_squares": [[1.0] * 7] * 6}, {"by_errors": []}])
+def test_matrices_of_another_shape_are_refused(
+    calibrations: dict[int, tuple[SessionCalibration, float]], change: dict[str, object]
+) -> None:
+    document = calibrations[3][0].to_dict()
+    read = SessionCalibration.from_dict(document).masks
+    assert read is not None
+    assert read.to_dict() == document["masks"]
+    document["masks"] |= change
+    (name,) = change
+    with pytest.raises(InputError, match=f"masks.{name}: expected"):
+        SessionCalibration.from_dict(document)

@@ -7,6 +7,7 @@ import fcntl
 import json
 import multiprocessing
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -168,6 +169,34 @@ def test_commands_that_write_at_once_are_all_listed(tmp_path: Path) -> None:
         ".written.json",
     }
     assert not list((tmp_path / "out").glob(".lock*"))
+
+
+def _checked(path: Path) -> int:
+    """Check folders until a file ``done`` is there; return how often."""
+    checks = 0
+    while not (path / "done").exists():
+        for number in range(5):
+            check_output_folder(path / f"{number}", "estimate", names=["frames/a.json"], owns=False)
+        checks += 1
+    return checks
+
+
+def test_check_of_a_folder_that_another_command_writes_to_never_fails(tmp_path: Path) -> None:
+    with multiprocessing.get_context("fork").Pool(1) as others:
+        checked = others.map_async(_checked, [tmp_path])
+        for number in range(40):
+            out = tmp_path / f"{number // 8}"
+            with output(out, "estimate", owns=False, wait=LONG):
+                write_text(out / "frames/a.json", f"{number}")
+        (tmp_path / "done").touch()
+        assert all(checked.get())
+
+
+def test_folder_whose_first_list_was_not_written_is_that_of_any_command(tmp_path: Path) -> None:
+    with output(tmp_path / "out", "estimate", owns=False, wait=LONG) as own:
+        write_text(tmp_path / "out" / "a.json", "x")
+        shutil.copytree(own.path, tmp_path / "killed")  # as a process leaves it that is killed here
+    check_output_folder(tmp_path / "killed", "estimate", names=["a.json"], owns=False)
 
 
 @pytest.fixture

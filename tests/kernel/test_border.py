@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -69,6 +70,11 @@ def minimum(**changed: Any) -> np.ndarray:
     given = {"compared": [comparison()], "factors": [1.0], "density": [1.0] * 9, "cauchy": 1.0, "weight": np.ones(1)}
     given |= {"information": np.eye(9)[None], "slope": np.zeros((1, 9)), "damping": None, "iterations": 2}
     return _kernel.minimise(**(given | {"solved": 0.0, "least": (0.0, 0.0), "farthest": 3.0} | changed))
+
+
+def frames(count: int = 2, **changed: Any) -> Any:
+    given = {"diagonal": np.tile(np.eye(3), (count, 1, 1)), "beside": np.zeros((max(count - 1, 0), 3, 3))}
+    return _kernel.eliminate_chain(**(given | {"right": np.zeros((count, 3, 1))} | changed))
 
 
 def straight(**changed: Any) -> list[tuple[np.ndarray, np.ndarray, float]]:
@@ -211,6 +217,68 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: _kernel.squares_to_other(IMAGE[0] > 0, np.array([0]), 100),
         r"mask: expected an array \(N, N\), got \(8\)",
     ),
+    "distances in a mask of one row": (
+        lambda: _kernel.signed_distances(IMAGE[0] > 0, PIXELS, 10.0),
+        r"mask: expected an array \(N, N\), got \(8\)",
+    ),
+    "distances in no mask": (
+        lambda: _kernel.signed_distances(np.zeros((0, 5), np.bool_), PIXELS, 10.0),
+        "mask: expected at least one pixel",
+    ),
+    "distances of pixels that are not finite": (
+        lambda: _kernel.signed_distances(IMAGE > 0, PIXELS + np.nan, 10.0),
+        "pixels: expected finite numbers",
+    ),
+    "distances up to none": (
+        lambda: _kernel.signed_distances(IMAGE > 0, PIXELS, np.nan),
+        "farthest: expected 1 to 1000000 px",
+    ),
+    "a rotation vector of two numbers": (
+        lambda: _kernel.exp_rotation(np.zeros(2)),
+        "vectors: expected an array of other",
+    ),
+    "a rotation of two rows": (lambda: _kernel.log_rotation(np.eye(3)[:2]), "rotations: expected an array of other"),
+    "a pose of three rows": (lambda: _kernel.moved(np.eye(4)[:3], np.zeros(6)), "poses: expected an array of other"),
+    "a change of five numbers": (lambda: _kernel.moved(np.eye(4), np.zeros(5)), "changes: expected an array of other"),
+    "a change of nothing": (lambda: _kernel.moved(np.eye(4), np.array(0.0)), "changes: expected an array of other"),
+    "two poses and three changes": (
+        lambda: _kernel.moved(np.zeros((2, 4, 4)), np.zeros((3, 6))),
+        "poses: expected as many of both, or a single one",
+    ),
+    "two poses and three others": (
+        lambda: _kernel.change_between(np.zeros((2, 4, 4)), np.zeros((3, 4, 4))),
+        "poses: expected as many of both, or a single one",
+    ),
+    "a chain of no frames": (lambda: frames(count=0), "diagonal: expected at least one frame"),
+    "a chain with a link too many": (
+        lambda: frames(beside=np.zeros((2, 3, 3))),
+        r"beside: expected an array \(1, 3, 3\)",
+    ),
+    "a chain of other unknowns": (lambda: frames(right=np.zeros((2, 4, 1))), r"right: expected an array \(2, 3, N\)"),
+    "a chain of nothing": (
+        lambda: frames(diagonal=np.zeros((2, 3, 3))),
+        "equations: expected finite ones with a solution",
+    ),
+    "more known than there are unknowns": (
+        lambda: _kernel.eliminate_last(np.zeros((1, 2, 2)), np.zeros((1, 2)), np.eye(3)),
+        "known: expected at most as many unknowns as the terms have",
+    ),
+    "unknowns of which nothing is known": (
+        lambda: _kernel.eliminate_last(np.zeros((1, 2, 2)), np.zeros((1, 2)), np.zeros((1, 1))),
+        "equations: expected finite ones with a solution",
+    ),
+    "stretches of points that are not finite": (
+        lambda: _kernel.straight_stretches(PIXELS + np.nan, PIXELS, 1.0, 1.0, 1.0, 1.0),
+        "outline and corners: expected finite numbers",
+    ),
+    "corners of three numbers": (
+        lambda: _kernel.straight_stretches(PIXELS, np.zeros((2, 3)), 1.0, 1.0, 1.0, 1.0),
+        r"corners: expected an array \(N, 2\)",
+    ),
+    "derivatives beside the image": (
+        lambda: _kernel.sobel_at(IMAGE, np.array([[8, 0]])),
+        "pixels: expected some of the image's",
+    ),
     "normals of other points": (
         lambda: straight(normals=np.zeros((1, 2))),
         r"normals: expected an array \(40, 2\), got \(1, 2\)",
@@ -341,3 +409,30 @@ def test_squares_to_the_other_kind_are_those_of_all_pairs(share: float) -> None:
 
 def test_there_is_none_of_the_other_kind_in_a_full_mask() -> None:
     assert _kernel.squares_to_other(np.ones((4, 5), np.bool_), np.array([7]), 900)[0] == 900
+
+
+def test_derivatives_at_pixels_are_those_of_the_filtered_image() -> None:
+    image = np.random.default_rng(3).uniform(size=(7, 9)).astype(np.float32)
+    pixels = np.array([[0, 0], [8, 6], [4, 3], [8, 2]])
+    expected = [cv2.Sobel(image, cv2.CV_64F, *axis, borderType=cv2.BORDER_REPLICATE) / 8 for axis in ((1, 0), (0, 1))]
+    found = _kernel.sobel_at(image, pixels)
+    np.testing.assert_allclose(
+        found, np.stack([part[pixels[:, 1], pixels[:, 0]] for part in expected], axis=1), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_a_chain_of_frames_is_eliminated_as_its_dense_system(count: int) -> None:
+    rng = np.random.default_rng(count)
+    parts = rng.standard_normal((2 * count - 1, 3, 3))
+    diagonal, beside = parts[:count] @ parts[:count].swapaxes(1, 2) + 9 * np.eye(3), parts[count:]
+    dense, right = np.zeros((3 * count, 3 * count)), rng.standard_normal((count, 3, 2))
+    for k in range(count):
+        dense[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = diagonal[k]
+    for k in range(count - 1):
+        dense[3 * k : 3 * k + 3, 3 * k + 3 : 3 * k + 6] = beside[k]
+        dense[3 * k + 3 : 3 * k + 6, 3 * k : 3 * k + 3] = beside[k].T
+    inverses, left = _kernel.eliminate_chain(diagonal, beside, right)
+    np.testing.assert_allclose(inverses[-1], np.linalg.inv(dense)[-3:, -3:], atol=1e-12)
+    np.testing.assert_allclose(inverses[-1] @ left[-1], np.linalg.solve(dense, right.reshape(-1, 2))[-3:], atol=1e-12)
+    np.testing.assert_array_equal(frames(right=right[:1].repeat(2, axis=0))[1], right[:1].repeat(2, axis=0))

@@ -53,6 +53,19 @@ def test_joints_that_are_off_together_are_doubted_although_none_is_far_alone(bun
     assert reason == "far from the readings: all joints together are farther off than readings are"
 
 
+@pytest.mark.parametrize(("exchanged", "remarks"), [(True, 1), (False, 0)])
+def test_exchanged_readings_of_the_wrist_have_a_remark(bundled_body: Body, exchanged: bool, remarks: int) -> None:
+    read = TRUE.joints[[1, 0, 2]] if exchanged else TRUE.joints + 0.1
+    fits = [Fit(TRUE, 0.0, 0.0, np.eye(9), None, TRUE)]
+    check = ViewCheck("left", GOOD, np.zeros(3), np.zeros((3, 3)))
+    view = view_at(bundled_body, CAMERA, TRUE)
+    found = judge(fits, [view], [check], EXPECTED, 0.99, readings_of(bundled_body, read), TrustConfig())[1]
+    assert len(found) == remarks
+    assert all(
+        "wrist_pitch and wrist_yaw may be exchanged: found 23 and -17 deg, read -17 and 23" in one for one in found
+    )
+
+
 def doubts_followed(body: Body, camera: Camera, quality: Quality, *, followed: bool) -> list[str]:
     """Give the reasons to doubt the true pose of that quality, with or without the support of neighbouring images."""
     views = [view_at(body, camera, TRUE)]

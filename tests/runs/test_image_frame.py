@@ -12,6 +12,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.estimation import image_frame
 from dvrk_cmaes.estimation.image_frame import SegmentedFrame, segment_and_estimate
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_mask
@@ -23,6 +24,8 @@ from dvrk_cmaes.runs.frame import estimate_frame, read_any_frame, run_frame
 from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.silhouette import Body
 
+METHOD = FrameMethod("classic", EstimateConfig())
+
 Found = tuple[SegmentedFrame, Result]
 
 
@@ -33,12 +36,12 @@ def session() -> Session:
 
 def solve_image(session: Session, files: FrameFiles, body: Body) -> SegmentedFrame:
     files = replace(files, mask=None)
-    return segment_and_estimate(read_any_frame(files, session.rig), files, body)
+    return segment_and_estimate(read_any_frame(files, session.rig), files, body, METHOD)
 
 
 def both_ways(session: Session, files: FrameFiles, body: Body) -> Found:
     """Return the frame solved from its image alone, and its result from the given mask."""
-    given = estimate_frame(files, read_frame(files, session.camera), body, arm="classic", config=EstimateConfig())
+    given = estimate_frame(files, read_frame(files, session.camera), body, METHOD)
     return solve_image(session, files, body), given
 
 
@@ -85,14 +88,14 @@ def test_repeated_estimate_is_identical(session: Session, bundled_body: Body, fo
 
 def test_result_equals_estimate_from_found_mask(session: Session, bundled_body: Body, found: Found) -> None:
     files, frame = session.frames[0], found[0]
-    alone = estimate_frame(files, frame.data, bundled_body, arm="classic", config=EstimateConfig())
+    alone = estimate_frame(files, frame.data, bundled_body, METHOD)
     assert without_seconds(alone) == without_seconds(frame.result)
 
 
 def test_found_mask_is_written(session: Session, bundled_body: Body, found: Found, tmp_path: Path) -> None:
     files = replace(session.frames[0], mask=None)
     frame = read_frame_image(files, session.camera)
-    run = run_frame(files, frame, bundled_body, arm="classic", config=EstimateConfig(), out=tmp_path)
+    run = run_frame(files, frame, bundled_body, METHOD, tmp_path)
     assert [str(path.relative_to(tmp_path)) for path in run.written] == [
         "frames/0000.json",
         "overlays/0000.jpg",

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.refine.elimination import eliminate
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
 
@@ -142,14 +142,7 @@ def without_last(terms: Quadratic, information: Float64) -> Quadratic:
 
     From terms of D + M unknowns, (N, D + M), to those of the first D, (N, D).
     """
-    count = len(information)
-    own = terms.dimension - count
-    order = np.r_[own : own + count, :own]
-    reordered = Quadratic(terms.information[:, order][:, :, order], terms.slope[:, order])
-    frames = len(terms.slope)
-    known = np.broadcast_to(information, (frames, count, count))
-    left = eliminate(reordered, np.zeros((frames, count)), known, np.zeros(own)).left
-    return Quadratic(left.information[:, count:, count:], left.slope[:, count:])
+    return Quadratic(*_kernel.eliminate_last(terms.information, terms.slope, information))
 
 
 def _between_nodes(outline: OutlinePoints, instrument: Instrument, of_side: Bool) -> Float64:

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, less_margin, sampled
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, less_margin
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
 
-Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 REACH = 4
@@ -30,6 +29,7 @@ ANY_NOISE = OutlineNoise(1.0, 19.0)
 REMEMBERED = 64  # drawings that a view keeps
 _FARTHEST_SIDE = 8.0  # px, of the mask from a side of the shaft
 _FARTHEST = 4.0  # standard deviations of the blur to which its filter reaches
+_BESIDE_MARGIN = 3  # px beside a margin, on which what is left of a mask does not depend
 _BLURRED_IN = 2.0  # standard deviations of the blur, over which the mask's value at ignored pixels reaches others
 
 
@@ -55,32 +55,35 @@ class SizedView:
     ) -> None:
         evidence, camera = view.evidence, view.evidence.camera
         size = (camera.width, camera.height)
-        mask, weight = evidence.share, evidence.weight
-        if margin:
-            mask = less_margin(evidence.mask, margin)
+        around, first, above = 48 // shrink + 8, 0, 0
         if shrink > 1:
             size = max(camera.width // shrink, 8), max(camera.height // shrink, 8)
-            mask, weight = shrunk(mask, *size), evidence.weight_at(*size)
-        left, top, width, height = window_around(mask > 0, 48 // shrink + 8)
-        window = np.s_[top : top + height, left : left + width]
+            mask = shrunk(less_margin(evidence.mask, margin) if margin else evidence.share, *size)
+        else:
+            first, above, width, height = window_around(evidence.mask, around + int(abs(margin)) + _BESIDE_MARGIN)
+            part = evidence.mask[above : above + height, first : first + width]
+            mask = less_margin(part, margin) if margin else part.astype(np.float32)
+        left, top, width, height = window_around(mask > 0, around)
+        mask = np.ascontiguousarray(mask[top : top + height, left : left + width])
+        left, top = first + left, above + top
         self._view, self._size, self._window = view, size, (left, top, width, height)
         used = view.renderer if renderer is None else renderer
         self.camera = self._in_window(camera)
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
-        beside = int(np.ceil(_BLURRED_IN * blur))
-        above, before = min(top, beside), min(left, beside)
-        weight = weight[top - above : top + height + beside, left - before : left + width + beside]
+        self.weight = np.ones((height, width), dtype=np.float32)
         if evidence.ignores:
+            weight = evidence.weight if shrink == 1 else evidence.weight_at(*size)
+            beside = int(np.ceil(_BLURRED_IN * blur))
+            above, before = min(top, beside), min(left, beside)
+            weight = weight[top - above : top + height + beside, left - before : left + width + beside]
             weight = np.asarray(cv2.erode(weight, np.ones((2 * beside + 1, 2 * beside + 1))), dtype=np.float32)
-        self.weight = np.ascontiguousarray(weight[above : above + height, before : before + width])
-        mask = np.ascontiguousarray(mask[window])
+            self.weight = np.ascontiguousarray(weight[above : above + height, before : before + width])
         self.mask = mask > 0.5
         self.target = _kernel.Target(mask, self.weight, blur_filter(blur), REACH)
         self.shrink = shrink
         self.length = max(len(evidence.contour.pixels) / shrink, 20.0)
         self.view_from_camera = view.view_from_camera
         self._remembered: dict[tuple[object, ...], _kernel.Comparison] = {}
-        self._distance: Float32 | None = None
 
     def placed(self, view_from_camera: Float64) -> SizedView:
         """Return the same view at another place of the rig."""
@@ -148,13 +151,8 @@ class SizedView:
         return [moving.jacobian for moving in of_poses]
 
     def offsets(self, outline: OutlinePoints) -> Float64:
-        """Return by how much the mask lies outwards of an outline at its N points, px, to some hundredths."""
-        if self._distance is None:
-            inside, outside = (
-                cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, 5) for part in (self.mask, ~self.mask)
-            )
-            self._distance = np.where(self.mask, inside - 0.5, 0.5 - outside).astype(np.float32)
-        return sampled(self._distance, np.asarray(outline.pixels, dtype=np.float64))
+        """Return by how much the mask lies outwards of an outline at its N points, px."""
+        return -distances_to(self.mask, outline.pixels)
 
     def side_offsets(self, at: Posed) -> Float64:
         """Return by how much the mask lies outwards of both sides of the shaft of a pose, (2,), px; 0 where unseen."""

@@ -10,6 +10,7 @@ from typing import Any
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.results.folder import read_results
@@ -55,6 +56,6 @@ def _session_frames(session: Session, body: Body, known: dict[str, Result], fram
         data = read_frame(files, session.camera)
         result = known.get(files.name)
         if result is None:
-            result = estimate_frame(files, data, body, arm="classic", config=EstimateConfig())
+            result = estimate_frame(files, data, body, FrameMethod("classic", EstimateConfig()))
         found.append(SessionFrame(files.name, data, result, files.keypoints, files.time))
     return found

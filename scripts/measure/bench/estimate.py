@@ -17,6 +17,7 @@ import numpy as np
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import one_tool as estimation
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.pose import find_pose
@@ -61,7 +62,7 @@ def _timed_stages() -> Iterator[dict[str, list[float]]]:
 def estimated(session: Session, files: FrameFiles, instrument: str, config: EstimateConfig) -> Result:
     """Estimate one frame."""
     data = read_frame(files, session.camera)
-    return run_frame(files, data, prepare(instrument), arm="classic", config=config, out=None).result
+    return run_frame(files, data, prepare(instrument), FrameMethod("classic", config), None).result
 
 
 def _one_by_one(session: Session, instrument: str, config: EstimateConfig, frames: int | None) -> list[Result]:

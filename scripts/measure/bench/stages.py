@@ -13,6 +13,7 @@ from unittest import mock
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.estimation import one_tool as estimation
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.pose import find_pose, views
@@ -90,13 +91,13 @@ def stages_report(instrument: str, sessions: Sequence[Path], *, frames: int | No
         for files in session.frames[:frames]:
             data = read_frame(files, session.camera)
             if not count:
-                estimate_frame(files, data, body, arm="classic", config=config)  # so that caches are filled
+                estimate_frame(files, data, body, FrameMethod("classic", config))  # so that caches are filled
             with ExitStack() as stack:
                 for owner, name, stage in _STAGES:
                     timed = _timed(clock, getattr(owner, name), stage)
                     stack.enter_context(mock.patch.object(owner, name, timed))
                 with clock.stage(_REST):
-                    estimate_frame(files, data, body, arm="classic", config=config)
+                    estimate_frame(files, data, body, FrameMethod("classic", config))
             count += 1
     return {"estimate, where the processor time goes": _rows(clock.seconds, count)}
 
