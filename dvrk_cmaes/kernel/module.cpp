@@ -665,23 +665,6 @@ std::tuple<Made<double>, Made<double>> line_support(const Given<double>& points,
   return {sums, middles};
 }
 
-Made<float> squares_to_other(const Given<bool>& mask, const Given<std::int64_t>& pixels, std::int64_t most) {
-  check_shape("mask", mask, {kAny, kAny}), check_shape("pixels", pixels, {kAny});
-  for (std::size_t i = 0; i < pixels.size(); ++i) {
-    if (pixels.data()[i] < 0 || std::size_t(pixels.data()[i]) >= mask.size()) {
-      throw std::invalid_argument("pixels: expected indices of the mask's, got " + std::to_string(pixels.data()[i]));
-    }
-  }
-  Made<float> out = zeros<float>({pixels.size()});
-  const nb::gil_scoped_release released;
-  NearestOther nearest(mask.data(), std::int64_t(mask.shape(1)), std::int64_t(mask.shape(0)));
-  for (std::size_t i = 0; i < pixels.size(); ++i) {
-    const std::int64_t at = pixels.data()[i];
-    out.data()[i] = float(nearest.square(at % nearest.width(), at / nearest.width(), most));
-  }
-  return out;
-}
-
 Made<double> signed_distances(const Given<bool>& mask, const Given<double>& pixels, double farthest) {
   check_shape("mask", mask, {kAny, kAny}), check_shape("pixels", pixels, {kAny, 2});
   if (mask.size() == 0) throw std::invalid_argument("mask: expected at least one pixel");
@@ -901,9 +884,6 @@ NB_MODULE(_kernel, module) {
   module.def("normal_equations", &normal_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "change"_a,
              "Compute information (C, D, D) and slope (C, D) of half the robust loss of C poses in V views, each with its "
              "factor, after small changes (C, D).");
-  module.def("squares_to_other", &squares_to_other, "mask"_a, "pixels"_a, "most"_a,
-             "Compute the squared distances (N,), px^2, of pixels, indices into the flattened mask (H, W), to the nearest "
-             "one of the other kind, at most so many.");
   module.def("signed_distances", &signed_distances, "mask"_a, "pixels"_a, "farthest"_a,
              "Compute the signed distances (N,), px, of pixels (N, 2) to the outline of a mask (H, W), negative inside, at "
              "most so many.");

@@ -209,14 +209,6 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "a minimum of other weights": (lambda: minimum(weight=np.ones(2)), r"weight: expected an array \(1\)"),
     "a minimum of other damping": (lambda: minimum(damping=np.ones(2)), r"damping: expected an array \(1\)"),
-    "a pixel beside the mask": (
-        lambda: _kernel.squares_to_other(IMAGE > 0, np.array([48]), 100),
-        "pixels: expected indices of the mask's, got 48",
-    ),
-    "a mask of one row": (
-        lambda: _kernel.squares_to_other(IMAGE[0] > 0, np.array([0]), 100),
-        r"mask: expected an array \(N, N\), got \(8\)",
-    ),
     "distances in a mask of one row": (
         lambda: _kernel.signed_distances(IMAGE[0] > 0, PIXELS, 10.0),
         r"mask: expected an array \(N, N\), got \(8\)",
@@ -397,18 +389,20 @@ def test_too_few_points_leave_a_line_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.999])
-def test_squares_to_the_other_kind_are_those_of_all_pairs(share: float) -> None:
+def test_distances_at_pixels_are_those_of_all_pairs(share: float) -> None:
     mask = np.random.default_rng(2).uniform(size=(19, 31)) < share
     places = np.stack(np.indices(mask.shape), axis=-1).reshape(-1, 2)
     squares = ((places[:, None] - places) ** 2).sum(axis=2)
     squares[mask.ravel()[:, None] == mask.ravel()] = 10**6
-    found = _kernel.squares_to_other(mask, np.arange(mask.size), 10**6)
-    np.testing.assert_array_equal(found, squares.min(axis=1))
-    np.testing.assert_array_equal(_kernel.squares_to_other(mask, np.arange(5), 2), np.minimum(found[:5], 2))
+    expected = np.where(mask.ravel(), -1, 1) * (np.sqrt(squares.min(axis=1)) - 0.5)
+    pixels = places[:, ::-1].astype(np.float64)
+    np.testing.assert_array_equal(_kernel.signed_distances(mask, pixels, 1000.0), expected)
+    np.testing.assert_array_equal(_kernel.signed_distances(mask, pixels, 2.0), np.clip(expected, -1.5, 1.5))
 
 
-def test_there_is_none_of_the_other_kind_in_a_full_mask() -> None:
-    assert _kernel.squares_to_other(np.ones((4, 5), np.bool_), np.array([7]), 900)[0] == 900
+def test_a_full_mask_has_the_largest_distance_everywhere() -> None:
+    mask = np.ones((4, 5), dtype=np.bool_)
+    np.testing.assert_array_equal(_kernel.signed_distances(mask, 1.3 * PIXELS, 30.0), [-29.5, -29.5])
 
 
 def test_derivatives_at_pixels_are_those_of_the_filtered_image() -> None:

@@ -5,7 +5,8 @@
 Recordings are followed as by `track --causal`; by images, as by `live`. The time is that of this process, of which the
 steps take one thread: that which keyframes take to be solved is left out, as it goes on beside the steps. It depends
 less on other load than that of the clock does, but is still some half longer on a busy machine. Each recording is
-followed ``--repeats`` times, and a step counts with its shortest time.
+followed ``--repeats`` times, and a step counts with its shortest time. By a given ``--calibration`` no keyframes are
+solved.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
 from dvrk_cmaes.runs.track_frames import TrackSettings, files_of_views, read_arrays
@@ -39,6 +41,9 @@ _SHARES: Final = {"median": 50.0, "95 %": 95.0, "99 %": 99.0, "99.9 %": 99.9, "w
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.add_argument("--sessions", type=Path, nargs="+", default=[SHARED / "frames/video/hard"], metavar="SESSION")
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="follow by this session.json instead of by keyframes"
+    )
     parser.add_argument("--evidence", choices=("masks", "images"), default="masks", help="default: %(default)s")
     parser.add_argument("--frames", type=int, metavar="N", help="largest number of frames of each (default: all)")
     parser.add_argument("--repeats", type=int, default=1, metavar="N", help="default: %(default)s")
@@ -50,10 +55,13 @@ def steps_report(options: argparse.Namespace) -> Report:
     body = prepare(options.instrument)
     asked = TrackSettings(EstimateConfig(), causal=True, evidence=options.evidence)
     rows, slowest, every = [], [], list[_Step]()
+    given = None if options.calibration is None else read_calibration(options.calibration)
     for folder in options.sessions:
         for recording, settings in recordings_to_follow(folder, body.instrument, asked):
             solver = SolverHere(body)
-            runs = [_followed(recording, settings, solver, options.frames) for _ in range(max(options.repeats, 1))]
+            runs = [
+                _followed(recording, settings, solver, options.frames, given) for _ in range(max(options.repeats, 1))
+            ]
             steps = [min(same, key=lambda step: step.ms) for same in zip(*runs, strict=True)]
             rows.append({"session": recording.name, **_figures(steps)})
             longest = sorted(steps, key=lambda step: -step.ms)[: options.slowest]
@@ -96,7 +104,13 @@ def _figures(steps: Sequence[_Step]) -> dict[str, Any]:
     return {"steps": len(steps), **shares, **most}
 
 
-def _followed(recording: Recording, settings: TrackSettings, solver: SolverHere, frames: int | None) -> list[_Step]:
+def _followed(
+    recording: Recording,
+    settings: TrackSettings,
+    solver: SolverHere,
+    frames: int | None,
+    given: SessionCalibration | None,
+) -> list[_Step]:
     """Follow a recording whose masks and images are read beforehand, and measure each step."""
     session = recording.session
     chosen = session.frames[:frames]
@@ -108,8 +122,8 @@ def _followed(recording: Recording, settings: TrackSettings, solver: SolverHere,
         }
         for one in chosen
     ]
-    tracker = Tracker(session.rig, solver.body, evidence=settings.evidence, sliced=True)
-    schedule = SolutionSchedule(tracker, solver) if settings.keeps_keyframes else None
+    tracker = Tracker(session.rig, solver.body, given, evidence=settings.evidence, sliced=True)
+    schedule = SolutionSchedule(tracker, solver) if settings.keeps_keyframes and given is None else None
     readings, steps = deque(clock.readings), list[_Step]()
     for files, arrays in zip(chosen, read, strict=True):
         at = clock.times[files.name]
