@@ -25,10 +25,10 @@ class NearestOther {
       return along_row(other, column, inside(column, row), rest);
     });
     if (near < kNear || most <= kNear) return near;
-    if (along_.empty()) find_along();
+    if (along_.empty()) along_.resize(height_);
     return nearest(row, most, [&](std::int64_t other, std::int64_t) -> std::int64_t {
-      const std::int64_t at = width_ * other + column;
-      return mask_[at] == inside(column, row) ? along_[at] : 0;
+      if (along_[other].empty()) find_along(other);
+      return inside(column, other) == inside(column, row) ? along_[other][column] : 0;
     });
   }
 
@@ -38,7 +38,7 @@ class NearestOther {
 
   // Go through the rows from near to far; `distance(other, rest)` is that along one, whose square counts if below the rest.
   template <class Distance>
-  std::int64_t nearest(std::int64_t row, std::int64_t best, const Distance& distance) const {
+  std::int64_t nearest(std::int64_t row, std::int64_t best, const Distance& distance) {
     for (std::int64_t off = 0; off * off < best && (off <= row || off < height_ - row); ++off) {
       for (const std::int64_t other : {row - off, row + off}) {
         if (other < 0 || other >= height_) continue;
@@ -59,27 +59,26 @@ class NearestOther {
     return away;
   }
 
-  // Find along each row the distance of each pixel to the nearest one of the other kind.
-  void find_along() {
-    along_.resize(width_ * height_);
-    for (std::int64_t row = 0; row < height_; ++row) {
-      const bool* kinds = mask_ + width_ * row;
-      std::int32_t *out = along_.data() + width_ * row, since = kNone;
-      for (std::int64_t i = 0; i < width_; ++i) {
-        since = i > 0 && kinds[i] != kinds[i - 1] ? 1 : std::min(since + 1, kNone);
-        out[i] = since;
-      }
-      since = kNone;
-      for (std::int64_t i = width_ - 1; i >= 0; --i) {
-        since = i + 1 < width_ && kinds[i] != kinds[i + 1] ? 1 : std::min(since + 1, kNone);
-        out[i] = std::min(out[i], since);
-      }
+  // Find the distance of each pixel of a row to the nearest one of the other kind in it.
+  void find_along(std::int64_t row) {
+    const bool* kinds = mask_ + width_ * row;
+    std::vector<std::int32_t>& out = along_[row];
+    out.resize(width_);
+    std::int32_t since = kNone;
+    for (std::int64_t i = 0; i < width_; ++i) {
+      since = i > 0 && kinds[i] != kinds[i - 1] ? 1 : std::min(since + 1, kNone);
+      out[i] = since;
+    }
+    since = kNone;
+    for (std::int64_t i = width_ - 1; i >= 0; --i) {
+      since = i + 1 < width_ && kinds[i] != kinds[i + 1] ? 1 : std::min(since + 1, kNone);
+      out[i] = std::min(out[i], since);
     }
   }
 
   const bool* mask_;
   std::int64_t width_, height_;
-  std::vector<std::int32_t> along_;
+  std::vector<std::vector<std::int32_t>> along_;  // of the rows that were needed
 };
 
 // The signed distance, px, of a point to a mask's outline, negative inside: bilinear between the pixels around it, those at
