@@ -11,18 +11,13 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, View
 from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges, shaft_axis
-from dvrk_cmaes.geometry import apply, inverse
+from dvrk_cmaes.geometry import Bool, Float64, Image, apply, inverse
 from dvrk_cmaes.segment.regions import distance_to
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _SCALES: Final = 1.0, 0.5  # of the image, at which segments are found
 _SHORTEST: Final = 0.025  # of the longer side, of a segment

@@ -182,7 +182,7 @@ class Following:
         at, spread = predicted.at[0], predicted.spread[0]
         if not seen.any_same or self._still is None:
             self._still = at
-        elif reading.has_outer and _has_moved(self._still, at):
+        elif reading.has_outer and has_moved(self._still, at):
             seen = seen.without_frozen()
         self.masks, self.explained = segmenter.given(seen), False
         image = self._by_masks if self.masks else self._by_edges
@@ -293,7 +293,7 @@ class Following:
         return FitEvidence.of(None, at, spread, holds=False), lambda found: nothing
 
 
-def _has_moved(before: Posed, now: Posed) -> bool:
+def has_moved(before: Posed, now: Posed) -> bool:
     """Whether an instrument has moved so far that its masks must differ."""
     change = np.abs(now.minus(before))
     parts = (change[:3], change[3:5], change[6:])
