@@ -70,6 +70,7 @@ def mask_around(
     reach: float | Float32 = REACH,
     steepness: float = _STEEPNESS,
     colours: Float32 | None = None,
+    local: bool = True,
     edges: bool = True,
     straight: bool = False,
     prompts: Prompts | None = None,
@@ -90,7 +91,9 @@ def mask_around(
     steepness
         Log-odds by the silhouette for each px beyond the free band.
     colours
-        (H, W), log-odds by known colours; without, those on both sides of the outline are learned in the image.
+        (H, W), log-odds by colours that are known.
+    local
+        Whether the colours on both sides of the outline are learned in the image, too.
     edges
         Whether the edges between local colours count: where the silhouette is known roughly, shadows have such edges.
     straight
@@ -118,13 +121,13 @@ def mask_around(
     never, fixed = distance > band + far, Prompts() if prompts is None else prompts.within(window)
     if fixed.background is not None:
         never |= fixed.background
-    measured = measure_colours(part) if colours is None else None
+    measured = measure_colours(part) if local else None
     table = None if measured is None else ColourTable(measured)
-    by_colour = np.zeros(prior.shape, np.float32) if colours is None else colours[window]
-    features, mask = guide(part) if measured is None else measured.guide, expected
+    known = np.zeros(prior.shape, np.float32) if colours is None else colours[window]
+    features, mask, by_colour = guide(part) if measured is None else measured.guide, expected, known
     for _ in range(passes):
         if table is not None:
-            by_colour = _COLOURS_WEIGHT * local_colour_log_odds(table, mask)
+            by_colour = known + _COLOURS_WEIGHT * local_colour_log_odds(table, mask)
         odds = by_colour + prior
         if edges:
             odds += edge_log_odds(part, mask)
@@ -136,7 +139,7 @@ def mask_around(
         if (before ^ mask).sum() < _SETTLED * mask.sum():
             break
     whole = np.zeros_like(silhouette)
-    whole[window] = _within(mask, distance < band + _BLURRED)
+    whole[window] = _within(mask, distance < np.minimum(band, ROUGH) + _BLURRED)
     whole = fill_holes(whole)
     if fixed.background is not None:
         whole[window] &= ~fixed.background
@@ -150,15 +153,25 @@ def log_odds_beyond(distance: Float32, free: float | Float32 = FREE, steepness: 
 
 
 def segmentation_around(
-    image: Image, silhouette: Bool, prompts: Prompts, free: float = FREE, *, straight: bool = False
+    image: Image,
+    silhouette: Bool,
+    prompts: Prompts,
+    free: float = FREE,
+    *,
+    colours: Float32 | None = None,
+    straight: bool = False,
 ) -> Segmentation:
-    """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W), as `mask_around`, and assess the mask."""
+    """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W), as `mask_around`, and assess the mask.
+
+    ``colours`` are of any size.
+    """
     height, width = silhouette.shape
     size, scale = size_within(silhouette.shape, FINEST)
     if scale < 1:
         image, prompts = shrunk(image, FINEST), prompts.resized(*size, scale)
-    expected = resized(silhouette, size)
-    found = mask_around(image, expected, free, straight=straight, prompts=prompts, passes=3 if straight else _PASSES)
+    expected, known = resized(silhouette, size), None if colours is None else np.asarray(cv2.resize(colours, size))
+    passes = 3 if straight else _PASSES
+    found = mask_around(image, expected, free, colours=known, straight=straight, prompts=prompts, passes=passes)
     if found is None:
         return Segmentation(np.zeros_like(silhouette), None, 0.0, ("no instrument found",))
     own = measure_colours(np.ascontiguousarray(image[found.window]))

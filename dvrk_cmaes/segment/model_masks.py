@@ -17,7 +17,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.geometry import Bool, Image
+from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.around import ROUGH, mask_around, segmentation_around
 from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
@@ -35,8 +35,9 @@ _STEEPNESS: Final = 6.0  # log-odds for each width beyond
 _REACH: Final = 0.15, 1.5  # widths beyond, from which on nothing is instrument
 _BESIDE: Final = 0.15, 3.0  # widths around a mask, between which the colours of the surroundings are learned
 _LARGEST: Final = 4.0  # log-odds by the colours, which outweigh the silhouette: what lies before it is no instrument
-_UNSEEN: Final = 0.05  # share of the instrument whose colours the silhouette does not show
+_UNSEEN: Final = 0.2  # share of the instrument whose colours the silhouette does not show
 _PASSES: Final = 2
+_KNOWN: Final = np.float32(0.4)  # weight of the log-odds by these colours, where the outline is moved to the edges
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
@@ -46,9 +47,10 @@ _ASIDE: Final = 0.3  # confidence that an instrument yields to another one that 
 _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
 
 
-def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: Prompts) -> Bool:
+def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: Prompts) -> tuple[Bool, Float32]:
     """Cut out the instrument (h, w) around a silhouette whose wrist and jaws may be off by much of the shaft's width.
 
+    Also returns the log-odds (h, w) by the colours in the mask and beside it.
     ``shaft`` and ``whole`` (h, w) are silhouettes of the shaft and of the whole instrument, neither empty nor full;
     ``width`` is that of the shaft, px.
     """
@@ -62,14 +64,15 @@ def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: P
         beside = (away > _BESIDE[0] * width) & (away < _BESIDE[1] * width) & ~unsure
         if prompts.outside is not None:
             beside &= ~prompts.outside
-        odds = np.clip(table.log_odds(mask, beside, unseen=_UNSEEN), -_LARGEST, _LARGEST)
+        odds = np.clip(table.log_odds(mask, beside, unseen=_UNSEEN), -_LARGEST, _LARGEST).astype(np.float32)
         found = mask_around(
             image,
             whole,
             free,
             reach=reach,
             steepness=_STEEPNESS / width,
-            colours=np.asarray(odds, np.float32),
+            colours=odds,
+            local=False,
             edges=False,
             prompts=prompts,
             passes=1,
@@ -77,7 +80,7 @@ def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: P
         if found is None:
             break
         mask = found.mask
-    return mask
+    return mask, odds
 
 
 def segment_by_model(
@@ -160,8 +163,9 @@ def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, pr
     if not whole.any() or whole.all():
         return None
     across = 2 * instrument.shaft.radius * float(np.sqrt(own.fx * own.fy)) / found.at.pose[2, 3]
-    rough = _rough_mask(shrunk(image, _SIZE), shaft, whole, across, prompts.resized(*size, scale))
-    mask = segmentation_around(image, resized(rough, (image.shape[1], image.shape[0])), prompts, ROUGH, straight=True)
+    rough, odds = _rough_mask(shrunk(image, _SIZE), shaft, whole, across, prompts.resized(*size, scale))
+    rough = resized(rough, (image.shape[1], image.shape[0]))
+    mask = segmentation_around(image, rough, prompts, ROUGH, colours=_KNOWN * odds, straight=True)
     agreed = min(_overlap(found, mask.mask) / _AGREES, 1.0)
     return replace(mask, confidence=agreed * min(mask.confidence, found.confidence), before=None)
 

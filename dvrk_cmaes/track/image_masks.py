@@ -110,6 +110,7 @@ def mask_around(
         resized(silhouette, size),
         around.FREE + spread * scale,
         colours=_by_colours(small, colours),
+        local=False,
         prompts=Prompts(background=beside, outside=beside),
         passes=passes,
     )
