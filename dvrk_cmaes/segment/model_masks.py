@@ -43,7 +43,6 @@ _UNLIKE: Final = 0.4  # confidence of such a mask
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
 _UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
 _SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
-_ASIDE: Final = 0.3  # confidence that an instrument yields to another one that is half a diagonal nearer the middle
 _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
 
 
@@ -100,7 +99,7 @@ def segment_by_model(
     body, camera, joints
         The instrument, the camera (one as of most endoscopes is assumed without), and readings by name, rad.
     hints
-        Prompts: of the instruments that fit them, one that is sure and near the middle of the image is taken.
+        Prompts: the best instrument that fits them is taken.
     otherwise
         A function that finds a mask by other means, where no instrument is found. The mask is a guess there, unless it
         has some likeness of an instrument.
@@ -117,7 +116,6 @@ def segment_by_model(
             return other
         return replace(other, confidence=_UNLIKE, notes=("a guess", *other.notes, "its shape is not the instrument's"))
     masks: list[Segmentation] = []
-    values = []
     for each in found if not prompts.given else found[:1]:
         mask = _segmentation(image, each, body, camera, prompts)
         if mask is None:
@@ -125,12 +123,9 @@ def segment_by_model(
         before = np.any([former.mask for former in masks], axis=0) if masks else np.zeros_like(mask.mask)
         if (mask.mask & before).sum() <= _SHARED * mask.mask.sum():
             masks.append(replace(mask, mask=mask.mask & ~before))
-            values.append(mask.confidence - _ASIDE * _from_middle(each, camera))
     if not masks:
         return otherwise()
-    first = masks[int(np.argmax(values))]
-    others = tuple(sorted((each for each in masks if each is not first), key=lambda each: -each.confidence))
-    others = tuple(each for each in others if each.confidence >= GUESS)
+    first, others = masks[0], tuple(each for each in masks[1:] if each.confidence >= GUESS)
     if not others:
         return first
     sure = min(first.confidence, _UNDECIDED) if joints else first.confidence
@@ -185,12 +180,6 @@ def _fits(found: Candidate, prompts: Prompts, image: Image) -> bool:
     common *= max(min(box[3], top + down - 1) - max(box[1], top) + 1, 0.0)
     both = (box[2] - box[0] + 1) * (box[3] - box[1] + 1) + across * down - common
     return common > _FITS_BOX * both
-
-
-def _from_middle(found: Candidate, camera: Camera) -> float:
-    """Return how far a candidate's wrist is from the middle of the image, in half diagonals."""
-    size = np.array([camera.width, camera.height])
-    return float(np.linalg.norm(camera.project(found.at.pose[:3, 3]) - (size - 1) / 2) / np.linalg.norm(size / 2))
 
 
 def _taken(mask: Bool, others: Sequence[Bool]) -> str:
