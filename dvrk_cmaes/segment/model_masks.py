@@ -31,13 +31,13 @@ from dvrk_cmaes.silhouette import Body, Renderer
 _SIZE: Final = 480  # px, longer side at which masks are cut
 _FREE: Final = 0.1, 0.7  # widths of the shaft from the shaft, and from wrist and jaws, beyond which there is a prior
 _FREE_INSIDE: Final = 0.15  # widths from the outline of wrist and jaws, within it, likewise
-_STEEPNESS: Final = 6.0  # log-odds for each width beyond
+_STEEPNESS: Final = 3.0  # log-odds for each width beyond
 _REACH: Final = 0.15, 1.5  # widths beyond, from which on nothing is instrument
 _BESIDE: Final = 0.15, 3.0  # widths around a mask, between which the colours of the surroundings are learned
 _LARGEST: Final = 4.0  # log-odds by the colours, which outweigh the silhouette: what lies before it is no instrument
 _UNSEEN: Final = 0.2  # share of the instrument whose colours the silhouette does not show
 _PASSES: Final = 2
-_KNOWN: Final = np.float32(0.4)  # weight of the log-odds by these colours, where the outline is moved to the edges
+_KNOWN: Final = np.float32(0.8)  # weight of the log-odds by these colours, where the outline is moved to the edges
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
