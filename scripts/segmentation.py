@@ -188,8 +188,7 @@ def pictures_report(pictures: Iterable[Picture], *, poses: bool = False) -> dict
         if poses:
             mask, right, status = _posed(picture)
         else:
-            own = {"instrument": picture.instrument, "camera": picture.camera, "joints": picture.joints}
-            mask = segment(picture.image, **own)
+            mask = segment(picture.image, instrument=picture.instrument, camera=picture.camera, joints=picture.joints)
         seconds = time.process_time() - started
         every = [mask.mask, *(other.mask for other in mask.others)]
         found.append(

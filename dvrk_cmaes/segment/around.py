@@ -169,7 +169,8 @@ def segmentation_around(
     size, scale = size_within(silhouette.shape, FINEST)
     if scale < 1:
         image, prompts = shrunk(image, FINEST), prompts.resized(*size, scale)
-    expected, known = resized(silhouette, size), None if colours is None else np.asarray(cv2.resize(colours, size))
+    expected = resized(silhouette, size)
+    known = None if colours is None else np.asarray(cv2.resize(colours, size), np.float32)
     passes = 3 if straight else _PASSES
     found = mask_around(image, expected, free, colours=known, straight=straight, prompts=prompts, passes=passes)
     if found is None:

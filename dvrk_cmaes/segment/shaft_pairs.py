@@ -70,7 +70,8 @@ def find_pairs(image: Image, camera: Camera, radius: float, outside: Bool, most:
         if (pair := _pair(lines[i], lines[j], camera, radius, limits)) is not None
     ]
     pairs.sort(key=lambda each: -each[0].support)
-    kept, uses = [], np.zeros(len(lines), np.intp)
+    kept: list[Pair] = []
+    uses = np.zeros(len(lines), np.intp)
     for pair, of in pairs:
         if len(kept) < most and uses[[*of]].max() < _OF_LINE:
             kept.append(pair)
