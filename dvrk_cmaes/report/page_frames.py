@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 from urllib.parse import quote
 
@@ -15,7 +14,7 @@ from dvrk_cmaes.geometry import Float64, log_rotation, rotation_angle
 from dvrk_cmaes.report.page_layers import DrawnLayers
 from dvrk_cmaes.report.page_session import correction
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
-from dvrk_cmaes.results.result import Alternative, Result
+from dvrk_cmaes.results.result import Result
 
 NOTHING = "-"
 """Text shown for a missing number."""
@@ -72,41 +71,6 @@ class FrameCard:
     full: str | None = None
     layers: DrawnLayers | None = None
 
-    @property
-    def anchor(self) -> str:
-        """Identifier of the card on the page."""
-        return anchor(self.result.frame)
-
-    @property
-    def keys(self) -> dict[str, float]:
-        """Numbers that frames can be sorted by, by name."""
-        return _keys(self.result, self.from_median, self.left_out)
-
-    @cached_property
-    def pose(self) -> tuple[TableRow, ...]:
-        """Rows of the table of poses."""
-        return tuple(_pose(self.result, self.from_median))
-
-    @cached_property
-    def joints(self) -> tuple[TableRow, ...]:
-        """Rows of the table of joints."""
-        return tuple(_joints(self.result))
-
-    @property
-    def fit(self) -> tuple[tuple[str, str], ...]:
-        """Names and values of the quality of fit."""
-        return tuple(_fit(self.result))
-
-    @cached_property
-    def alternatives(self) -> tuple[TableRow, ...]:
-        """Rows of the table of other poses."""
-        return tuple(row for other in self.result.alternatives for row in _alternative(self.result, other))
-
-    @cached_property
-    def change(self) -> str:
-        """What the session's calibration changed, in words."""
-        return _in_words(self.result.change)
-
 
 def doubt_key(result: Result) -> tuple[int, int, float, float]:
     """Return a sort key that puts the most doubtful first: by status, number of reasons, then least overlap."""
@@ -134,8 +98,9 @@ def signed(value: float | None, digits: int) -> str:
     return text if text == NOTHING or text.startswith("-") or not text.strip("0.") else f"+{text}"
 
 
-def _keys(result: Result, from_median: Float64 | None, left_out: LeaveOneOut | None) -> dict[str, float]:
+def sort_keys(card: FrameCard) -> dict[str, float]:
     """Return the known numbers that frames can be sorted by, by name."""
+    result, from_median, left_out = card.result, card.from_median, card.left_out
     keys = {"seconds": result.seconds} if result.seconds else {}
     if result.time is not None:
         keys["time"] = result.time
@@ -155,42 +120,53 @@ def _keys(result: Result, from_median: Float64 | None, left_out: LeaveOneOut | N
     return {name: round(value, 4) for name, value in keys.items() if math.isfinite(value)}
 
 
-def _cells(values: Iterable[float], digits: int) -> tuple[str, ...]:
-    return tuple(fixed(float(value), digits) for value in values)
+def _cells(values: Iterable[float]) -> tuple[str, ...]:
+    return tuple(fixed(float(value), 2) for value in values)
 
 
-def _pose(result: Result, from_median: Float64 | None) -> Iterable[TableRow]:
+def pose_rows(card: FrameCard) -> Iterator[TableRow]:
     """Yield rows of the position and rotation of the root and of the arm's base, with standard deviations if known."""
-    pose = result.camera_from_root
-    if pose is not None:
-        yield TableRow(f"{result.root_link}: position, mm", _cells(1e3 * pose[:3, 3], 2))
-        if result.std_translation_mm is not None:
-            yield TableRow(
-                "standard deviation along its own axes, mm", _cells(result.std_translation_mm, 2), minor=True
-            )
-        yield TableRow(f"{result.root_link}: axis-angle, deg", _cells(axis_angle(pose), 2))
-        if result.std_rotation_deg is not None:
-            yield TableRow("standard deviation about its own axes, deg", _cells(result.std_rotation_deg, 2), minor=True)
+    result, root = card.result, card.result.root_link
+    if result.camera_from_root is not None:
+        headings, std = (f"{root}: position, mm", f"{root}: axis-angle, deg"), OWN_AXES
+        yield from rows_of(result.camera_from_root, headings, std, result.std_translation_mm, result.std_rotation_deg)
     for k, tip in enumerate(result.tips, start=1):
         name = "tip" if len(result.tips) == 1 else f"jaw_{k}"
-        yield TableRow(f"{name if name == 'tip' else name + ', tip'}: position, mm", _cells(1e3 * tip, 2))
+        yield TableRow(f"{name if name == 'tip' else name + ', tip'}: position, mm", _cells(1e3 * tip))
         if result.expected_error is not None and name in result.expected_error.tip_axes_mm:
-            axes = _cells(result.expected_error.tip_axes_mm[name], 2)
+            axes = _cells(result.expected_error.tip_axes_mm[name])
             yield TableRow("standard deviation along the camera's axes, mm", axes, minor=True)
     if result.camera_from_base is not None:
-        yield TableRow("arm's base (RCM): position, mm", _cells(1e3 * result.camera_from_base[:3, 3], 2))
-        if from_median is not None:
-            away = tuple(signed(float(value), 2) for value in 1e3 * from_median)
+        position, rotation = rows_of(
+            result.camera_from_base, ("arm's base (RCM): position, mm", "arm's base: axis-angle, deg")
+        )
+        yield position
+        if card.from_median is not None:
+            away = tuple(signed(float(value), 2) for value in 1e3 * card.from_median)
             yield TableRow("from the median of all frames, mm", away, minor=True)
-        yield TableRow("arm's base: axis-angle, deg", _cells(axis_angle(result.camera_from_base), 2))
+        yield rotation
 
 
-def axis_angle(pose: Float64) -> Float64:
-    """Return the rotation of a pose (4, 4) as axis times angle, (3,) deg."""
-    return np.asarray(np.degrees(log_rotation(pose[:3, :3])))
+OWN_AXES = ("standard deviation along its own axes, mm", "standard deviation about its own axes, deg")
+"""Headings of the standard deviations of a pose."""
 
 
-def _joints(result: Result) -> Iterable[TableRow]:
+def rows_of(
+    pose: Float64,
+    headings: tuple[str, str],
+    of_std: tuple[str, str] = OWN_AXES,
+    std_mm: Float64 | None = None,
+    std_deg: Float64 | None = None,
+) -> Iterator[TableRow]:
+    """Yield rows of the position and the rotation of a pose (4, 4), and of their standard deviations (3,) if known."""
+    values = 1e3 * pose[:3, 3], np.degrees(log_rotation(pose[:3, :3]))
+    for heading, value, detail, std in zip(headings, values, of_std, (std_mm, std_deg), strict=True):
+        yield TableRow(heading, _cells(value))
+        if std is not None:
+            yield TableRow(detail, _cells(std), minor=True)
+
+
+def joint_rows(result: Result) -> Iterator[TableRow]:
     """Yield rows of found, standard deviation, read, found less read; then the readings of the arm's joints."""
     std = result.std_joints_deg or {}
     for name, value in result.joints.items():
@@ -208,7 +184,7 @@ def _joints(result: Result) -> Iterable[TableRow]:
             yield TableRow(f"{name}, {unit}", ("", "", fixed(shown, 2), ""), minor=True)
 
 
-def _fit(result: Result) -> Iterable[tuple[str, str]]:
+def fit_figures(result: Result) -> Iterator[tuple[str, str]]:
     """Yield names and values: expected errors, agreement with the mask, loss, time, and how the frame was solved."""
     if result.expected_error is not None:
         yield "expected error of the tips, rms", f"{fixed(result.expected_error.of_tips_mm, 2)} mm"
@@ -233,26 +209,21 @@ def _fit(result: Result) -> Iterable[tuple[str, str]]:
     yield "solved", "with the session's frames" if result.source == "session" else "by itself"
 
 
-def _alternative(result: Result, other: Alternative) -> Iterable[TableRow]:
-    """Yield rows of an alternative pose: overlap, loss, distances from the readings and the result; its joints."""
-    apart, turned = None, None
-    if result.camera_from_root is not None:
-        apart = 1e3 * float(np.linalg.norm(other.camera_from_root[:3, 3] - result.camera_from_root[:3, 3]))
-        turned = math.degrees(float(rotation_angle(other.camera_from_root, result.camera_from_root)))
-    cells = (
-        fixed(other.iou, 4),
-        f"{other.loss:.4g}",
-        fixed(other.reading_distance_deg, 1),
-        fixed(apart, 1),
-        fixed(turned, 1),
-    )
-    yield TableRow(other.relation, cells)
-    joints = ", ".join(f"{name} {fixed(math.degrees(value), 1)}" for name, value in other.joints.items())
-    if joints:
-        yield TableRow(f"{joints} deg", (), minor=True)
+def alternative_rows(result: Result) -> Iterator[TableRow]:
+    """Yield rows of other poses: overlap, loss, distances from the readings and the result; their joints."""
+    for other in result.alternatives:
+        apart, turned = None, None
+        if result.camera_from_root is not None:
+            apart = 1e3 * float(np.linalg.norm(other.camera_from_root[:3, 3] - result.camera_from_root[:3, 3]))
+            turned = math.degrees(float(rotation_angle(other.camera_from_root, result.camera_from_root)))
+        far = (fixed(number, 1) for number in (other.reading_distance_deg, apart, turned))
+        yield TableRow(other.relation, (fixed(other.iou, 4), f"{other.loss:.4g}", *far))
+        joints = ", ".join(f"{name} {fixed(math.degrees(value), 1)}" for name, value in other.joints.items())
+        if joints:
+            yield TableRow(f"{joints} deg", (), minor=True)
 
 
-def _in_words(change: Mapping[str, Any] | None) -> str:
+def change_in_words(change: Mapping[str, Any] | None) -> str:
     """Return the changes by a session's calibration as text: names and values; lists and mappings are flattened."""
 
     def value(thing: Any) -> str:

@@ -14,7 +14,19 @@ import jinja2
 import jinja2.bccache
 
 from dvrk_cmaes.io.bundled import cache_folder
-from dvrk_cmaes.report.page_frames import NOTHING, anchor, fixed, signed
+from dvrk_cmaes.io.output import write_bytes
+from dvrk_cmaes.report.page_frames import (
+    NOTHING,
+    alternative_rows,
+    anchor,
+    change_in_words,
+    fit_figures,
+    fixed,
+    joint_rows,
+    pose_rows,
+    signed,
+    sort_keys,
+)
 from dvrk_cmaes.report.page_session import reason_kind
 from dvrk_cmaes.report.plots.panels import mark_path, short
 
@@ -32,6 +44,12 @@ def render_template(
         .get_template(name)
         .render(script=code, style=style, script_hash=_hash(code), style_hash=_hash(style), nothing=NOTHING, **values)
     )
+
+
+def write_rendered(path: Path, page: str) -> Path:
+    """Write a page and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
+    write_bytes(path, page.encode("utf-8", errors="replace"))
+    return path
 
 
 @cache
@@ -52,6 +70,12 @@ def environment() -> jinja2.Environment:
         "anchor": anchor,
         "short": short,
         "mark": mark_path,
+        "pose_rows": pose_rows,
+        "joint_rows": joint_rows,
+        "alternative_rows": alternative_rows,
+        "fit_figures": fit_figures,
+        "sort_keys": sort_keys,
+        "change_in_words": change_in_words,
     }
     return made
 

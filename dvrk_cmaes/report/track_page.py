@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.page_session import KeyFigure, counted_reasons
-from dvrk_cmaes.report.page_template import render_template
+from dvrk_cmaes.report.page_template import render_template, write_rendered
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
 from dvrk_cmaes.report.plots.track import Chart, track_charts
 from dvrk_cmaes.report.track_events import DOUBTFUL, STATUSES, SWITCHED, TrackEvent, track_events
@@ -60,9 +59,7 @@ class FollowedRecording:
 
 def write_track_page(out: Path, recording: FollowedRecording) -> Path:
     """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
-    path = out / PAGE
-    write_bytes(path, render_track_page(recording).encode("utf-8", errors="replace"))
-    return path
+    return write_rendered(out / PAGE, render_track_page(recording))
 
 
 def render_track_page(recording: FollowedRecording) -> str:

@@ -27,9 +27,9 @@ from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (
     FrameBases,
     common_warnings,
+    counted_reasons,
     joint_summaries,
     provenances,
-    reason_counts,
     reason_kind,
 )
 from dvrk_cmaes.report.page_thumbnails import LARGEST, WIDTH, Thumbnail, thumbnail
@@ -221,7 +221,7 @@ def test_damaged_overlay_is_left_out(tmp_path: Path, content: bytes) -> None:
 
 def test_reasons_are_counted_once_per_frame() -> None:
     frames = [doubtful("a", "far: jaw", "far: yaw"), doubtful("b", "far: jaw", "twin undecided: x"), result("c")]
-    assert reason_counts(frames) == [("far", 2), ("twin undecided", 1)]
+    assert counted_reasons([frame.reasons for frame in frames]) == [("far", 2), ("twin undecided", 1)]
 
 
 @pytest.mark.parametrize(
@@ -365,7 +365,7 @@ def test_steps_are_1_2_or_5_times_power_of_ten(span: float, step: float) -> None
 
 
 def test_many_frames_are_labelled_at_equal_distances() -> None:
-    axis = name_axis("frame", tuple(f"{k:04d}" for k in range(1000)), start=0, end=1000)
+    axis = name_axis(tuple(f"{k:04d}" for k in range(1000)), start=0, end=1000)
     assert [text for text, _ in axis.ticks] == [f"{k:04d}" for k in range(0, 1000, 100)]
 
 
