@@ -17,8 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvrk_cmaes.draw.canvas import DARK
-from dvrk_cmaes.draw.overlay import LEGEND, MASK, SILHOUETTE
-from dvrk_cmaes.draw.panels import footer, header
+from dvrk_cmaes.draw.panels import MASK, SILHOUETTE, footer, header
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.io.atomic import write_json
@@ -203,7 +202,7 @@ def test_thumbnail_shows_region_of_outlines(tmp_path: Path) -> None:
     cv2.rectangle(picture, (100, 600), (560, 900), SILHOUETTE, 4)
     cv2.rectangle(picture, (104, 604), (564, 904), MASK, 4)
     path = tmp_path / "a.jpg"
-    cv2.imwrite(str(path), np.concatenate([header(one, 1280, 1.0), picture, footer(one, LEGEND, 1280, 1.0)]))
+    cv2.imwrite(str(path), np.concatenate([header(one, 1280, 1.0), picture, footer(one, 1280, 1.0)]))
     bright = pixels_of(thumbnail(path, one)).max(axis=2) > 100
     v, u = np.nonzero(bright)
     assert 0.8 * WIDTH < u.max() - u.min() < 0.95 * WIDTH
