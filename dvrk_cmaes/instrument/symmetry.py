@@ -52,5 +52,6 @@ def _surface(instrument: Instrument, joints: Float64) -> Float64:
             along = apply(zero, triangles) @ instrument.shaft.direction
             triangles = triangles[along.max(axis=1) > instrument.shaft.distal_end + 1e-6]
         corners.append(apply(pose, triangles))
-    mesh = trimesh.Trimesh(**trimesh.triangles.to_kwargs(np.concatenate(corners)), process=False)
+    points = np.concatenate(corners).reshape(-1, 3)
+    mesh = trimesh.Trimesh(points, np.arange(len(points)).reshape(-1, 3), process=False)
     return np.asarray(trimesh.sample.sample_surface(mesh, _TARGETS, seed=0)[0])

@@ -16,8 +16,8 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import outer_readings
-from dvrk_cmaes.geometry import change_between
-from dvrk_cmaes.report.page_frames import OWN_AXES, LeaveOneOut, TableRow, fixed, rows_of, signed
+from dvrk_cmaes.geometry import Float64, change_between
+from dvrk_cmaes.report.page_frames import LeaveOneOut
 from dvrk_cmaes.report.page_layers import embedded_picture
 from dvrk_cmaes.report.page_session import KeyFigure, correction
 from dvrk_cmaes.report.plots.cables import cables_plot
@@ -67,7 +67,8 @@ def calibration_view(
 ) -> SimpleNamespace:
     """Return what the template says of a calibration; ``left_out`` is that of `left_out_views`.
 
-    figures : key figures. words : what the frames tell of lag, cameras and masks. base, offsets : rows of tables.
+    figures : key figures. words : what the frames tell of lag, cameras and masks. base_std : standard deviations
+    (3,) of the base, mm and deg. endoscope : poses that it tells. offsets : in deg and mm.
     matrix : camera_from_base as text, m. beyond : whether a frame lies outside the plot of offsets.
     results : by frame. predictions : the worst first. pictures : those of which a picture is shown, with its address.
     left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
@@ -76,6 +77,7 @@ def calibration_view(
     results = list(folder.frames.values())
     used = frozenset(place for place, name in enumerate(folder.frames) if name in calibration.frames)
     unsure = frozenset(place for place, result in enumerate(results) if result.status != "ok")
+    std = np.sqrt(np.diag(calibration.covariance))
     predicted = calibration.leave_one_out.items()
     predictions = [Prediction(name, *measured) for name, measured in predicted if name in folder.frames]
     predictions.sort(key=lambda prediction: (prediction.iou, prediction.frame))
@@ -87,9 +89,10 @@ def calibration_view(
         calibration=calibration,
         figures=tuple(_figures(calibration, predictions)),
         words=tuple(calibration.in_words()),
-        base=tuple(_base(calibration)),
+        base_std=(1e3 * std[:3], np.degrees(std[3:6])),
+        endoscope=tuple(_endoscope(calibration)),
         matrix="\n".join("  ".join(f"{value:12.9f}" for value in row) for row in calibration.camera_from_base),
-        offsets=tuple(_offsets(calibration)),
+        offsets=tuple(offset_estimates(calibration)),
         offset_panels=panels,
         beyond=any(mark.beyond for panel in panels for row in panel.rows for mark in row.marks),
         shafts=shafts_plot(calibration, posed, used),
@@ -136,34 +139,17 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction])
     )
 
 
-def _base(calibration: SessionCalibration) -> Iterator[TableRow]:
-    """Yield rows of the position and rotation of the arm's base in the camera, with standard deviations."""
-    std = np.sqrt(np.diag(calibration.covariance))
-    rotation = "axis-angle, deg"
-    yield from rows_of(
-        calibration.camera_from_base, ("position (RCM), mm", rotation), OWN_AXES, 1e3 * std[:3], np.degrees(std[3:6])
-    )
-    if (moves := calibration.endoscope) is None:
+def _endoscope(calibration: SessionCalibration) -> Iterator[tuple[str, Float64, Float64, Float64]]:
+    """Yield the poses (4, 4) that a moving endoscope tells: name, pose, and standard deviations (3,) in mm and deg."""
+    moves = calibration.endoscope
+    if moves is None or moves.tip_from_camera is None or moves.ecm_from_base is None:
         return
-    for stand in moves.bases:
-        heading = f"frames {stand.first} to {stand.last}: position, mm"
-        yield from rows_of(stand.camera_from_base, (heading, rotation))
-    if moves.tip_from_camera is not None and moves.ecm_from_base is not None:
-        of_std = "standard deviation, mm", "standard deviation, deg"
-        for name, pose, deviations in (
-            ("camera in the endoscope's tip", moves.tip_from_camera, moves.std_tip_from_camera),
-            ("arm's base in that of the endoscope's arm", moves.ecm_from_base, moves.std_ecm_from_base),
-        ):
-            own = np.array(deviations)
-            headings = f"{name}: position, mm", rotation
-            yield from rows_of(pose, headings, of_std, 1e3 * own[:3], np.degrees(own[3:]))
-
-
-def _offsets(calibration: SessionCalibration) -> Iterator[TableRow]:
-    """Yield a row for each joint: its offset, the offset's standard deviation, and that from frame to frame."""
-    for one in offset_estimates(calibration):
-        cells = signed(one.offset, 2), fixed(one.std, 2), f"± {fixed(one.frame_std, 2)}"
-        yield TableRow(f"{one.joint}, {one.unit}", cells)
+    for name, pose, deviations in (
+        ("camera in the endoscope's tip", moves.tip_from_camera, moves.std_tip_from_camera),
+        ("arm's base in that of the endoscope's arm", moves.ecm_from_base, moves.std_ecm_from_base),
+    ):
+        own = np.array(deviations)
+        yield name, pose, 1e3 * own[:3], np.degrees(own[3:])
 
 
 def _corrections(

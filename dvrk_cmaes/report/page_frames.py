@@ -1,9 +1,9 @@
-"""The page's entry for one frame: texts and table rows, in millimetres and degrees."""
+"""The page's entry for one frame, and its numbers as text, in millimetres and degrees."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
@@ -21,15 +21,6 @@ NOTHING = "-"
 
 STATUSES = ("failed", "doubtful", "ok")
 """Statuses of results in the order of the page, the most doubtful first."""
-
-
-@dataclass(frozen=True)
-class TableRow:
-    """A row of a table: its heading, its cells, and whether it is a detail of the row above."""
-
-    heading: str
-    cells: tuple[str, ...]
-    minor: bool = False
 
 
 @dataclass(frozen=True)
@@ -120,107 +111,32 @@ def sort_keys(card: FrameCard) -> dict[str, float]:
     return {name: round(value, 4) for name, value in keys.items() if math.isfinite(value)}
 
 
-def _cells(values: Iterable[float]) -> tuple[str, ...]:
-    return tuple(fixed(float(value), 2) for value in values)
+def degrees(value: float | None) -> float | None:
+    """Convert an angle in rad; None of an unknown one."""
+    return None if value is None else math.degrees(value)
 
 
-def pose_rows(card: FrameCard) -> Iterator[TableRow]:
-    """Yield rows of the position and rotation of the root and of the arm's base, with standard deviations if known."""
-    result, root = card.result, card.result.root_link
-    if result.camera_from_root is not None:
-        headings, std = (f"{root}: position, mm", f"{root}: axis-angle, deg"), OWN_AXES
-        yield from rows_of(result.camera_from_root, headings, std, result.std_translation_mm, result.std_rotation_deg)
-    for k, tip in enumerate(result.tips, start=1):
-        name = "tip" if len(result.tips) == 1 else f"jaw_{k}"
-        yield TableRow(f"{name if name == 'tip' else name + ', tip'}: position, mm", _cells(1e3 * tip))
-        if result.expected_error is not None and name in result.expected_error.tip_axes_mm:
-            axes = _cells(result.expected_error.tip_axes_mm[name])
-            yield TableRow("standard deviation along the camera's axes, mm", axes, minor=True)
-    if result.camera_from_base is not None:
-        position, rotation = rows_of(
-            result.camera_from_base, ("arm's base (RCM): position, mm", "arm's base: axis-angle, deg")
-        )
-        yield position
-        if card.from_median is not None:
-            away = tuple(signed(float(value), 2) for value in 1e3 * card.from_median)
-            yield TableRow("from the median of all frames, mm", away, minor=True)
-        yield rotation
+def cells(values: Float64) -> list[str]:
+    """Format numbers (N,) with two decimals, as `fixed`."""
+    return [fixed(float(value), 2) for value in values]
 
 
-OWN_AXES = ("standard deviation along its own axes, mm", "standard deviation about its own axes, deg")
-"""Headings of the standard deviations of a pose."""
+def position_mm(pose: Float64) -> Float64:
+    """Return the position of a pose (4, 4), (3,) mm."""
+    return 1e3 * pose[:3, 3]
 
 
-def rows_of(
-    pose: Float64,
-    headings: tuple[str, str],
-    of_std: tuple[str, str] = OWN_AXES,
-    std_mm: Float64 | None = None,
-    std_deg: Float64 | None = None,
-) -> Iterator[TableRow]:
-    """Yield rows of the position and the rotation of a pose (4, 4), and of their standard deviations (3,) if known."""
-    values = 1e3 * pose[:3, 3], np.degrees(log_rotation(pose[:3, :3]))
-    for heading, value, detail, std in zip(headings, values, of_std, (std_mm, std_deg), strict=True):
-        yield TableRow(heading, _cells(value))
-        if std is not None:
-            yield TableRow(detail, _cells(std), minor=True)
+def axis_angle_deg(pose: Float64) -> Float64:
+    """Return the rotation of a pose (4, 4) as axis times angle, (3,) deg."""
+    return np.degrees(log_rotation(pose[:3, :3]))
 
 
-def joint_rows(result: Result) -> Iterator[TableRow]:
-    """Yield rows of found, standard deviation, read, found less read; then the readings of the arm's joints."""
-    std = result.std_joints_deg or {}
-    for name, value in result.joints.items():
-        change, read = correction(result, name), result.readings.get(name)
-        cells = (
-            fixed(math.degrees(value), 2),
-            fixed(std.get(name), 2),
-            fixed(None if read is None else math.degrees(read), 2),
-            signed(None if change is None else math.degrees(change), 2),
-        )
-        yield TableRow(f"{name}, deg", cells)
-    for name, read in result.readings.items():
-        if name not in result.joints:
-            unit, shown = ("mm", 1e3 * read) if name.endswith("insertion") else ("deg", math.degrees(read))
-            yield TableRow(f"{name}, {unit}", ("", "", fixed(shown, 2), ""), minor=True)
-
-
-def fit_figures(result: Result) -> Iterator[tuple[str, str]]:
-    """Yield names and values: expected errors, agreement with the mask, loss, time, and how the frame was solved."""
-    if result.expected_error is not None:
-        yield "expected error of the tips, rms", f"{fixed(result.expected_error.of_tips_mm, 2)} mm"
-        yield "expected error of the shaft's direction, rms", f"{fixed(result.expected_error.shaft_deg, 2)} deg"
-    if result.mode_probability is not None:
-        yield "probability of the right mode", fixed(result.mode_probability, 2)
-    if result.tip_probability is not None:
-        yield "probability of tips within the limit", fixed(result.tip_probability, 2)
-    q = result.quality
-    if q is not None:
-        yield "overlap (IoU)", fixed(q.iou, 4)
-        yield "outline to mask, median", f"{fixed(q.contour_px_median, 2)} px"
-        yield "outline to mask, 95 %", f"{fixed(q.contour_px_95, 2)} px"
-        yield "contour off in stretches", f"{fixed(100 * q.steady_share, 0)} %"
-        yield "contour beyond the shaft, rms", f"{fixed(q.distal_px, 2)} px"
-        terms = ", ".join(f"{name} {value:.3g}" for name, value in q.terms.items())
-        yield "loss", f"{q.loss:.4g}" + (f" ({terms})" if terms else "")
-    if result.time is not None:
-        yield "image at", f"{result.time:.3f} s"
-    if result.seconds:
-        yield "time", f"{fixed(result.seconds, 2)} s, {result.evaluations:,} silhouettes, {result.rays:,} rays"
-    yield "solved", "with the session's frames" if result.source == "session" else "by itself"
-
-
-def alternative_rows(result: Result) -> Iterator[TableRow]:
-    """Yield rows of other poses: overlap, loss, distances from the readings and the result; their joints."""
-    for other in result.alternatives:
-        apart, turned = None, None
-        if result.camera_from_root is not None:
-            apart = 1e3 * float(np.linalg.norm(other.camera_from_root[:3, 3] - result.camera_from_root[:3, 3]))
-            turned = math.degrees(float(rotation_angle(other.camera_from_root, result.camera_from_root)))
-        far = (fixed(number, 1) for number in (other.reading_distance_deg, apart, turned))
-        yield TableRow(other.relation, (fixed(other.iou, 4), f"{other.loss:.4g}", *far))
-        joints = ", ".join(f"{name} {fixed(math.degrees(value), 1)}" for name, value in other.joints.items())
-        if joints:
-            yield TableRow(f"{joints} deg", (), minor=True)
+def apart_from(pose: Float64, other: Float64 | None) -> tuple[float | None, float | None]:
+    """Return the distance, mm, and the angle, deg, between two poses (4, 4); None without the other one."""
+    if other is None:
+        return None, None
+    apart = float(np.linalg.norm(pose[:3, 3] - other[:3, 3]))
+    return 1e3 * apart, math.degrees(float(rotation_angle(pose, other)))
 
 
 def change_in_words(change: Mapping[str, Any] | None) -> str:

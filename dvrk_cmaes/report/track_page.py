@@ -74,8 +74,7 @@ def render_track_page(recording: FollowedRecording) -> str:
         styles=("track.css",),
         rows=rows,
         times=times,
-        session=recording.session,
-        instrument=recording.instrument,
+        recording=recording,
         version=__version__,
         statuses=[status for status in STATUSES if status in ("ok", "doubtful", "lost") or counts[status]],
         counts=counts,
@@ -84,10 +83,8 @@ def render_track_page(recording: FollowedRecording) -> str:
         events=events[:_MOST_EVENTS],
         more_events=max(len(events) - _MOST_EVENTS, 0),
         switched=SWITCHED,
-        pictures=recording.pictures,
         warnings=() if recording.calibration is None else recording.calibration.warnings,
         reasons=counted_reasons([row["reasons"] for row in rows]),
-        video=recording.video,
         data=_data(recording, charts, events),
     )
 

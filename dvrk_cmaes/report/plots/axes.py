@@ -10,7 +10,7 @@ from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.results.result import Result
 
 _ROUND = (1.0, 2.0, 5.0, 10.0)
-_START = 64.0  # of an axis of frames
+_START = 64  # of an axis of frames
 SIDE = 274.0  # of a square panel
 
 VIEWS = (("x, mm (to the right)", 0), ("z, mm (away from the camera)", 2))
