@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.done_once import segmented_anew
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -91,7 +92,8 @@ def test_found_mask_is_written_and_a_repeated_estimate_is_identical(
 ) -> None:
     files = replace(session.frames[0], mask=None)
     frame = read_frame_image(files, session.camera)
-    run = run_frame(files, frame, bundled_body, METHOD, tmp_path)
+    with segmented_anew():
+        run = run_frame(files, frame, bundled_body, METHOD, tmp_path)
     assert [str(path.relative_to(tmp_path)) for path in run.written] == [
         "frames/0000.json",
         "overlays/0000.jpg",
