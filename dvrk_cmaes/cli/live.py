@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Event, Timer, current_thread, main_thread
+from threading import Event, Timer
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
@@ -30,7 +29,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     SessionOption,
 )
-from dvrk_cmaes.cli.terminal import Line, note, show
+from dvrk_cmaes.cli.terminal import DOUBTFUL, Line, note, show, stopping_on_interrupt
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,7 +43,6 @@ SERVER = Group.create_ordered("Server")
 Each = Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative=(), show_default=False)]
 """One value for each arm."""
 
-_DOUBTFUL = 3  # exit code
 _FIRST_IMAGE = 10.0  # s, within which there must be something to follow
 _RENEWED, _LINES = 0.5, 10.0  # s, after which the state is shown again, on a terminal and elsewhere
 
@@ -236,7 +234,7 @@ def live(
             options: dict[str, Any] = {"lag": lag, "calibration": given, "overlay": overlay, "show": shown}
             lines, ok = play(recorded, camera_frame, method.resolve(), **options)
         show(lines)
-        return 0 if ok else _DOUBTFUL
+        return 0 if ok else DOUBTFUL
     if len(set(psm)) < len(psm):
         raise InputError(f"--psm: expected different arms, got {', '.join(psm)}")
     if len(psm) > 1 and calibration is not None and not all((calibration / arm).is_dir() for arm in psm):
@@ -297,8 +295,11 @@ def _rig_of_files(camera: Path | None, right: Path | None, topics: InputTopics, 
 
 
 @contextmanager
-def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
-    """Yield a function that shows the state: on a terminal in one line that is renewed, elsewhere in new lines."""
+def shown_state(*, renewed: float = _RENEWED, lines: float = _LINES) -> Iterator[Callable[[Callable[[], str]], None]]:
+    """Yield a function that shows the state: on a terminal in one line that is renewed, elsewhere in new lines.
+
+    It is shown again after ``renewed`` or ``lines``, s.
+    """
     last = time.monotonic()
 
     def due(every: float) -> bool:
@@ -310,7 +311,7 @@ def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
         return True
 
     if not sys.stderr.isatty():
-        yield lambda state: note(state()) if due(_LINES) else None
+        yield lambda state: note(state()) if due(lines) else None
         return
     from rich.console import Console
     from rich.live import Live
@@ -319,7 +320,7 @@ def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
     with Live(console=Console(stderr=True), auto_refresh=False) as line:
 
         def renew(state: Callable[[], str]) -> None:
-            if due(_RENEWED):
+            if due(renewed):
                 line.update(Text(state(), no_wrap=True, overflow="ellipsis"), refresh=True)
 
         yield renew
@@ -328,16 +329,11 @@ def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
 @contextmanager
 def _stopped(seconds: float) -> Iterator[Event]:
     """Yield an event that is set after some seconds, or by Ctrl-C."""
-    stop = Event()
-    timer = Timer(min(seconds, 1e8), stop.set)
-    timer.daemon = True
-    timer.start()
-    before: Any = None
-    if current_thread() is main_thread():
-        before = signal.signal(signal.SIGINT, lambda *_: stop.set())
-    try:
-        yield stop
-    finally:
-        timer.cancel()
-        if before is not None:
-            signal.signal(signal.SIGINT, before)
+    with stopping_on_interrupt("") as stop:
+        timer = Timer(min(seconds, 1e8), stop.set)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield stop
+        finally:
+            timer.cancel()

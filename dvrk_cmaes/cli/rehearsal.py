@@ -26,7 +26,7 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import header
 from dvrk_cmaes.geometry import Float64, change_between
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.live.connection import LocalConnection
+from dvrk_cmaes.live.connection import Connection
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.repeated_lines import RepeatedLines
@@ -173,7 +173,7 @@ def _image(stamp: int, array: NDArray[np.uint8]) -> dict[str, Any]:
 
 
 @dataclass(eq=False)
-class Stage(LocalConnection):
+class Stage(Connection):
     """A connection within this process, which has the clock of what is sent, and counts what is published.
 
     ``stamp`` is the time of what was sent last, ns; ``poses`` (4, 4) and ``statuses`` are by arm and time, ns.

@@ -84,9 +84,6 @@ class TrackerApart:
         assert result is not None
         return result
 
-    def before_step(self, time: float) -> None:
-        """Do nothing: the process does what is due before a step with it."""
-
     def after_step(self, time: float) -> None:
         """Begin what is due after the step to a time, s."""
         self._ask(_after, time)
@@ -150,11 +147,10 @@ def _step(
     (own,) = _OWN
     for at, joints in readings:
         try:
-            own.tracker.add_readings(at, joints)
+            own.add_readings(at, joints)
         except InputError as error:
             _LINES.append(str(error))
-    own.before_step(time)
-    return _answer(own.tracker.step(time, mask, image, ignore))
+    return _answer(own.step(time, mask, image, ignore))
 
 
 def _after(time: float) -> _Answer:

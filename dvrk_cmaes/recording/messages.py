@@ -74,7 +74,7 @@ def image_pixels(message: Any, where: str) -> NDArray[np.uint8]:
             f"{where}: expected {width} x {height} pixels of {message.encoding}, "
             f"got {len(message.data)} bytes in rows of {step}"
         )
-    rows = np.asarray(message.data, np.uint8)[: step * height].reshape(height, step)
+    rows = np.frombuffer(message.data, np.uint8)[: step * height].reshape(height, step)
     pixels = rows[:, : width * channels].reshape((height, width, channels) if channels > 1 else (height, width))
     try:
         converted = pixels if conversion is None else cv2.cvtColor(pixels, conversion)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.live_wires import BEGIN, SECOND, Found, Wire, image, info, stamp
+from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, image, info, stamp
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.export.frames import FrameNames
@@ -40,7 +40,7 @@ class Clock:
 
 
 @dataclass
-class Tracker:
+class Tracker(NothingBeside):
     """Takes some time for a step, and keeps what it was given."""
 
     rig: Rig
