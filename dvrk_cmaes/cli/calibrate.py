@@ -28,7 +28,7 @@ from dvrk_cmaes.cli.options import (
     ReadingOptions,
     check_range,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, note, show, warn
+from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, show, stopping_on_interrupt, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
     Predictions = Mapping[str, tuple[float, float]]
 
-_DOUBTFUL, _INTERRUPTED = 3, 130
 _DOUBT = STATUS_STYLES["doubtful"].removeprefix("bold ")  # style of a line about a part
 _MOST_LISTED = 10
 _REFUSED = "session: "  # begins what is said of a session that cannot be solved
@@ -191,7 +190,7 @@ def calibrate(
         found = solved_together({name: partial(solving, name) for name in arms})
         solved = {name: solution for name, solution in found.items() if solution is not None}
         if len(solved) < len(arms):
-            return _INTERRUPTED
+            return INTERRUPTED
         for name, solution in solved.items():
             for text in solution.calibration.remarks if not json else solution.calibration.warnings:
                 warn(text, name)
@@ -206,7 +205,7 @@ def calibrate(
                 page = write_arms(target, arms)
             if not json:
                 show([Line(f"all arms: {page}")])
-        return _DOUBTFUL if not agree or any(map(_is_doubtful, solved.values())) else 0
+        return DOUBTFUL if not agree or any(map(_is_doubtful, solved.values())) else 0
 
 
 def _share(arm: ArmInSession, frames: str | None, every: int, keyframes: int | None) -> ArmInSession:
@@ -309,7 +308,7 @@ def _solving_arm(
             alone = read_results(results).frames
             segment = segment_settings(session, results) if settings.session.masks_again else None
         else:
-            from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+            from dvrk_cmaes.cli.batch_progress import progress
             from dvrk_cmaes.runs.batch import run_batch
 
             results = target / ALONE

@@ -30,7 +30,7 @@ from dvrk_cmaes.cli.options import (
     joint_files,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import answer, warn
+from dvrk_cmaes.cli.terminal import answer, exit_code, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings, ReadAs
-
-EXIT_CODES = {"ok": 0, "failed": 1, "doubtful": 3}
 
 _Hyphens = Parameter(allow_leading_hyphen=True)
 
@@ -199,7 +197,7 @@ def estimate(
     for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
         warn(text)
     answer(run.result.to_dict(), describe(run.result, run.written), json=json)
-    return EXIT_CODES[run.result.status]
+    return exit_code([run.result.status])
 
 
 def _moment(time: str | None, image: str) -> float | None:

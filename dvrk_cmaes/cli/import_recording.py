@@ -22,7 +22,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
     joint_files,
 )
-from dvrk_cmaes.cli.terminal import Line, answer, warn
+from dvrk_cmaes.cli.terminal import Line, answer, tracked, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
@@ -234,8 +234,9 @@ def import_recording(
     asked = Asked("left", arm[0] if arm else None, camera, table, video_start)
     shown_part = Pictures(layout, "left", interlaced, None if crop is None else parse_crop("--crop", crop))
     with _opened(recording, topics, asked, shown_part, side, arm, episode) as opened:
+        shown = tracked(opened.images, "Importing", opened.total)
         summary = write_session(
-            replace(_with_progress(opened), rectified=topics.rectified),
+            replace(opened, images=iter(shown), rectified=topics.rectified),
             out,
             selection=ImageSelection(every, start, end),
             tolerance=tolerance,
@@ -375,18 +376,6 @@ def _opened(
     if side == "both":
         return both_eyes(of_eye)
     return of_eye(side or "left", named=side is not None)
-
-
-def _with_progress(recording: Recording) -> Recording:
-    """Add a progress bar to the iteration over the images if stderr is a terminal."""
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console(stderr=True)
-    images: Iterator = iter(  # type: ignore[type-arg]
-        track(recording.images, "Importing", recording.total, console=console, disable=not console.is_terminal)
-    )
-    return replace(recording, images=images)
 
 
 def _lines(summary: ImportSummary) -> Iterator[Line]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
-from dvrk_cmaes.cli.terminal import Line, answer, warn
+from dvrk_cmaes.cli.terminal import Line, answer, stopping_on_interrupt, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def solve_crossing_tools(
     finished: Mapping[str, BatchSummary], scheduler: str | None, **options: Any
 ) -> dict[str, BatchSummary]:
     """Solve the frames of all arms again in which a tool is in front of another one, with progress on stderr."""
-    from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.cli.batch_progress import progress
     from dvrk_cmaes.runs.cluster import dask_executor
     from dvrk_cmaes.runs.crossing_tools import solve_crossing
 
