@@ -13,24 +13,21 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.tool_frames import with_start
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.output import output
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
-from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Place, Result
-from dvrk_cmaes.runs.base_agreement import PREFIX
+from dvrk_cmaes.runs.base_agreement import by_itself
 from dvrk_cmaes.runs.batch import TIME_LIMIT, BatchProgress, BatchSummary, finish, outcomes, summarize_shard
 from dvrk_cmaes.runs.executor import ExternalExecutor
 from dvrk_cmaes.runs.frame import as_calibrated
-from dvrk_cmaes.runs.output import COMMAND, write_outcome
+from dvrk_cmaes.runs.output import COMMAND, update_result, write_outcome
 from dvrk_cmaes.runs.summary import RunTiming
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -59,7 +56,7 @@ def solve_crossing(
     places = {name: _places_in_frame(name, batches) for name in names}
     asked = {
         arm: [
-            replace(_by_itself(batch.results[name]), other_tools=of_arms[arm])
+            replace(by_itself(batch.results[name]), other_tools=of_arms[arm])
             for name, of_arms in places.items()
             if arm in of_arms and batch.results[name].other_tools != of_arms[arm]
         ]
@@ -119,12 +116,6 @@ def _views(batch: BatchSummary, name: str) -> tuple[SeenView, ...]:
     return as_calibrated(data, batch.setup.calibration).views
 
 
-def _by_itself(result: Result) -> Result:
-    """Return a result without the reasons that come from a comparison of all frames."""
-    own = tuple(reason for reason in result.reasons if not reason.startswith(PREFIX))
-    return result if own == result.reasons else replace(result, reasons=own, status="doubtful" if own else "ok")
-
-
 def _with_places(batch: BatchSummary, asked: Sequence[Result]) -> BatchSummary:
     """Write where the others are to the results of a batch that are not solved again."""
     results = dict(batch.results)
@@ -132,7 +123,7 @@ def _with_places(batch: BatchSummary, asked: Sequence[Result]) -> BatchSummary:
         for result in asked:
             if "behind" not in result.other_tools.values():
                 results[result.frame] = replace(results[result.frame], other_tools=result.other_tools)
-                _update(batch, result.frame, other_tools=result.other_tools)
+                update_result(batch.folder, result.frame, other_tools=result.other_tools)
     return replace(batch, results=results)
 
 
@@ -158,7 +149,7 @@ def _solved_again(
             if outcome.status == "failed":
                 start = first[outcome.frame]
                 unused = [*start.unused, _UNSOLVED + outcome.reasons[0]]
-                _update(batch, outcome.frame, unused=unused, other_tools=start.other_tools)
+                update_result(batch.folder, outcome.frame, unused=unused, other_tools=start.other_tools)
             else:
                 write_outcome(batch.folder, outcome)
             done += 1
@@ -169,12 +160,6 @@ def _solved_again(
     return replace(
         batch, interrupted=done < len(todo), counts=document["counts"], document=document, results=results.frames
     )
-
-
-def _update(batch: BatchSummary, name: str, **fields: Any) -> None:
-    """Replace fields of a result that is there."""
-    path = result_path(batch.folder, name)
-    write_json(path, {**read_json_object(path, expected="a result"), **fields})
 
 
 def _timing(batch: BatchSummary, seconds: float) -> RunTiming | None:
