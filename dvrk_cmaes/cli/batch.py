@@ -247,7 +247,7 @@ def batch(
                 for text in exchanged:
                     warn(text)
             if not exchanged:
-                finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
+                finished = solve_crossing_tools(finished, scheduler, workers, time_limit)
         _report_all(finished, json, part)
         stopped = next((summary for summary in finished.values() if summary.interrupted), None)
         if stopped is not None:

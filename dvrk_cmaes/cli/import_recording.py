@@ -315,7 +315,6 @@ def _opened(
     """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.frames.session_folder import is_session_layout
     from dvrk_cmaes.recording.bag import open_bag
-    from dvrk_cmaes.recording.bag_paths import SUFFIXES, is_bag
     from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
     from dvrk_cmaes.recording.pose_table import PoseTable
@@ -323,7 +322,7 @@ def _opened(
     from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
     from dvrk_cmaes.recording.surgsync_packed import is_packed, open_packed
-    from dvrk_cmaes.recording.topics import TopicRequest
+    from dvrk_cmaes.recording.topics import SUFFIXES, TopicRequest, is_bag
     from dvrk_cmaes.recording.video import Pictures, open_pictures, open_video
 
     arm, camera, joints = asked.arm, asked.camera, asked.joints

@@ -208,7 +208,7 @@ def joint_files(given: Sequence[Path], arm: str | None = None) -> Sequence[Path 
     """Return the files that --joints names, or None for none; the readings of an arm in a ROS recording are read."""
     if not given or tuple(given) == (Path(NO_READINGS),):
         return None if given else ()
-    from dvrk_cmaes.recording.bag_paths import is_bag
+    from dvrk_cmaes.recording.topics import is_bag
 
     return [_bag_joints(path, arm) if path.exists() and is_bag(path) else path for path in given]
 

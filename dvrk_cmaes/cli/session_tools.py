@@ -205,10 +205,11 @@ def read_calibration_of(
 
 
 def solve_crossing_tools(
-    finished: Mapping[str, BatchSummary], scheduler: str | None, **options: Any
+    finished: Mapping[str, BatchSummary], scheduler: str | None, workers: int | None, time_limit: float
 ) -> dict[str, BatchSummary]:
     """Solve the frames of all arms again in which a tool is in front of another one, with progress on stderr."""
     from dvrk_cmaes.cli.batch_progress import progress
+    from dvrk_cmaes.runs.batch import Workers
     from dvrk_cmaes.runs.cluster import dask_executor
     from dvrk_cmaes.runs.crossing_tools import solve_crossing
 
@@ -217,4 +218,4 @@ def solve_crossing_tools(
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, folder))
         stop = stack.enter_context(stopping_on_interrupt())
         reporter = stack.enter_context(progress())
-        return solve_crossing(finished, executor=executor, stop=stop, progress=reporter, **options)
+        return solve_crossing(finished, Workers(workers, executor, time_limit, stop, reporter))

@@ -80,7 +80,7 @@ class Source:
         from dvrk_cmaes.frames.own_files import OwnFiles
         from dvrk_cmaes.frames.session_video import own_video
         from dvrk_cmaes.frames.video_frames import SUFFIXES
-        from dvrk_cmaes.recording.bag_paths import is_bag
+        from dvrk_cmaes.recording.topics import is_bag
 
         if path.suffix.lower() in SUFFIXES and not path.is_dir():
             return Source(path.parent, path)

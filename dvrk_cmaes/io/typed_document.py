@@ -54,13 +54,11 @@ if TYPE_CHECKING:  # arrays to a type checker, classes with a shape to msgspec
     Transform = Float64
     Point = Float64
     Pixel = Float64
-    PointPair = Float64
     SquareOfThree = Float64
 else:
     Transform = _array_type(4, 4)  # a rigid transform
     Point = _array_type(3)
     Pixel = _array_type(2)
-    PointPair = _array_type(2, 3)
     SquareOfThree = _array_type(3, 3)
 
 

@@ -185,8 +185,7 @@ class Inputs:
 
     ``frames`` has the newest frame, ``readings`` by arm those not taken yet, ``rigs`` the newest cameras. A frame has
     the masks of all arms, or else the images, of all eyes, taken within 10 ms; with masks, it has the images of the
-    same times if they came before them. Topics that are silent are not waited for. ``endoscope`` has the last readings
-    of the arm that holds it.
+    same times if they came before them. Topics that are silent are not waited for.
 
     Parameters
     ----------
@@ -212,7 +211,6 @@ class Inputs:
         self.topics = topics
         self.frames = Mailbox[LiveFrame]()
         self.readings = {arm: Mailbox[JointMessage](_MOST_READINGS) for arm in topics.joints}
-        self.endoscope = Mailbox[JointMessage](_MOST_READINGS)
         self.rigs = Mailbox[Rig]()
         self.now = now
         self._report = report
@@ -349,9 +347,9 @@ class Inputs:
             mailbox.put(readings)
 
     def _on_endoscope(self, topic: str, fields: Fields) -> None:
-        """Keep the readings of the endoscope's arm, and give them to all arms beside their own."""
-        self._on_joints(topic, self.endoscope, fields)
+        """Give whole readings of the endoscope's arm to all arms beside their own."""
         readings = read_joint_message(topic, fields)
+        self._heard[topic] = self.now()
         joints = {f"ecm_{name}": value for name, value in readings.joints.items() if f"ecm_{name}" in ECM_JOINTS}
         if len(joints) == len(ECM_JOINTS):
             for mailbox in self.readings.values():

@@ -1,4 +1,6 @@
-"""Selection of the topics of a ROS recording by type and name; an ambiguous choice is an error that lists the topics.
+"""Which paths are ROS recordings, and the selection of their topics by type and name, without the reader.
+
+An ambiguous choice is an error that lists the topics.
 
 CRTK names (``/PSM1/measured_js``, ``/PSM1/jaw/measured_js``) and the dVRK's older names
 (``/dvrk/PSM1/state_joint_current``, ``/dvrk/PSM1/state_jaw_current``) are recognised.
@@ -12,6 +14,7 @@ from pathlib import Path
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.frames.session_folder import is_session_layout
 from dvrk_cmaes.io.short_text import listed
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -22,10 +25,23 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 POSE = "geometry_msgs/msg/PoseStamped"
 
+SUFFIXES_2 = (".mcap", ".db3")
+SUFFIXES = (".bag", *SUFFIXES_2)
+"""Suffixes of ROS recordings; a recording may also be a folder."""
+
 #: Given in place of a topic's name to use no topic.
 NONE = "none"
 
 _MOST_LISTED = 20
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a ROS recording: a file with its suffix, or a folder with such files that is no session."""
+    if not path.is_dir():
+        return path.suffix.lower() in SUFFIXES
+    if is_session_layout(path):
+        return False
+    return (path / "metadata.yaml").exists() or any(file.suffix in SUFFIXES_2 for file in path.iterdir())
 
 
 @dataclass(frozen=True)

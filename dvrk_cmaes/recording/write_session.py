@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -134,9 +134,10 @@ def write_session(
     if not recording.has_images:
         return _write_readings(recording, out, tolerance, overwrite=overwrite)
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
-        counter = _ImageCounter(recording.images)
+        numbers = count()
+        images = (image for image, _ in zip(recording.images, numbers, strict=False))
         pairing = None if recording.right is None else Pairing(recording.right.images)
-        size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times, pairing)
+        size = _write_images(folder / "images", recording, selection.of(images), names, times, pairing)
         read_at = times if lag is None else _earlier(times, lag)
         warnings = _check_times(recording.path, names, times)
         time_cells = [_seconds_text(time) for time in times]
@@ -168,7 +169,7 @@ def write_session(
     if pairing is not None:
         apart = f"images at most {1e3 * pairing.farthest / NANOSECONDS:.1f} ms after or before those of the left"
         notes = (*notes, f"right eye: {len(names) - pairing.without} of {len(names)} frames, {apart}")
-    return ImportSummary(out, counter.number, len(names), size, tolerance, tuple(summaries), notes, seconds, warnings)
+    return ImportSummary(out, next(numbers), len(names), size, tolerance, tuple(summaries), notes, seconds, warnings)
 
 
 def _write_readings(recording: Recording, out: Path, tolerance: float, *, overwrite: bool) -> ImportSummary:
@@ -230,20 +231,6 @@ def _arm_of(readings: Sequence[TimedReadings]) -> str | None:
     """Return the name of the arm that the sources of all readings name, such as PSM1; None if there is not one."""
     arms = {name for source in readings for name in _ARM.findall(source.source)}
     return arms.pop() if len(arms) == 1 else None
-
-
-class _ImageCounter:
-    """Counts the images that it yields."""
-
-    def __init__(self, images: Iterator[RecordedImage]) -> None:
-        self._images = images
-        self.number = 0
-
-    def images(self) -> Iterator[RecordedImage]:
-        """Yield the images and count them in ``number``."""
-        for image in self._images:
-            self.number += 1
-            yield image
 
 
 def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:

@@ -7,10 +7,8 @@ only when it need not be solved again, or after it was: so an interrupted run go
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import replace
 from itertools import combinations
 from typing import Final
@@ -24,8 +22,7 @@ from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
 from dvrk_cmaes.results.result import Place, Result
 from dvrk_cmaes.runs.base_agreement import by_itself
-from dvrk_cmaes.runs.batch import TIME_LIMIT, BatchProgress, BatchSummary, finish, outcomes, summarize_shard
-from dvrk_cmaes.runs.executor import ExternalExecutor
+from dvrk_cmaes.runs.batch import BatchSummary, Workers, finish, outcomes, summarize_shard
 from dvrk_cmaes.runs.frame import as_calibrated
 from dvrk_cmaes.runs.output import COMMAND, update_result, write_outcome
 from dvrk_cmaes.runs.summary import RunTiming
@@ -37,21 +34,12 @@ Places = dict[str, dict[str, Place]]
 _UNSOLVED: Final = "other tools behind this one as background: "
 
 
-def solve_crossing(
-    batches: Mapping[str, BatchSummary],
-    *,
-    workers: int | None = None,
-    executor: Executor | ExternalExecutor | None = None,
-    time_limit: float = TIME_LIMIT,
-    stop: threading.Event | None = None,
-    progress: BatchProgress | None = None,
-) -> dict[str, BatchSummary]:
+def solve_crossing(batches: Mapping[str, BatchSummary], workers: Workers) -> dict[str, BatchSummary]:
     """Solve the frames again in which a tool is in front of another one, and return the batches with their new results.
 
-    ``batches`` are those of a session's arms, by arm; the other arguments are those of `run_batch`. Results, tables and
-    pages are written anew where a frame was solved again. Errors as `run_batch`.
+    ``batches`` are those of a session's arms, by arm. Results, tables and pages are written anew where a frame was
+    solved again. Errors as `run_batch`.
     """
-    stop, progress = stop or threading.Event(), progress or BatchProgress()
     names = sorted({name for batch in batches.values() for name in batch.results}, key=natural)
     places = {name: _places_in_frame(name, batches) for name in names}
     asked = {
@@ -65,8 +53,8 @@ def solve_crossing(
     finished = {arm: _with_places(batch, asked[arm]) for arm, batch in batches.items()}
     for arm, batch in finished.items():
         again = [result for result in asked[arm] if "behind" in result.other_tools.values()]
-        if again and not stop.is_set():
-            finished[arm] = _solved_again(batch, again, workers, executor, time_limit, stop, progress)
+        if again and not workers.stop.is_set():
+            finished[arm] = _solved_again(batch, again, workers)
         elif again:
             finished[arm] = replace(batch, interrupted=True)
     return finished
@@ -127,15 +115,7 @@ def _with_places(batch: BatchSummary, asked: Sequence[Result]) -> BatchSummary:
     return replace(batch, results=results)
 
 
-def _solved_again(
-    batch: BatchSummary,
-    starts: Sequence[Result],
-    workers: int | None,
-    executor: Executor | ExternalExecutor | None,
-    time_limit: float,
-    stop: threading.Event,
-    progress: BatchProgress,
-) -> BatchSummary:
+def _solved_again(batch: BatchSummary, starts: Sequence[Result], workers: Workers) -> BatchSummary:
     """Solve frames of a batch again from their results, and write what is better; tables and page are made anew.
 
     A frame that cannot be solved again keeps its result.
@@ -143,9 +123,9 @@ def _solved_again(
     started, done = time.monotonic(), 0
     first = {start.frame: start for start in starts}
     todo = [with_start(batch.frames[name], start) for name, start in first.items()]
-    progress.on_start(len(todo), [])
+    workers.progress.on_start(len(todo), [])
     with output(batch.folder, COMMAND):
-        for outcome in outcomes(batch.setup, todo, workers, executor, time_limit, stop):
+        for outcome in outcomes(batch.setup, todo, workers):
             if outcome.status == "failed":
                 start = first[outcome.frame]
                 unused = [*start.unused, _UNSOLVED + outcome.reasons[0]]
@@ -153,7 +133,7 @@ def _solved_again(
             else:
                 write_outcome(batch.folder, outcome)
             done += 1
-            progress.on_frame(outcome)
+            workers.progress.on_frame(outcome)
         timing = _timing(batch, time.monotonic() - started)
         results = summarize_shard(batch.folder, timing) if batch.shard is not None else finish(batch.folder, timing)
     document = results.summary or {}
