@@ -6,12 +6,14 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.tracked import TrackResult
@@ -25,6 +27,7 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES_BY_IMAGES,
     RecordedFrames,
     RecordedWork,
+    read_kept_colours,
     read_keyframes,
     solve_keyframes,
     write_keyframes,
@@ -69,13 +72,15 @@ def follow_recorded(run: TrackRun) -> RecordedTracks | str | None:
     frames, series = run.frames, series_of(run.session)
     if settings.lag is not None:
         frames, series = _less_lag(frames, series, run.clock, settings.lag)
+    times = np.array([run.clock.times[files.name] for files in frames])
     config = replace(settings.config, threads=1)
     with instrument_processes(body.instrument, settings.workers or usable_cores(), frames) as processes:
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         in_groups = partial(_in_groups, by_body, run.stop)
         work = RecordedWork(body, settings.arm, config, in_groups, lambda stage, n: run.notice(f"{stage}: {n} frames"))
+        of = _Recording(run, frames, series, times, work)
         try:
-            solved = _solution(run, frames, series, work)
+            solved = of.by_masks() if settings.evidence == "masks" else of.by_images()
             if isinstance(solved, str):
                 return solved
             run.notice(f"fitting {len(frames)} frames")
@@ -85,37 +90,61 @@ def follow_recorded(run: TrackRun) -> RecordedTracks | str | None:
     return RecordedTracks(results, with_lag(solved.calibration, settings.lag, run.clock))
 
 
-def _solution(
-    run: TrackRun, frames: tuple[FrameFiles, ...], series: ReadingSeries | None, work: RecordedWork
-) -> RecordedSolution | str:
-    """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
+@dataclass(frozen=True, eq=False)
+class _Recording:
+    """A recording that is followed: its frames, their readings and times (N,) s, and how that is done."""
 
-    That of frames without masks is with the colours of instrument and surroundings. A text says why there is none.
-    """
-    settings, by_masks = run.settings, run.settings.evidence == "masks"
-    times = np.array([run.clock.times[files.name] for files in frames])
-    measured = RecordedFrames.of if by_masks else RecordedFrames.of_readings
-    recorded, given = measured(frames, run.session.rig, series, times), settings.calibration
-    if given is not None:
+    run: TrackRun
+    frames: tuple[FrameFiles, ...]
+    series: ReadingSeries | None
+    times: Float64
+    work: RecordedWork
+
+    def by_masks(self) -> RecordedSolution | str:
+        """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
+
+        A text says why that is not possible.
+        """
+        recorded = RecordedFrames.of(self.frames, self.run.session.rig, self.series, self.times)
+        path = self.run.out / KEYFRAMES
+        found = self._given(recorded) or self._kept(path)
+        if found is None:
+            found = write_keyframes(path, solve_keyframes(recorded, self.work))
+        return found if isinstance(found, str) else RecordedSolution(recorded, found)
+
+    def by_images(self) -> RecordedSolution | str:
+        """Return the same of frames without masks, with the colours of instrument and surroundings."""
+        recorded = RecordedFrames.of_readings(self.frames, self.run.session.rig, self.series, self.times)
+        path = self.run.out / KEYFRAMES_BY_IMAGES
+        given = self._given(recorded)
+        if isinstance(given, str):
+            return given
+        kept = self._kept(path)
+        if kept is None:
+            recorded, found = solve_images(recorded, given, self.run.settings.hints or Hints(), self.work)
+            if isinstance(found, str):
+                kept = write_keyframes(path, found)
+            else:
+                kept = write_keyframes(path, found.calibration, found.colours)
+        if isinstance(kept, str):
+            return kept
+        return RecordedSolution(recorded, kept if given is None else given, read_kept_colours(path))
+
+    def _given(self, recorded: RecordedFrames) -> SessionCalibration | str | None:
+        """Return the calibration that was given; a text says why it cannot be used."""
+        given = self.run.settings.calibration
+        if given is None:
+            return None
         if not recorded.trusted.any():
             return "no frame has readings of the outer joints that are not frozen"
-        given = given if settings.lag is None else replace(given, lag=None)
-        if by_masks:
-            return RecordedSolution(recorded, given)
-    path = run.out / (KEYFRAMES if by_masks else KEYFRAMES_BY_IMAGES)
-    kept = read_keyframes(path, colours=not by_masks)
-    if kept is not None:
-        run.notice(f"keyframes: solved by an interrupted run ({path})")
-    else:
-        if by_masks:
-            write_keyframes(path, solve_keyframes(recorded, work))
-        else:
-            recorded, found = solve_images(recorded, given, settings.hints or Hints(), work)
-            solved = (found, None) if isinstance(found, str) else (found.calibration, found.colours)
-            write_keyframes(path, *solved)
-        kept = read_keyframes(path, colours=not by_masks)
-    assert kept is not None
-    return kept if isinstance(kept, str) else RecordedSolution(recorded, given or kept[0], kept[1])
+        return given if self.run.settings.lag is None else replace(given, lag=None)
+
+    def _kept(self, path: Path) -> SessionCalibration | str | None:
+        """Return what an interrupted run has found, from its file."""
+        kept = read_keyframes(path)
+        if kept is not None:
+            self.run.notice(f"keyframes: solved by an interrupted run ({path})")
+        return kept
 
 
 def _in_groups(
