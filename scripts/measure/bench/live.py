@@ -4,11 +4,11 @@
 
 This needs the extra ros. Another process is the rosbridge server on 127.0.0.1. It sends the images and masks of a
 recorded session, of all its arms and eyes, forwards and backwards, 30 a second unless --images says otherwise, and
-readings of each arm, 100 a second unless --readings does. It receives the poses. The age is from sending the last mask
-of a time to receiving the pose there; of a set, the poses of all arms, to the last of these. ``stated - true`` is the
-age in /diagnostics less that of its receipt. Memory is the resident set of the following process, with those of
-several arms, without those that solve keyframes, in MB, after 10 s, after a quarter of the time, at most two minutes,
-and at the end; its growth is that since the second.
+readings of each arm, 100 a second unless --readings does. Images that are --late are so in both directions. It receives
+the poses. The age is from sending the last mask of a time to receiving the pose there; of a set, the poses of all arms,
+to the last of these. ``stated - true`` is the age in /diagnostics less that of its receipt. Memory is the resident set
+of the following process, with those of several arms, without those that solve keyframes, in MB, after 10 s, after a
+quarter of the time, at most two minutes, and at the end; its growth is that since the second.
 
 Of arms with a truth, ok poses are counted that are in the wrong mode or came before the base was known, and the share
 that is ok of the poses of images with at least half of the jaws in view, after it was.
@@ -80,6 +80,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--images", type=float, default=30.0, metavar="RATE", help="images a second (30)")
     parser.add_argument("--readings", type=float, default=100.0, metavar="RATE", help="readings a second (100)")
     parser.add_argument("--begin", type=float, default=0.0, metavar="S", help="time in the session of the first image")
+    parser.add_argument("--late", type=float, default=0.0, metavar="S", help="images of the session after its readings")
     parser.add_argument("--losses", type=float, metavar="S", help="time between losses, s (default: none)")
     parser.add_argument("--solve", action="store_true", help="solve keyframes beside")
     parser.add_argument("--load", type=int, default=0, metavar="N", help="other processes that compute (none)")
@@ -116,6 +117,7 @@ def live_report(options: argparse.Namespace) -> Report:
         options.readings,
         options.losses,
         options.begin,
+        options.late,
     )
     server = context.Process(target=serve, args=(theirs, sending), daemon=True)
     server.start()
@@ -195,7 +197,8 @@ def _watch(stop: Event, memory: list[float], others: Sequence[int] | None) -> No
 class Sending:
     """What is sent: the session, for how long, s, images and readings a second, losses, and where it begins, s.
 
-    ``losses`` is the time between losses, s, during which the mask is a disc; None for none.
+    ``losses`` is the time between losses, s, during which the mask is a disc; None for none. The session's images are
+    ``late`` seconds later than its readings, and stay so when they are sent backwards.
     """
 
     folder: Path
@@ -205,6 +208,7 @@ class Sending:
     readings: float
     losses: float | None
     begin: float
+    late: float
 
     def place(self, moment: float, count: int) -> float:
         """Return the place among the ``count`` images of the session at a time after the start, s."""
@@ -362,7 +366,7 @@ def _messages(recorded: Rehearsed, topics: InputTopics, sending: Sending) -> Ite
         values = [np.array([row[name] for _, row in clock.readings]) for name in names]
         for k in range(round(sending.seconds * sending.readings)):
             moment = k / sending.readings
-            at = times[0] + sending.place(moment, count) / RECORDED
+            at = times[0] + sending.place(moment + sending.late, count) / RECORDED - sending.late
             position = [float(np.interp(at, times, column)) for column in values]
             later.append(Sent(moment, topic, {"header": _header(moment), "name": names, "position": position}))
     yield from sorted(later, key=lambda one: one.moment)
