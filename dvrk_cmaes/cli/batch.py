@@ -315,7 +315,7 @@ def _run(
     """
     from dvrk_cmaes.cli.batch_progress import progress
     from dvrk_cmaes.runs.batch import run_batch
-    from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
+    from dvrk_cmaes.runs.batch_lag import find_batch_lag
     from dvrk_cmaes.runs.cluster import dask_executor
 
     session, model, used = arm.session, arm.body.instrument, {"config": settings, "arm": arm.kinematics, **options}
@@ -327,13 +327,12 @@ def _run(
             return run_batch(session, out, model, threads=settings.threads, **used, **more)
 
         if calibration is not None and lag in (None, AUTO):
-            session = with_calibrated_lag(session, calibration)
+            lag = calibration.applied_lag
         elif lag == AUTO:
             with progress() as reporter:
                 estimated = partial(run, progress=reporter)
-                found_lag = find_batch_lag(session, out, estimated, model, settings, arm.kinematics)
-            warn(found_lag.text)
-            lag = found_lag.lag
+                lag, text = find_batch_lag(session, out, estimated, model, settings, arm.kinematics)
+            warn(text)
         if lag is not None and not isinstance(lag, str):
             session = session.with_lag(lag)
         return run(session, out, progress=stack.enter_context(progress()), **own)

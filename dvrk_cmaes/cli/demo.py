@@ -109,7 +109,7 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
     config, body = method.resolve(), prepare("lnd")
     for files in tracked(session.frames, "Estimating"):
         data, solved_as = read_frame(files, session.camera), FrameMethod("classic", config)
-        result = run_frame(files, data, body, solved_as, out, command="demo").result
+        result, _ = run_frame(files, data, body, solved_as, out, command="demo")
         assert result.camera_from_root is not None
         truth = session.truth.frames[files.name]
         error = compare_poses(

@@ -193,11 +193,11 @@ def estimate(
     data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
     shown = hints_within(prompts.resolve(), files.crop)
     solved_as = FrameMethod(instrument.kinematics, settings, known, model.resolve(), shown)
-    run = run_frame(files, data, body, solved_as, out)
-    for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
+    result, written = run_frame(files, data, body, solved_as, out)
+    for text in dict.fromkeys((*result.remarks, *result.warnings)):
         warn(text)
-    answer(run.result.to_dict(), describe(run.result, run.written), json=json)
-    return exit_code([run.result.status])
+    answer(result.to_dict(), describe(result, written), json=json)
+    return exit_code([result.status])
 
 
 def _moment(time: str | None, image: str) -> float | None:

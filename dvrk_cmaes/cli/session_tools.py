@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
 from dvrk_cmaes.cli.terminal import Line, answer, stopping_on_interrupt, warn
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.silhouette import Body
-
-T = TypeVar("T")
 
 
 def _options_of(options: InstrumentOptions, tool: ToolEntry) -> InstrumentOptions:
@@ -163,12 +161,7 @@ def single_tool(folder: Path, options: InstrumentOptions, *, follow_links: bool 
 def answer_by_arm(documents: Mapping[str, Any], lines: Mapping[str, Iterable[Line]], *, json: bool) -> None:
     """Print the documents of all arms as JSON, or else their lines, those of each of several below its name."""
     titled = ([*([Line(name, "bold")] if name else []), *own] for name, own in lines.items())
-    answer(alone_or_by_arm(documents), (line for own in titled for line in own), json=json)
-
-
-def alone_or_by_arm(values: Mapping[str, T]) -> T | Mapping[str, T]:
-    """Return what a command prints of a session's tools: the value of the only one, or those of several by arm."""
-    return values.get("", values)
+    answer(documents.get("", documents), (line for own in titled for line in own), json=json)
 
 
 def read_calibration_of(

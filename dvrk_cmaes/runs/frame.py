@@ -42,14 +42,6 @@ class SolvedFrame:
     found_masks: Mapping[str, Bool] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class FrameRun:
-    """A frame's result, and the files written: JSON, overlay and, if it was found in the image, the mask."""
-
-    result: Result
-    written: tuple[Path, ...]
-
-
 def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
     """Read a frame that has a mask, of a rig in at least one view, or only images.
 
@@ -60,7 +52,7 @@ def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
 
 def run_frame(
     files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod, out: Path | None, command: str = "estimate"
-) -> FrameRun:
+) -> tuple[Result, tuple[Path, ...]]:
     """Estimate the pose in a frame that was read, and write its result and overlay to the folder ``out`` if given.
 
     Arguments as in `solve_frame`; ``command`` is that which writes.
@@ -74,10 +66,10 @@ def run_frame(
         check_output(out, files.name)
     solved = solve_frame(files, frame, body, method)
     if out is None:
-        return FrameRun(solved.result, ())
+        return solved.result, ()
     overlay = draw_views(solved.result, solved.data.views, body)
     with output(out, command, owns=False, wait=LONG):
-        return FrameRun(solved.result, write_frame(out, solved.result, overlay, solved.found_masks))
+        return solved.result, write_frame(out, solved.result, overlay, solved.found_masks)
 
 
 def solve_frame(files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod) -> SolvedFrame:
