@@ -21,6 +21,7 @@ from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Report
 from dvrk_cmaes.live.mailbox import Mailbox
 from dvrk_cmaes.live.messages import JointMessage, read_joint_message, read_pixels, read_rig, read_stamp
+from dvrk_cmaes.recording.topics import camera_info_of
 
 Fields = Mapping[str, Any]
 
@@ -49,8 +50,7 @@ class EyeTopics:
     @staticmethod
     def of(image: str, camera: str | None = None, masks: Mapping[str, str] | None = None) -> EyeTopics:
         """Return the topics of an eye; the camera's is by default ``camera_info`` in the namespace of the images."""
-        namespace = image.removesuffix("/compressed").rpartition("/")[0]
-        return EyeTopics(image, camera or f"{namespace}/camera_info", masks or {})
+        return EyeTopics(image, camera or camera_info_of(image), masks or {})
 
     def remarked(self, camera: Camera, *, rectified: bool) -> Camera:
         """Return a camera with a remark if the topic's name says of images that they are rectified, or are not.

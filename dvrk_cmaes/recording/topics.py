@@ -8,6 +8,7 @@ CRTK names (``/PSM1/measured_js``, ``/PSM1/jaw/measured_js``) and the dVRK's old
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -114,12 +115,14 @@ def choose_topics(
     image, info, side = None, None, requested.eye
     if images and requested.image != NONE:
         eye = (
-            None if side is None else [name for name, kind in types.items() if kind in IMAGES and side in _words(name)]
+            None
+            if side is None
+            else [name for name, kind in types.items() if kind in IMAGES and side in re.split("[/_]", name.lower())]
         )
         what = "images" if side is None else f"images of the {side} eye"
         image = _one(path, types, requested.image, requested.option, IMAGES, what, eye)
     if camera and image is not None:
-        camera_info = _camera_info_of(image)
+        camera_info = camera_info_of(image)
         requested_camera = requested.camera or (camera_info if types.get(camera_info) == CAMERA_INFO else None)
         info = _one(path, types, requested_camera, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
     if not joints or requested.joints == NONE:
@@ -196,12 +199,7 @@ def _one(
     raise InputError(f"{path}: {option}: expected one topic of {what}, got several: {listed(suitable, _MOST_LISTED)}")
 
 
-def _words(name: str) -> list[str]:
-    """Split a topic's name into words, e.g. ``/endoscope/left_eye/image`` at slashes and underscores."""
-    return name.lower().replace("_", "/").split("/")
-
-
-def _camera_info_of(image: str) -> str:
+def camera_info_of(image: str) -> str:
     """Return the topic of an image topic's camera by image_transport's convention: ``camera_info`` in its namespace."""
     raw = image.removesuffix("/compressed")
     return f"{raw.rpartition('/')[0]}/camera_info"
