@@ -114,11 +114,8 @@ def choose_topics(
     """
     image, info, side = None, None, requested.eye
     if images and requested.image != NONE:
-        eye = (
-            None
-            if side is None
-            else [name for name, kind in types.items() if kind in IMAGES and side in re.split("[/_]", name.lower())]
-        )
+        shown = [name for name, kind in types.items() if kind in IMAGES]
+        eye = None if side is None else [name for name in shown if side in re.split("[/_]", name.lower())]
         what = "images" if side is None else f"images of the {side} eye"
         image = _one(path, types, requested.image, requested.option, IMAGES, what, eye)
     if camera and image is not None:
