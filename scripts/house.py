@@ -31,13 +31,10 @@ STATES: Final = "track", "calibration", "runs"
 NAMED: Final = {
     "loops that solve": """
         pose/refine/gauss_newton.py:refine              pose/refine/direct.py:_coordinate_descent
-        calibration/solve.py:solve                      calibration/solve.py:solve_with_modes
-        calibration/variances.py:solve_with_variances   calibration/alternation.py:solved
-        calibration/constants.py:linearise              calibration/lag.py:LagRefiner._near
-        track/colour_edges.py:fit_edges""",
+        calibration/solve.py:solve                      calibration/solve.py:alternate
+        calibration/alternation.py:solved               track/colour_edges.py:fit_edges""",
     "drivers of a fit": """
-        calibration/frame_fit.py:fit_frame
-        track/recorded_frames.py:fit_followed           track/quick_fit.py:quick_fit""",
+        calibration/frame_fit.py:fit_frame""",
     "predictions from readings": """
         calibration/prediction.py:Prediction""",
     "followers": """

@@ -2,7 +2,7 @@
 
 `initialised` finds the camera_from_base that most frames' modes agree on, and faults of the session as a whole.
 `solved` then alternates: each frame is fitted to its outline with the session's prediction as a prior, and the
-calibration is estimated from all fits. `reported` makes each frame's result and leave-one-out prediction.
+calibration is estimated from all fits.
 """
 
 from __future__ import annotations
@@ -18,13 +18,12 @@ from dvrk_cmaes.calibration.constants import few_of
 from dvrk_cmaes.calibration.endoscope_search import with_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.frame_reports import check_agreement, describe_disagreements, report_tasks, with_readings
-from dvrk_cmaes.calibration.frame_task import FitTask, FrameReport, fit_task, gather_task, report_task, with_data
+from dvrk_cmaes.calibration.frame_task import FitTask, fit_task, gather_task
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import PackedMask, with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations
-from dvrk_cmaes.calibration.session_camera import SessionCamera, camera_undetermined, covariance_of_camera
+from dvrk_cmaes.calibration.session_camera import camera_undetermined
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionState
 from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_with_modes
@@ -61,7 +60,7 @@ def initialised(state: SessionState) -> SessionState:
             raise InputError(f"--camera: expected a camera file, which these frames do not replace: {reason}")
         raise InputError(f"--refine-camera: {reason}")
     state, consensus = _on_one_base(_less_lag(state))
-    solution, _ = solve_with_modes(state.model, state.modes, consensus.calibration, state.problem.prior)
+    solution = solve_with_modes(state.model, state.modes, consensus.calibration, state.problem.prior)
     return replace(state, found=solution)
 
 
@@ -171,8 +170,7 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
     ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few do.
     """
     if not keep_all:
-        texts = ["" if fit.explains_mask else fit.describe_overlap() for fit in state.fits]
-        check_agreement(state.frames, texts, LEAST_FRAMES)
+        state.check_agreement(["" if fit.explains_mask else fit.describe_overlap() for fit in state.fits])
     fits, problem = state.outlines(keep_all=keep_all), state.problem
     state = _with_calibration(state, fits, calibration)
     if not keep_all and problem.config.session.cables:
@@ -223,7 +221,7 @@ def with_other_masks(state: SessionState, masks: Mapping[int, Mapping[str, Packe
     problem, again = state.problem, list(masks)
     frames, stored = list(state.frames), list(state.stored)
     for i in again:
-        frames[i] = with_data(frames[i], partial(with_masks, masks[i]))
+        frames[i] = frames[i].with_data(partial(with_masks, masks[i]))
     problem.progress("solving again", len(masks))
     for i, of_frame in zip(again, problem.run(gather_task, [frames[i] for i in again]), strict=True):
         stored[i] = of_frame
@@ -281,38 +279,3 @@ def _fitted(
         fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
     fits |= zip(again, state.problem.run(fit_task, tasks), strict=True)
     return replace(state, fits=tuple(fits[i] for i in range(len(state.frames))))
-
-
-def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[FrameReport], dict[str, str]]:
-    """Return the reports of the frames in use, and by name the reason for each frame that is left out.
-
-    Parameters
-    ----------
-    state
-        The session, solved; its evidence is as seen by the camera that is used.
-    camera
-        What the frames tell of the camera.
-
-    Raises
-    ------
-    InputError
-        Too few frames agree with the calibration.
-    """
-    problem, model, solution = state.problem, state.model, state.solution
-    problem.progress("leaving one out", len(state.frames))
-    session = problem.config.session
-    disagreements = describe_disagreements(state.fits, solution, session)
-    check_agreement(state.frames, disagreements, LEAST_FRAMES)
-    named = zip(state.frames, disagreements, strict=True)
-    reasons = {**state.notes.left_out, **{frame.name: text for frame, text in named if text}}
-    frames = state.frames if state.lag.applied is None else with_readings(state.frames, model)
-    stated = {**problem.config.as_dict(), "instrument": problem.instrument.describe_limits(problem.arm)}
-    tasks = report_tasks(frames, state.stored, state.fits, model, solution, disagreements, session, stated)
-    first = {} if state.again is None else state.again.first
-    for i, task in enumerate(tasks):
-        further = covariance_of_camera(camera, task.fit.at, state.stored[i].camera)
-        if state.imaging.growth is not None:
-            moves = state.imaging.growth.of_frames[i]
-            further = further + moves @ state.imaging.growth.squares @ moves.T
-        tasks[i] = replace(task, first=first.get(i), change=state.imaging.change, covariance=task.covariance + further)
-    return problem.run(report_task, tasks), reasons

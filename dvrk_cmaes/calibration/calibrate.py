@@ -13,11 +13,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from dvrk_cmaes.calibration.alternation import reported, with_lag_of_modes
+from dvrk_cmaes.calibration.alternation import with_lag_of_modes
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
 from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.endoscope_search import with_readings
-from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame, with_changed_views
+from dvrk_cmaes.calibration.frame_reports import reported
+from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
 from dvrk_cmaes.calibration.imaging import checked_camera
 from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
 from dvrk_cmaes.calibration.masks_again import PackedMask
@@ -129,11 +130,12 @@ def solving_arm(
     usable, left_out = _usable(frames, instrument)
     series = _series_of(usable) if problem.series is None else problem.series
     names = instrument.joint_names
-    commanded = commanded_in([frame.result.readings for frame in usable], names)
+    readings = [frame.result.readings for frame in usable]
+    commanded = commanded_in(readings, names)
     settings = with_commanded(settings, commanded, names)
     rotations = rotations_of_session(frame.result for frame in usable)
     if turned := changes_of(rotations):
-        usable = [with_changed_views(frame, turned, {}) for frame in usable]
+        usable = [frame.with_changed_views(turned, {}) for frame in usable]
     problem = replace(problem, series=series, config=settings)
     with single_blas_thread():
         state = solve_session(SessionState.of(problem, usable, rotations), places)
@@ -196,7 +198,7 @@ def solving_arm(
         masks=state.imaging.masks,
         masks_again=again.compared,
         rig=state.imaging.rig,
-        commanded=_only_readings(usable, commanded),
+        commanded={name: next(own[name] for own in readings if name in own) for name in commanded},
         remarks=(
             *camera_remarks(state.stored[0]),
             *(text for each in state.imaging.rig for text in each.warnings()),
@@ -255,12 +257,6 @@ def _series_of(frames: Sequence[SessionFrame]) -> ReadingSeries | None:
     return ReadingSeries.of_frames(
         {frame.name: frame.result.readings for frame in frames}, {frame.name: frame.time for frame in frames}
     )
-
-
-def _only_readings(frames: Sequence[SessionFrame], commanded: Sequence[str]) -> dict[str, float]:
-    """Return the reading, rad, of each joint that has the same one in all frames."""
-    readings = [frame.result.readings for frame in frames]
-    return {name: next(own[name] for own in readings if name in own) for name in commanded}
 
 
 def in_threads(

@@ -9,7 +9,7 @@ and that is repeated until the constants stay where they are.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -20,7 +20,7 @@ from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, marginalise
+from dvrk_cmaes.calibration.solve import FrameFits, Solution, Solver, alternate, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -31,9 +31,6 @@ from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, OutlinePoints, Renderer
-
-Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solution]]
-"""Estimates a calibration from a model, fits, a start and the prior's information, as `solve`; the model may change."""
 
 _SETTLED = 0.25  # standard deviations of the constants, below which the outlines are not linearised again
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
@@ -311,19 +308,24 @@ def linearise(
             calibration, first, done = few.solution.calibration, few.first or few, few.passes
     padded = np.diag(np.concatenate([np.zeros(len(prior)), *(one.std**-2 for one in constants)]))
     padded[: len(prior), : len(prior)] += prior
-    asked = [one for one in constants if one.name in names]
-    while True:
-        before, fits, done = calibration.constants, outlines.near(at, calibration.constants), done + 1
-        model, solution = solver(model, fits, calibration, padded)
-        calibration = solution.calibration
+    asked, found = [one for one in constants if one.name in names], list[Linearised]()
+
+    def again(model: SessionModel, fits: FrameFits, solution: Solution) -> tuple[SessionModel, FrameFits] | None:
         covariance = solution.covariance_of(inverse_information(solution.information + _weak(len(padded))))
-        at = at.moved(marginalise(model, fits, calibration).own)
-        plausible = all(one.is_plausible(calibration.constants[one.name]) for one in asked)
-        there = Linearised(model, solution, fits, padded, covariance, at, done, plausible, first)
-        moved = [(np.abs(there.value(one.name) - before[one.name]) < _SETTLED * there.std(one)).all() for one in asked]
-        if done >= passes or not plausible or all(moved):
-            return there
-        first = first or there
+        there = fits.at.moved(marginalise(model, fits, solution.calibration).own)
+        plausible = all(one.is_plausible(solution.calibration.constants[one.name]) for one in asked)
+        before = first or next(iter(found), None)
+        count = done + len(found) + 1
+        found.append(last := Linearised(model, solution, fits, padded, covariance, there, count, plausible, before))
+        moved = {one: np.abs(last.value(one.name) - fits.constants[one.name]) for one in asked}
+        settled = all((most < _SETTLED * last.std(one)).all() for one, most in moved.items())
+        if count >= passes or not plausible or settled:
+            return None
+        return model, outlines.near(there, solution.calibration.constants)
+
+    fits = outlines.near(at, calibration.constants)
+    alternate(model, fits, calibration, padded, again, passes, solver)
+    return found[-1]
 
 
 def few_of(count: int) -> Indices | None:

@@ -103,7 +103,7 @@ def find_hand_eye(
     refined: list[tuple[float, Steered]] = []
     for _, offered, consensus in sorted(tried, key=lambda one: one[0])[:_TRIED]:
         of_few = replace(model, endoscope=offered.subset(few))
-        solution, _ = solve_with_modes(of_few, modes, consensus.calibration, prior)
+        solution = solve_with_modes(of_few, modes, consensus.calibration, prior)
         values = solution.calibration.endoscope
         assert values is not None
         there = offered.with_start(values, _FOUND * offered.loose)
@@ -153,7 +153,7 @@ def find_pieces(
     def solved(index: Indices, *starts: Calibration) -> _Run:
         own, own_modes = model.subset(index), [modes[i] for i in index]
         starts = starts or (find_consensus(own, own_modes, offset_std, roll=roll).calibration,)
-        found = [solve_with_modes(own, own_modes, start, prior)[0] for start in starts]
+        found = [solve_with_modes(own, own_modes, start, prior) for start in starts]
         return min((_Run(index, one) for one in found), key=lambda run: run.cost)
 
     count = len(modes)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 import numpy as np
 
 from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, USUAL_SIZE, LastingSize, without_lasting
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Bool, Float64, Posed
-from dvrk_cmaes.joints.prior import Readings
+from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
-from dvrk_cmaes.pose.refine.selection import Selection
+from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
@@ -144,37 +145,69 @@ class FrameFit:
 class FitPreset:
     """How a frame is fitted.
 
-    ``steps`` are those from the better start, after which the noise of the outlines is measured; None to fit from all
-    starts and from coarse to fine, with the noise at the frame's own estimate. ``confirmed`` tells then whether the
-    last step, shorter than the tolerance, is drawn and undone if it raises the loss. ``size`` is that of the errors
-    that last from frame to frame.
+    ``steps`` are those of the refinement, with at least the tolerance of the settings; None to fit from coarse to fine.
+    ``confirmed`` tells then whether the last step, shorter than the tolerance, is drawn and undone if it raises the
+    loss. ``of_one`` is whether only the better start is refined. ``noise`` tells how the outlines' noise is measured
+    where the frame has no estimate of its own: by the silhouette of the fit; the same, and by that the outlines are
+    weighed anew; or by what the fit drew. ``lines_per_pixel`` are those of the drawings, those of the settings by
+    default. Every ``stride``-th point of the outline counts at the end; ``as_seen`` is as in
+    `Coverage.near_with_lasting`, as in the settings by default. ``size`` is that of the errors that last from frame to
+    frame. ``sides`` tells whether the offsets of the shaft's sides are measured.
     """
 
     steps: Steps | None = None
     confirmed: bool = False
+    of_one: bool = False
+    noise: Literal["silhouette", "weighed", "drawn"] = "silhouette"
+    lines_per_pixel: int | None = None
+    stride: int = 1
+    as_seen: bool | None = None
     size: LastingSize = USUAL_SIZE
+    sides: bool = False
 
 
-IN_SESSION = FitPreset()
+LINES_PER_PIXEL: Final = 1
+"""Lines of the image, for each row of pixels, by which silhouettes are drawn while a recording runs."""
+
+IN_SESSION: Final = FitPreset(sides=True)
 """Fit of a frame of a session that is solved, which is fitted again in the next round."""
 
-OF_NEW_FRAME = FitPreset(confirmed=True)
+OF_NEW_FRAME: Final = FitPreset(confirmed=True)
 """Fit of a single frame of a calibrated session."""
 
-FOLLOWED = FitPreset(Steps(12, inner=3, tested="none", largest=4.0), size=SINGLE_SIZE)
+FOLLOWED: Final = FitPreset(Steps(12, 3, 0.0, "none", 4.0), of_one=True, noise="weighed", size=SINGLE_SIZE)
 """Fit of an image that follows others, near the prediction: two or three steps are enough there, more are far off."""
+
+WHILE_RUNNING: Final = FitPreset(
+    Steps(2, 4, 1.0, "none", 4.0),
+    noise="drawn",
+    lines_per_pixel=LINES_PER_PIXEL,
+    stride=2,
+    as_seen=True,
+    size=SINGLE_SIZE,
+)
+"""Fit of an image that has just come, in few drawings, from where the one before was.
+
+One that has not converged then is finished by the images after it.
+"""
+
+FROM_TWO_STARTS: Final = replace(WHILE_RUNNING, steps=Steps(2, 4, 0.0, "long"))
+"""The same where the image before was far from its prediction."""
+
+FROM_PREDICTION: Final = replace(WHILE_RUNNING, steps=Steps(6, 6, 0.0, "long"))
+"""The same without an image before."""
 
 
 def fit_frame(
     views: Sequence[FrameView],
-    readings: Readings,
     config: EstimateConfig,
     expected: Expected,
     starts: Sequence[Posed],
-    own_estimate: OwnEstimate | None,
+    own_estimate: OwnEstimate | None = None,
     own_cameras: Sequence[Camera] | None = None,
     *,
     margins: Sequence[float] = (),
+    lengths: Sequence[float] = (),
     preset: FitPreset = IN_SESSION,
 ) -> tuple[FrameFit, OwnEstimate]:
     """Fit a frame from several starts; returns the fit with the best score, and what its outlines are measured by.
@@ -183,12 +216,10 @@ def fit_frame(
     ----------
     views
         The views that show the instrument, with the frame's evidence and renderers at full detail.
-    readings
-        The instrument's joints; only their limits are used, since ``expected`` contains the readings.
     config
         All settings.
     expected
-        The session's prediction, which is the prior.
+        The session's prediction from the readings, which is the prior.
     starts
         Starting poses, at least one.
     own_estimate
@@ -199,81 +230,80 @@ def fit_frame(
         The views' cameras of ``own_estimate``, for images of the same size, where they are not those of the views.
     margins
         Margin of each view's mask, px, that is taken off it all round; none by default.
+    lengths
+        Correlation lengths of the contours' errors, px, one of each view, until they are measured; those of the own
+        estimate or of the settings by default.
     preset
         How the fit is found.
     """
-    terms = terms_of_frame(views, _limits(readings), config.refine.outline, expected)
+    limits, _, _ = split_readings(views[0].renderer.body.instrument, {}, config)
+    terms = terms_of_frame(views, limits, config.refine.outline, expected)
+    outline = _outline(config, preset)
+    lengths = lengths if own_estimate is None else own_estimate.lengths
     at, count = Posed.stacked(starts), 0
-    if preset.steps is not None:
-        coverage = _coverage(views, config, None, 1, margins)
-        steps = replace(preset.steps, tolerance=config.refine.outline.tolerance)
-        (fit,) = refine(coverage, terms, Posed.stacked([_better_start(coverage, terms, starts)]), steps)
-        own = OwnEstimate.of(views, fit.at)
-        coverage = coverage.with_lengths(own.lengths)
-        coverage = coverage.with_noise(coverage.noise_at(own.at))
-        fit = replace(fit, drawn=coverage.draw(Posed.stacked([fit.at]))[0], drawn_at=fit.at)
-        count = coverage.silhouettes + len(views)
-        return _without_shared(fit, coverage, terms, own, own.iou, count, preset, config), own
-    selection = Selection(config.refine.small_share, config.refine.small_gap, least=_KEPT)
-    for shrink in (2, 1) if len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,):
-        coverage = _coverage(views, config, own_estimate, shrink, margins)
+    coarse, selection = preset.steps is None, ALL
+    if coarse:
+        selection = Selection(config.refine.small_share, config.refine.small_gap, least=_KEPT)
+    for shrink in (2, 1) if coarse and len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,):
+        coverage = _coverage(views, outline, lengths, shrink, margins)
         if own_estimate is not None:
             noise = own_estimate.residual if shrink == 1 else None
             coverage = coverage.with_noise(_noise(coverage, own_estimate, own_cameras) if noise is None else noise)
-        steps = replace(Steps.of(config.refine.outline, shrink), tested="all" if preset.confirmed else "long")
+        if preset.of_one and len(starts) > 1:
+            at = Posed.stacked([_better_start(coverage, terms, at)])
+        if preset.steps is None:
+            steps = replace(Steps.of(outline, shrink), tested="all" if preset.confirmed else "long")
+        else:
+            steps = replace(preset.steps, tolerance=max(preset.steps.tolerance, outline.tolerance))
         fits = sorted(refine(coverage, terms, at, steps, selection), key=lambda fit: fit.score)[:_KEPT]
         at, count = Posed.stacked([fit.at for fit in fits]), count + coverage.silhouettes
-    drawn = [view.silhouette(fits[0].at) for view in views]
-    own = own_estimate or OwnEstimate.drawn_as(views, fits[0].at, drawn)
-    return _without_shared(fits[0], coverage, terms, own, overlap(views, drawn), count, preset, config), own
+    fit, before = fits[0], coverage.silhouettes
+    if preset.noise == "drawn":
+        fit = _drawn_anew(fit, coverage)
+        seen = [view.silhouette(image) for view, image in zip(coverage.views, fit.drawn, strict=True)]
+    else:
+        seen = [view.silhouette(fit.at) for view in views]
+    own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
+    if preset.noise == "weighed":
+        coverage = coverage.with_lengths(own.lengths)
+        coverage = coverage.with_noise(coverage.noise_at(own.at))
+        fit = _drawn_anew(fit, coverage)
+    count += coverage.silhouettes - before
+    iou = own.iou if own_estimate is None else overlap(views, seen)
+    as_seen = config.session.shadows if preset.as_seen is None else preset.as_seen
+    # The last step is from where the fit was drawn last, which is at most a small step away, if it has its outline.
+    start, drawn = (fit.drawn_at, fit.drawn) if all(one.outlined for one in fit.drawn) else (fit.at, None)
+    lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, stride=preset.stride, as_seen=as_seen)
+    told = without_lasting(lasting, lasting.dimension - len(expected.information), preset.size)
+    end, slope = _stepped(start, told, terms)
+    found = FrameFit(
+        end,
+        information=told.information[0],
+        slope=slope,
+        lasting=_after(lasting, end.minus(start)),
+        side_px=side_deviation(own.noises[0]),
+        side_offsets=coverage.views[0].side_offsets(end) if preset.sides else None,
+        score=fit.score,
+        evaluations=count,
+        iou=iou,
+        own_iou=own.iou,
+    )
+    return found, own
 
 
-def _better_start(coverage: Coverage, terms: Sequence[Term], starts: Sequence[Posed]) -> Posed:
-    """Return the start with the best score, or the only one."""
-    if len(starts) == 1:
-        return starts[0]
-    at = Posed.stacked(starts)
-    drawn, others = coverage.draw(at, derivatives=False), sum_of_costs(terms, at)
+def _better_start(coverage: Coverage, terms: Sequence[Term], starts: Posed) -> Posed:
+    """Return the start with the best score."""
+    drawn, others = coverage.draw(starts, derivatives=False), sum_of_costs(terms, starts)
     scores = [coverage.score_of(one) + 0.5 * float(other) for one, other in zip(drawn, others, strict=True)]
     return starts[int(np.argmin(scores))]
 
 
-def _without_shared(
-    fit: Fit,
-    coverage: Coverage,
-    terms: Sequence[Term],
-    own: OwnEstimate,
-    iou: float,
-    evaluations: int,
-    preset: FitPreset,
-    config: EstimateConfig,
-) -> FrameFit:
-    """Return a fit after one step by which the errors that the masks share are eliminated.
-
-    ``terms`` are those beside the ``coverage``; ``own`` is what the outlines are measured by, ``iou`` the overlap of
-    the fit. The step is taken from where the fit was drawn last, which is at most a small step away, if its outline
-    was found there.
-    """
-    has_outlines = all(one.outlined for one in fit.drawn)
-    start, drawn = (fit.drawn_at, fit.drawn) if has_outlines else (fit.at, None)
-    lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, as_seen=config.session.shadows)
-    outline = without_lasting(lasting, lasting.dimension - (6 + len(start.joints)), preset.size)
-    at, slope = stepped(start, outline, terms)
-    return FrameFit(
-        at,
-        information=outline.information[0],
-        slope=slope,
-        lasting=_after(lasting, at.minus(start)),
-        side_px=side_deviation(own.noises[0]),
-        side_offsets=coverage.views[0].side_offsets(at) if preset is IN_SESSION else None,
-        score=fit.score,
-        evaluations=evaluations,
-        iou=iou,
-        own_iou=own.iou,
-    )
+def _drawn_anew(fit: Fit, coverage: Coverage) -> Fit:
+    """Return a fit drawn where it is."""
+    return replace(fit, drawn=coverage.draw(Posed.stacked([fit.at]))[0], drawn_at=fit.at)
 
 
-def stepped(at: Posed, outline: Quadratic, terms: Sequence[Term]) -> tuple[Posed, Float64]:
+def _stepped(at: Posed, outline: Quadratic, terms: Sequence[Term]) -> tuple[Posed, Float64]:
     """Return where a fit is after one step, of at most 3 mm, and the slope (D,) of the outline's terms there.
 
     ``outline`` (1, D) are its terms about the pose ``at``, without the errors that the masks share; ``terms`` are the
@@ -295,31 +325,30 @@ def _after(terms: Quadratic, step: Float64) -> Quadratic:
 
 def with_noise(own_estimate: OwnEstimate, views: Sequence[FrameView], config: EstimateConfig) -> OwnEstimate:
     """Return a frame's own estimate with the noise of the residuals there; arguments as in `fit_frame`."""
-    return replace(own_estimate, residual=_noise(_coverage(views, config, own_estimate), own_estimate, None))
+    coverage = _coverage(views, _outline(config, IN_SESSION), own_estimate.lengths)
+    return replace(own_estimate, residual=_noise(coverage, own_estimate, None))
+
+
+def _outline(config: EstimateConfig, preset: FitPreset) -> OutlineConfig:
+    """Return the settings of the outlines' coverage."""
+    outline = config.refine.outline
+    lines = outline.lines_per_pixel if preset.lines_per_pixel is None else preset.lines_per_pixel
+    return replace(outline, cauchy=config.session.cauchy, lines_per_pixel=lines)
 
 
 def _coverage(
     views: Sequence[FrameView],
-    config: EstimateConfig,
-    own_estimate: OwnEstimate | None,
+    outline: OutlineConfig,
+    lengths: Sequence[float] = (),
     shrink: int = 1,
     margins: Sequence[float] = (),
 ) -> Coverage:
-    """Return the coverage of a frame's views at 1 / ``shrink`` of the image size.
-
-    The correlation lengths are those of the residuals at the own estimate.
-    """
-    outline = replace(config.refine.outline, cauchy=config.session.cauchy)
+    """Return the coverage of a frame's views at 1 / ``shrink`` of the image size; the others as in `fit_frame`."""
     pairs = zip(views, margins or [0.0] * len(views), strict=True)
     sized = [SizedView(view, blur=outline.blur, shrink=shrink, margin=margin) for view, margin in pairs]
-    return Coverage(sized, outline, correlations=() if own_estimate is None else own_estimate.lengths)
+    return Coverage(sized, outline, correlations=lengths)
 
 
 def _noise(coverage: Coverage, own_estimate: OwnEstimate, cameras: Sequence[Camera] | None) -> float:
     """Measure the noise at the own estimate, whose cameras may be other ones, as in `fit_frame`."""
     return (coverage if cameras is None else coverage.with_cameras(cameras)).noise_at(own_estimate.at)
-
-
-def _limits(readings: Readings) -> Readings:
-    """Return the limits of the joints without their readings."""
-    return replace(readings, values=np.full_like(readings.values, np.nan))

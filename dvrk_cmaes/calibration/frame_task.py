@@ -54,6 +54,40 @@ class SessionFrame:
     find_masks: FindMasks | None = None
     brief: bool = False
 
+    def with_data(self, change: Callable[[FrameData], FrameData]) -> SessionFrame:
+        """Return the frame with data that are changed once they are read.
+
+        Parameters
+        ----------
+        change
+            Changes the data of the frame; picklable.
+        """
+        return replace(self, data=partial(_changed_data, self.data, change))
+
+    def with_changed_views(self, changes: Mapping[str, ViewChange], places: Mapping[str, Float64]) -> SessionFrame:
+        """Return the frame with further views changed, by name; its own result says by how much they are turned still.
+
+        ``view_fits`` of the result are then those against the changed views.
+
+        Parameters
+        ----------
+        changes
+            What the views differ in from the rig's file.
+        places
+            Those of the views, (4, 4), m, needed where their baselines change.
+        """
+        pose = self.result.camera_from_root
+        assert pose is not None
+        checks = []
+        for check in self.result.view_fits:
+            rotation = check.rotation_deg
+            if check.name in changes:
+                place = places.get(check.name, np.eye(4))
+                rotation = rotation - np.degrees(changes[check.name].rotation_at(place, pose[:3, 3]))
+            checks.append(replace(check, rotation_deg=rotation))
+        turned = replace(self, result=replace(self.result, view_fits=tuple(checks)))
+        return turned.with_data(partial(_with_views, changes))
+
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
@@ -132,11 +166,6 @@ def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> Stor
     return StoredFrame.of(data, own, body, config, frame.keypoints, features=not frame.brief)
 
 
-def with_data(frame: SessionFrame, change: Callable[[FrameData], FrameData]) -> SessionFrame:
-    """Return a frame whose data are changed by a picklable function once they are read."""
-    return replace(frame, data=partial(_changed_data, frame.data, change))
-
-
 def _changed_data(data: FrameData | Callable[[], FrameData], change: Callable[[FrameData], FrameData]) -> FrameData:
     """Read the data of a frame, and change them."""
     return change(read_data(data))
@@ -148,42 +177,15 @@ def with_changed_cameras(change: Float64, data: FrameData) -> FrameData:
     return replace(data, views=tuple(replace(v, camera=changed(v.camera, change, width)) for v in data.views))
 
 
-def with_changed_views(
-    frame: SessionFrame, changes: Mapping[str, ViewChange], places: Mapping[str, Float64]
-) -> SessionFrame:
-    """Return a frame whose further views are changed, by name; its own result says by how much they are turned still.
-
-    ``places`` (4, 4) are those of the views, needed where their baselines change. ``view_fits`` of the result are then
-    those against the changed views.
-    """
-    pose = frame.result.camera_from_root
-    assert pose is not None
-    checks = []
-    for check in frame.result.view_fits:
-        rotation = check.rotation_deg
-        if check.name in changes:
-            place = places.get(check.name, np.eye(4))
-            rotation = rotation - np.degrees(changes[check.name].rotation_at(place, pose[:3, 3]))
-        checks.append(replace(check, rotation_deg=rotation))
-    turned = replace(frame, result=replace(frame.result, view_fits=tuple(checks)))
-    return with_data(turned, partial(_with_views, changes))
-
-
 def _with_views(changes: Mapping[str, ViewChange], data: FrameData) -> FrameData:
     """Return data with changed views."""
     return replace(data, views=changed_views(data.views, changes))
-
-
-def _of_instrument(body: Body, config: EstimateConfig, readings: Mapping[str, float]) -> Readings:
-    """Return the readings and limits of the instrument's joints."""
-    return split_readings(body.instrument, readings, config)[0]
 
 
 def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
     """Fit a frame to its outline, with the session's prediction as a prior."""
     fit, _ = fit_frame(
         restored_views(body, task.stored, task.change),
-        _of_instrument(body, config, {}),
         config,
         task.expected,
         task.starts,
@@ -198,7 +200,7 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
     """Make a frame's result, and measure the quality of its leave-one-out prediction."""
     started = time.perf_counter()
     views = restored_views(body, task.stored)
-    readings = _of_instrument(body, config, task.result.readings)
+    readings, _, _ = split_readings(body.instrument, task.result.readings, config)
     poses = Posed.stacked([task.predicted, task.fit.at])
     if task.brief:
         of_views, rays = [[measure_overlap(view, at) for at in (task.predicted, task.fit.at)] for view in views], 0

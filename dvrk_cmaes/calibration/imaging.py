@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from dvrk_cmaes.calibration.constants import FramesAt, SessionOutlines
-from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras, with_changed_views, with_data
+from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.mask_growth import MaskGrowth
 from dvrk_cmaes.calibration.model import Calibration
@@ -62,7 +62,7 @@ def with_rig(state: SessionState, calibration: Calibration, at: Posed) -> Change
     if not estimate.moved:
         return state, calibration, None
     frames = [
-        with_changed_views(frame, estimate.changes, {view.name: view.view_from_camera for view in stored.views})
+        frame.with_changed_views(estimate.changes, {view.name: view.view_from_camera for view in stored.views})
         for frame, stored in zip(state.frames, state.stored, strict=True)
     ]
     problem.progress("gathering evidence", len(frames))
@@ -110,7 +110,7 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     elif check.camera.applied:
         state = state.noted(remarks=check.camera.contradictions(config))
     if change is not None:
-        frames = [with_data(frame, partial(with_changed_cameras, change)) for frame in state.frames]
+        frames = [frame.with_data(partial(with_changed_cameras, change)) for frame in state.frames]
         state = replace(state, stored=tuple(problem.run(gather_task, frames)))
     return state, check
 

@@ -17,7 +17,7 @@ import numpy as np
 from dvrk_cmaes.calibration.clock import FAR_RANGE, RANGE, Clock, Delay
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, along, scatter, solve
+from dvrk_cmaes.calibration.solve import FrameFits, Solution, along, alternate, scatter
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
@@ -339,25 +339,25 @@ class LagRefiner:
             return None
         order = np.flatnonzero(has)[np.argsort(self._clock.times[has], kind="stable")]
         clock, model, fits = self._clock.subset(order), self._model.subset(order), self._fits.subset(order)
-        calibration, value, reach = self._calibration, start, _LEAST_STEP * step
+        value, curvature, slopes, reach = start, 0.0, np.zeros(len(order)), _LEAST_STEP * step
 
         def compared(value: float) -> SessionModel:
             return clock.model_to_compare(model, at(value), lasting=lasting)
 
-        for _ in range(_REFINEMENTS):
-            solution = solve(compared(value), fits, calibration, self._prior)
-            calibration = solution.calibration
-            later, earlier = (compared(value + by).predict(calibration) for by in (reach, -reach))
-            slopes, curvature = along(compared(value), fits, solution, later.minus(earlier) / (2 * reach))
+        def again(there: SessionModel, fits: FrameFits, solution: Solution) -> tuple[SessionModel, FrameFits] | None:
+            nonlocal value, curvature, slopes
+            later, earlier = (compared(value + by).predict(solution.calibration) for by in (reach, -reach))
+            slopes, curvature = along(there, fits, solution, later.minus(earlier) / (2 * reach))
             curvature += weight
             if not curvature > 0:
                 return None
-            before = value
-            value = float(
-                np.clip(value - (slopes.sum() + weight * value) / curvature, start - step / 2, start + step / 2)
-            )
-            if abs(value - before) < _SETTLED * step:
-                break
+            before, moved = value, value - (slopes.sum() + weight * value) / curvature
+            value = float(np.clip(moved, start - step / 2, start + step / 2))
+            return None if abs(value - before) < _SETTLED * step else (compared(value), fits)
+
+        alternate(compared(start), fits, self._calibration, self._prior, again, _REFINEMENTS)
+        if not curvature > 0:
+            return None
         alone = _SHARED_ERRORS / float(np.sqrt(curvature))
         return Refined(value, max(alone, float(np.sqrt(scatter(slopes[:, None])[0, 0])) / curvature))
 

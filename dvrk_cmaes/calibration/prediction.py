@@ -285,7 +285,7 @@ def fit_session_pose(
     predicted = Prediction.of(session, outer, readings.values[None], instrument.joint_names, widened=1.0)
     expected = Expected(predicted.at[0], np.asarray(np.linalg.inv(predicted.spread[0]), dtype=np.float64))
     margins = margins_of(session.masks, [view.name for view in views])
-    refined = partial(fit_frame, views, readings, config, expected, margins=margins, preset=OF_NEW_FRAME)
+    refined = partial(fit_frame, views, config, expected, margins=margins, preset=OF_NEW_FRAME)
     first, _ = refined((predicted.at[0],), None)
     fit, _ = refined((first.at,), OwnEstimate.of(views, first.at))
     of_views, rays = measure_views(views, readings, Posed.stacked([fit.at]), config)

@@ -11,7 +11,6 @@ import numpy as np
 from dvrk_cmaes.calibration.cable_estimate import CableEstimate
 from dvrk_cmaes.calibration.consensus import Mode
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.frame_reports import describe_disagreements
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
@@ -19,11 +18,13 @@ from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.mask_growth import GrowthEstimate
 from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
 from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
+from dvrk_cmaes.calibration.session_doubts import DISAGREES
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.calibration.solve import FrameFits, Solution, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -31,6 +32,9 @@ from dvrk_cmaes.joints.series import ReadingSeries
 
 LEAST_FRAMES = 3
 """Smallest number of frames from which a session can be calibrated."""
+
+_MOST_NAMED = 4
+_TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,9 +249,43 @@ class SessionState:
         return FrameFits.with_lasting(Posed.stacked(fit.at for fit in fits), terms, self.common)
 
     @property
+    def disagreements(self) -> list[str]:
+        """Why each frame disagrees with the calibration; an empty text where it agrees."""
+        texts, most = [], self.problem.config.session.largest_misfit
+        for fit, misfit in zip(self.fits, self.solution.misfit / (6 + len(self.model.names)), strict=True):
+            text = "" if fit.explains_mask else fit.describe_overlap()
+            if not misfit < most:
+                text = f"{np.sqrt(misfit):.1f} times the expected error from what it expects"
+            texts.append(text and f"{DISAGREES}: {text}")
+        return texts
+
+    def check_agreement(self, disagreements: Sequence[str]) -> None:
+        """Refuse the session if fewer than `LEAST_FRAMES` agree.
+
+        Parameters
+        ----------
+        disagreements
+            Why each frame disagrees; an empty text where it agrees.
+
+        Raises
+        ------
+        InputError
+            Names frames that do not agree, with by how much, and what to try.
+        """
+        named = zip(self.frames, disagreements, strict=True)
+        off = [f"{frame.name} {text.removeprefix(f'{DISAGREES}: ')}" for frame, text in named if text]
+        agree = len(self.frames) - len(off)
+        if agree < LEAST_FRAMES:
+            more = f"; and {len(off) - _MOST_NAMED} more" if len(off) > _MOST_NAMED else ""
+            raise InputError(
+                f"session: expected at least {LEAST_FRAMES} frames that agree on where the arm's base is, got {agree} "
+                f"of {len(self.frames)} ({'; '.join(off[:_MOST_NAMED])}{more}): {_TO_TRY}"
+            )
+
+    @property
     def agreeing(self) -> list[bool]:
         """Whether each frame agrees with the session."""
-        return [not text for text in describe_disagreements(self.fits, self.solution, self.problem.config.session)]
+        return [not text for text in self.disagreements]
 
     def left_out_predictions(self) -> list[Posed]:
         """Return what all other frames predict of each frame."""

@@ -7,7 +7,7 @@ frames share, as of the camera. Frames with large misfits are down-weighted.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -171,6 +171,13 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
+Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solution]]
+"""Estimates a calibration from a model, fits, a start and the prior's information, as `solve`; the model may change."""
+
+Change = Callable[[SessionModel, FrameFits, Solution], tuple[SessionModel, FrameFits] | None]
+"""Changes what a calibration is estimated from by a solution; None where nothing changes."""
+
+
 def solve(
     model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64, *, steps: int = MOST_STEPS
 ) -> Solution:
@@ -216,27 +223,64 @@ def cost_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prio
 
 
 def solve_unchanged(
-    model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64
+    model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64, *, steps: int = MOST_STEPS
 ) -> tuple[SessionModel, Solution]:
     """Estimate the calibration as `solve`, and return the model as it was, too."""
-    return model, solve(model, fits, start, prior)
+    return model, solve(model, fits, start, prior, steps=steps)
+
+
+def alternate(
+    model: SessionModel,
+    fits: FrameFits,
+    start: Calibration,
+    prior: Float64,
+    change: Change,
+    most: int,
+    solver: Solver = solve_unchanged,
+) -> tuple[SessionModel, Solution]:
+    """Alternate between estimating the calibration and changing what it is estimated from by that.
+
+    Parameters
+    ----------
+    model, fits, start, prior
+        As in `solve`.
+    change
+        Returns model and fits of the next estimation; None where there is to be no other.
+    most
+        Largest number of estimations.
+    solver
+        What estimates the calibration.
+
+    Returns
+    -------
+    (SessionModel, Solution)
+        The model after the last change, and the last solution.
+    """
+    for _ in range(most):
+        model, solution = solver(model, fits, start, prior)
+        changed = change(model, fits, solution)
+        if changed is None:
+            break
+        (model, fits), start = changed, solution.calibration
+    return model, solution
 
 
 def solve_with_modes(
     model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration, prior: Float64
-) -> tuple[Solution, list[Mode]]:
+) -> Solution:
     """Alternate between choosing a mode of each frame and estimating the calibration from these.
 
-    Returns the solution and the modes that are chosen with it; arguments as in `choose_modes` and `solve`.
+    Arguments are as in `choose_modes` and `solve`.
     """
     chosen = choose_modes(model, modes, start)
-    for _ in range(_MODE_ITERATIONS):
-        solution, previous = solve(model, FrameFits.of_modes(chosen), start, prior), chosen
-        start = solution.calibration
-        chosen = choose_modes(model, modes, start)
-        if all(a is b for a, b in zip(chosen, previous, strict=True)):
-            break
-    return solution, chosen
+
+    def again(model: SessionModel, fits: FrameFits, solution: Solution) -> tuple[SessionModel, FrameFits] | None:
+        nonlocal chosen
+        before, chosen = chosen, choose_modes(model, modes, solution.calibration)
+        same = all(a is b for a, b in zip(chosen, before, strict=True))
+        return None if same else (model, FrameFits.of_modes(chosen))
+
+    return alternate(model, FrameFits.of_modes(chosen), start, prior, again, _MODE_ITERATIONS)[1]
 
 
 def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> Solution:

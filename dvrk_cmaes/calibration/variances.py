@@ -12,11 +12,12 @@ from these: the standard deviation of that joint is inflated in that frame only.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
-from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solution, marginalise, solve
+from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solution, alternate, marginalise, solve_unchanged
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Float64
 
@@ -36,11 +37,11 @@ def solve_with_variances(
     steps: int = MOST_STEPS,
 ) -> tuple[SessionModel, Solution]:
     """Alternate between estimating the calibration and the variances; arguments as in `solve` and below."""
-    for _ in range(_ITERATIONS):
-        solution = solve(model, fits, start, prior, steps=steps)
-        start = solution.calibration
-        model = estimate_variances(model, fits, solution, config, initial)
-    return model, solution
+
+    def again(model: SessionModel, fits: FrameFits, solution: Solution) -> tuple[SessionModel, FrameFits]:
+        return estimate_variances(model, fits, solution, config, initial), fits
+
+    return alternate(model, fits, start, prior, again, _ITERATIONS, partial(solve_unchanged, steps=steps))
 
 
 def estimate_variances(

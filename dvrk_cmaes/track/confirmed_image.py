@@ -10,14 +10,12 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope_at
-from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.doubts import doubts_of_tips
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.window import mean_of_tips_mm
 
@@ -30,9 +28,7 @@ def confirmed_by(
     result: TrackResult,
     reading: ReadingAt,
     lag_std: float,
-    rig: Rig,
-    config: EstimateConfig,
-    instrument: Instrument,
+    given: Followed,
 ) -> TrackResult | None:
     """Return the result of an image with the error that is expected of it, if a calibration expects it there.
 
@@ -40,13 +36,14 @@ def confirmed_by(
     The error by the margin of the masks is added, as far as the keyframes tell it. None if the calibration expects the
     instrument elsewhere, or too little is known to say.
     """
+    instrument, trust = given.instrument, given.config.trust
     if result.camera_from_root is None or result.covariance is None or not reading.has_outer or reading.still:
         return None
     at = Posed(result.camera_from_root, np.array([result.joints[name] for name in instrument.joint_names]))
     readings, names = (reading.outer[None], reading.joints[None]), instrument.joint_names
     endoscope = endoscope_at(calibration, result.time, reading.ecm)
     expected = Prediction.of(calibration, *readings, names, wrist=WRIST_ERROR, endoscope=endoscope)
-    if expected_error(instrument, expected.at[0], expected.spread[0]).of_tips_mm > _KNOWN * config.trust.tip_mm:
+    if expected_error(instrument, expected.at[0], expected.spread[0]).of_tips_mm > _KNOWN * trust.tip_mm:
         return None
     moved = lag_std * reading.rates[None]
     late = Prediction.of(calibration, *readings, names, late=moved, wrist=WRIST_ERROR, endoscope=endoscope)
@@ -54,15 +51,15 @@ def confirmed_by(
     spread = late.spread[0] + result.covariance
     if float(apart @ np.linalg.solve(spread, apart)) > _AGREES * len(apart):
         return None
-    camera = calibration.corrected(rig.views[0].camera)
+    camera = calibration.corrected(given.rig.views[0].camera)
     covariance = result.covariance + covariance_of_masks(calibration.masks, changes_by_masks(at, camera, instrument))
     error = expected_error(instrument, at, covariance)
-    reasons = doubts_of_tips(error, config.trust)
+    reasons = doubts_of_tips(error, trust)
     return replace(
         result,
         status="doubtful" if reasons else "ok",
         reasons=tuple(reasons),
         covariance=covariance,
         tip_std_mm=mean_of_tips_mm(instrument, error),
-        tip_probability=tip_probability(error.of_tips_mm, config.trust.tip_mm),
+        tip_probability=tip_probability(error.of_tips_mm, trust.tip_mm),
     )

@@ -8,16 +8,14 @@ from __future__ import annotations
 import time as clock
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_growth import change_by_margin
-from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope_at
-from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_at
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.pose.doubts import doubts_of_tips, outside_image
@@ -25,12 +23,11 @@ from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus, without_pose
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.images import Mask
-from dvrk_cmaes.track.quick_fit import quick_fit
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, judged
-from dvrk_cmaes.track.view_segmenter import Seen, ViewSegmenter
+from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, fit_near, judged, views_that_show
+from dvrk_cmaes.track.view_segmenter import Seen
 from dvrk_cmaes.track.window import LIMITS, FitEvidence, WindowImage, result_of, solve_window, status_of
 
 BASE_MOVED: Final = (
@@ -56,11 +53,38 @@ class _Judged:
     status: TrackStatus
     reasons: list[str]
     error: ExpectedError | None
-    residual_px: float | None
-    explained: bool
+    residual_px: float | None = None
+    explained: bool = False
 
 
-_Judge = Callable[[tuple[Posed, Float64]], _Judged]
+@dataclass(frozen=True, eq=False)
+class _FitOfImage:
+    """What an image tells, ``score`` and ``deviation`` as in `LastImage`, and how its pose is then judged."""
+
+    told: FitEvidence
+    score: float
+    deviation: Float64 | None
+    judge: Callable[[tuple[Posed, Float64]], _Judged]
+
+
+@dataclass(frozen=True, eq=False)
+class LastImage:
+    """What the last image that was followed to leaves behind.
+
+    ``masks`` are its masks by name of the view, given or found in it. ``score`` is the negative log-likelihood of its
+    fit, ``misfit`` the squared misfit per parameter, and ``explained`` whether its pose explains the masks.
+    ``deviation`` (D,) is that of the fit from what was expected, None where it does not hold. ``astray`` and
+    ``unexplained`` are the numbers of images in a row up to it that disagree with the calibration, and that are not
+    explained.
+    """
+
+    masks: Mapping[str, Mask] = field(default_factory=dict)
+    score: float = 0.0
+    misfit: float = 0.0
+    explained: bool = False
+    deviation: Float64 | None = None
+    astray: int = 0
+    unexplained: int = 0
 
 
 class Following:
@@ -68,68 +92,55 @@ class Following:
 
     Parameters
     ----------
-    rig, body, config
-        The views, the instrument, all settings.
+    given
+        What is followed.
     calibration
         Its base, offsets and spreads; its lag is taken out of the readings before they are given.
-    lag_std
-        Standard deviation of that lag, s.
+    lag
+        That lag; None if nothing tells it.
     uncertain
         Whether the calibration is of so few frames that images are to correct what it predicts: its errors then count
         as deviations that change slowly, and not as ones that all images share.
 
-    ``masks`` are those of the last image by name of the view, given or found in it, ``score`` is the negative
-    log-likelihood of its fit, ``misfit`` the squared misfit per parameter, and ``explained`` whether its pose explains
-    the masks.
+    ``last`` is what the last image leaves behind.
     """
 
     def __init__(
-        self,
-        rig: Rig,
-        body: Body,
-        config: EstimateConfig,
-        calibration: SessionCalibration,
-        *,
-        lag_std: float = 0.0,
-        uncertain: bool = False,
+        self, given: Followed, calibration: SessionCalibration, lag: FoundLag | None, *, uncertain: bool = False
     ) -> None:
-        self.calibration = calibration
-        self.misfit, self.score, self.explained = 0.0, 0.0, False
-        self.masks: dict[str, Mask] = {}
-        self._lag_std = lag_std
-        self._uncertain = uncertain
-        self._rig, self._body = rig, body
-        self._views = calibration.corrected_views(rig.views)
-        self._config = replace(config, threads=1)
+        self.calibration, self.lag, self.last = calibration, lag, LastImage()
+        self._given, self._uncertain = given, uncertain
+        self._views = calibration.corrected_views(given.rig.views)
         self._images: deque[WindowImage] = deque(maxlen=_WINDOW)
-        self._before: Float64 | None = None
-        self._outer: Float64 | None = None
-        self._ecm: Float64 | None = None
         self._lengths: dict[str, float] = {}  # px, correlation lengths of the contours' errors, by view
-        self._astray = 0
-        self._unexplained = 0
+        self._read: tuple[Float64 | None, Float64 | None] = (None, None)  # by the outer joints and the endoscope's arm
         self._still: Posed | None = None  # where the last image that differs from the one before was expected
         self._learned = -np.inf  # s, when the colours were learned last
 
     @property
     def has_readings(self) -> bool:
         """Whether the outer joints have been read at an image so far."""
-        return self._outer is not None
+        return self._read[0] is not None
+
+    @property
+    def late(self) -> float:
+        """The lag that is taken out of the readings, s."""
+        return 0.0 if self.lag is None else self.lag.seconds
 
     @property
     def contradicted(self) -> bool:
         """Whether so many images in a row disagree with the calibration that it does not hold any more."""
-        return self._astray >= _MOST_ASTRAY
+        return self.last.astray >= _MOST_ASTRAY
 
     @property
     def explains_little(self) -> bool:
         """Whether the last masks are not explained, as where a calibration of few frames is wrong, or masks are bad."""
-        return self._unexplained >= _DISAGREES
+        return self.last.unexplained >= _DISAGREES
 
     @property
     def disagrees(self) -> bool:
         """Whether the last images disagree with the calibration."""
-        return self._astray >= _DISAGREES
+        return self.last.astray >= _DISAGREES
 
     @property
     def begun(self) -> bool:
@@ -139,22 +150,23 @@ class Following:
     def start_from(self, at: Posed, reading: ReadingAt) -> None:
         """Let the fit of the next image start from the pose and joints of one before it, with that one's readings."""
         if reading.has_outer:
-            self._before = at.minus(self._predicted(reading, reading.outer, None).at[0])
+            self.last = LastImage(deviation=at.minus(self._predicted(reading, reading.outer, None).at[0]))
 
     def _predicted(self, reading: ReadingAt, outer: Float64, time: float | None) -> Prediction:
         """Predict an image from its readings less the lag, with other readings of the outer joints (4,), rad and m."""
-        if reading.ecm is not None:
-            self._ecm = reading.ecm
-        endoscope = endoscope_at(self.calibration, time, self._ecm)
+        ecm = self._read[1] if reading.ecm is None else reading.ecm
+        self._read = self._read[0], ecm
+        endoscope = endoscope_at(self.calibration, time, ecm)
+        lag_std = self._given.config.track.lag_std if self.lag is None else self.lag.std
         predicted = Prediction.of(
             self.calibration,
             outer[None],
             reading.joints[None],
-            self._body.instrument.joint_names,
+            self._given.instrument.joint_names,
             told=np.array([reading.has_outer and (endoscope is None) == (self.calibration.endoscope is None)]),
             moving=np.array([not reading.still]),
             errors=None if reading.sparse is None else reading.sparse.error[None],
-            late=self._lag_std * reading.rates[None] if self._lag_std > 0 else None,
+            late=lag_std * reading.rates[None] if lag_std > 0 else None,
             wrist=WRIST_ERROR,
             endoscope=endoscope,
         )
@@ -165,7 +177,6 @@ class Following:
         time: float,
         reading: ReadingAt,
         seen: Seen,
-        segmenter: ViewSegmenter,
         *,
         shows_well: Callable[[Mapping[str, Mask]], bool] = lambda masks: True,
     ) -> TrackResult:
@@ -173,42 +184,43 @@ class Following:
 
         An image whose masks, by view, do not show the instrument well does not tell against the calibration.
         """
-        started = clock.perf_counter()
+        started, given = clock.perf_counter(), self._given
         if reading.has_outer:
-            self._outer = reading.outer
-        if self._outer is None:
+            self._read = reading.outer, self._read[1]
+        outer, _ = self._read
+        if outer is None:
             return without_pose(time, "no readings of the outer joints so far")
-        predicted, instrument = self._predicted(reading, self._outer, time), self._body.instrument
+        predicted = self._predicted(reading, outer, time)
         at, spread = predicted.at[0], predicted.spread[0]
         if not seen.any_same or self._still is None:
             self._still = at
         elif reading.has_outer and _has_moved(self._still, at):
             seen = seen.without_frozen()
-        self.masks, self.explained = segmenter.given(seen), False
-        image = self._by_masks if self.masks else self._by_edges
-        told, judge = image(at, spread, seen, segmenter)
-        self.misfit = told.misfit
-        self._images.append(WindowImage(time, at, predicted.prior[0], predicted.jacobian[0], told))
-        camera = self._rig.views[0].camera
-        (found,) = solve_window(list(self._images), self.calibration, camera, instrument, only_last=True)
-        of_image = judge(found)
-        reasons = of_image.reasons
+        masks = given.segmenter.given(seen)
+        fit = self._by_masks(at, spread, seen, masks) if masks else self._by_edges(at, spread, seen)
+        self._images.append(WindowImage(time, at, predicted.prior[0], predicted.jacobian[0], fit.told))
+        camera = given.rig.views[0].camera
+        (found,) = solve_window(list(self._images), self.calibration, camera, given.instrument, only_last=True)
+        of_image = fit.judge(found)
+        reasons, last, explained = of_image.reasons, self.last, False
+        astray, unexplained = last.astray, last.unexplained
         if of_image.error is not None:
-            disagrees = of_image.status == "lost" or told.misfit > self._config.session.largest_misfit
-            in_view = not self.masks or shows_well(self.masks)
+            disagrees = of_image.status == "lost" or fit.told.misfit > given.config.session.largest_misfit
+            in_view = not masks or shows_well(masks)
             told_by_readings = reading.has_outer and not reading.still
-            self._astray = self._astray + in_view if disagrees and told_by_readings else 0
-            self.explained = of_image.explained and not disagrees
-            self._unexplained = 0 if self.explained else self._unexplained + in_view
-            if self.explained and time - self._learned >= _LEARNED_EVERY:
+            astray = astray + in_view if disagrees and told_by_readings else 0
+            explained = of_image.explained and not disagrees
+            unexplained = 0 if explained else unexplained + in_view
+            if explained and time - self._learned >= _LEARNED_EVERY:
                 self._learned = time
-                segmenter.learn(seen, self._views, found[0])
+                given.segmenter.learn(seen, self._views, found[0])
+        self.last = LastImage(masks, fit.score, fit.told.misfit, explained, fit.deviation, astray, unexplained)
         if not reading.has_outer:
             reasons.append(NO_READINGS)
         elif reading.still and of_image.error is not None:
             reasons.append(f"readings stand still: where the instrument is, only the {seen.source} tells")
         if self.contradicted:
-            reasons.insert(0, BASE_MOVED.format(count=self._astray))
+            reasons.insert(0, BASE_MOVED.format(count=astray))
         return result_of(
             time,
             of_image.status,
@@ -218,79 +230,76 @@ class Following:
             predicted,
             0,
             self.calibration,
-            instrument,
+            given.instrument,
             camera,
-            self._config.trust.tip_mm,
+            given.config.trust.tip_mm,
             seconds=clock.perf_counter() - started,
             residual_px=of_image.residual_px,
         )
 
-    def masks_of(self, seen: Seen, segmenter: ViewSegmenter) -> dict[str, Mask]:
+    def masks_of(self, seen: Seen) -> dict[str, Mask]:
         """Find masks in the last image, which has none, about the pose to which it was followed."""
-        if self._before is None:
+        if self.last.deviation is None:
             return {}
-        return segmenter.masks_at(seen, self._views, self._images[-1].at.moved(self._before))
+        return self._given.segmenter.masks_at(seen, self._views, self._images[-1].at.moved(self.last.deviation))
 
-    def _by_masks(self, at: Posed, spread: Float64, seen: Seen, segmenter: ViewSegmenter) -> tuple[FitEvidence, _Judge]:
-        """Fit an image's masks, about what is expected of its pose; also returns how the pose is then judged."""
-        views = self.calibration.corrected_views(seen_views(self.masks, self._rig, segmenter.ignored(seen)))
+    def _by_masks(self, at: Posed, spread: Float64, seen: Seen, masks: Mapping[str, Mask]) -> _FitOfImage:
+        """Fit an image's masks, about what is expected of its pose."""
+        given, before = self._given, self.last.deviation
+        shown = self.calibration.corrected_views(seen_views(masks, given.rig, given.segmenter.ignored(seen)))
+        views = views_that_show(shown, given.body)
+        if not views:
+            return _nothing(at, spread, seen)
         expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
-        fitted = quick_fit(
-            self._body, self._config, views, expected, self._before, self._lengths, self.calibration.masks
-        )
-        if fitted is None:
-            return self._nothing(at, spread, seen)
-        fit, self.score = fitted.fit, fitted.fit.score
-        told = FitEvidence.of(fit, at, spread, inflation=fitted.inflation, holds=fit.explains_mask)
-        self._before = fit.at.minus(at) if fit.explains_mask else None
+        fit, own = fit_near(views, given.config, expected, before, self.calibration.masks, self._lengths)
+        told = FitEvidence.of(fit, at, spread, inflation=own.noises[0].inflation, holds=fit.explains_mask)
         if fit.explains_mask:
-            self._lengths |= {view.name: length for view, length in zip(fitted.views, fitted.lengths, strict=True)}
+            self._lengths |= {view.name: length for view, length in zip(views, own.lengths, strict=True)}
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:
-            quality = judged(fitted.views, *found, self._body, self._config)
-            status, reasons = status_of(quality, told.misfit, self.calibration, self._config)
+            quality = judged(views, *found, given.body, given.config)
+            status, reasons = status_of(quality, told.misfit, self.calibration, given.config)
             explained = quality.quality.iou >= self.calibration.iou - LIMITS.overlap_loss
             return _Judged(status, reasons, quality.error, quality.residual_px, explained)
 
-        return told, judge
+        return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.explains_mask else None, judge)
 
-    def _by_edges(self, at: Posed, spread: Float64, seen: Seen, segmenter: ViewSegmenter) -> tuple[FitEvidence, _Judge]:
+    def _by_edges(self, at: Posed, spread: Float64, seen: Seen) -> _FitOfImage:
         """Fit the edges that the colours of an image without masks show, as `_by_masks` does."""
+        given, before = self._given, self.last.deviation
         expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
-        start = at if self._before is None else at.moved(self._before)
-        fit = segmenter.fit(seen, start, expected, near=self._before is not None)
+        start = at if before is None else at.moved(before)
+        fit = given.segmenter.fit(seen, start, expected, near=before is not None)
         if fit is None:
-            return self._nothing(at, spread, seen)
-        self.score = fit.score
-        margin = _EDGES_PX * change_by_margin(fit.at, self._views[0].camera, self._body.instrument)
+            return _nothing(at, spread, seen)
+        camera, instrument = self._views[0].camera, given.instrument
+        margin = _EDGES_PX * change_by_margin(fit.at, camera, instrument)
         told = FitEvidence.of(fit.with_margin(margin), at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
-        self._before = fit.at.minus(at) if fit.holds else None
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:
-            instrument = self._body.instrument
             error = expected_error(instrument, *found)
             if not fit.holds:
-                return _Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma, explained=False)
-            reasons = [*fit.doubts, *doubts_of_tips(error, self._config.trust)]
+                return _Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma)
+            reasons = [*fit.doubts, *doubts_of_tips(error, given.config.trust)]
             tips = apply(found[0].pose, instrument.tips(found[0].joints))
-            if instrument.jaw_tips and outside_image(tips, self._views[0].camera).all():
+            if instrument.jaw_tips and outside_image(tips, camera).all():
                 reasons.append("tip out of view: the jaw tips lie outside the image")
-            if told.misfit > self._config.session.largest_misfit:
+            if told.misfit > given.config.session.largest_misfit:
                 off = told.misfit**0.5
                 reasons.append(
                     f"disagrees with the recording: the image is {off:.1f} times the expected error from that"
                 )
             return _Judged("doubtful" if reasons else "ok", reasons, error, fit.sigma, explained=not fit.doubts)
 
-        return told, judge
+        return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.holds else None, judge)
 
-    def _nothing(self, at: Posed, spread: Float64, seen: Seen) -> tuple[FitEvidence, _Judge]:
-        """Return what an image tells that shows nothing."""
-        self._before, self.score = None, np.inf
-        lost = seen.problem is None or (seen.masks[seen.main] is not None and not seen.any_same)
-        reason = EMPTY.format(source=seen.source) if seen.problem is None else seen.problem
-        nothing = _Judged("lost" if lost else "doubtful", [reason], None, None, explained=False)
-        return FitEvidence.of(None, at, spread, holds=False), lambda found: nothing
+
+def _nothing(at: Posed, spread: Float64, seen: Seen) -> _FitOfImage:
+    """Return what an image tells that shows nothing."""
+    lost = seen.problem is None or (seen.masks[seen.main] is not None and not seen.any_same)
+    reason = EMPTY.format(source=seen.source) if seen.problem is None else seen.problem
+    nothing = _Judged("lost" if lost else "doubtful", [reason], None)
+    return _FitOfImage(FitEvidence.of(None, at, spread, holds=False), np.inf, None, lambda found: nothing)
 
 
 def _has_moved(before: Posed, now: Posed) -> bool:

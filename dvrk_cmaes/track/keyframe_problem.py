@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_fit import LINES_PER_PIXEL
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.calibration.prediction import Prediction, endoscope_in, lag_and_std
@@ -28,7 +29,6 @@ from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.keyframes import solved_with
-from dvrk_cmaes.track.quick_fit import LINES_PER_PIXEL
 
 
 @dataclass(frozen=True, eq=False)

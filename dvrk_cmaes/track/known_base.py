@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.prediction import FoundLag, calibration_covariance, lag_and_std, lag_of
-from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed, change_between
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.doubts import TIPS_NOT_ACCURATE
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.confirmed_image import confirmed_by
+from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeStore
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
-from dvrk_cmaes.track.view_segmenter import Seen, ViewSegmenter
+from dvrk_cmaes.track.view_segmenter import Seen
 
 _CONFIRMING = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
@@ -37,6 +35,23 @@ _SOON = 1.0  # s, since following by a calibration began
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
 
+@dataclass(frozen=True)
+class _Given:
+    """The keyframes that were last given to be solved, by name, and the number of all that had been kept until then."""
+
+    names: frozenset[str] = frozenset()
+    taken: int = 0
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The number of keyframes of the last solution; its reason and ``tip_mm`` as in `Solution`."""
+
+    keyframes: int = 0
+    reason: str = ""
+    tip_mm: float = np.inf
+
+
 class CalibratedFollower:
     """Keeps keyframes, and follows by the calibration that was found from them or given; arguments as of `Tracker`.
 
@@ -44,35 +59,18 @@ class CalibratedFollower:
     it is ok before images confirm it.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        body: Body,
-        arm: Arm,
-        config: EstimateConfig,
-        calibration: SessionCalibration | None,
-        *,
-        earlier: bool = False,
-    ) -> None:
-        self.store = KeyframeStore(rig, body.instrument.joint_names)
-        self._rig, self._body, self._arm, self._config = rig, body, arm, config
+    def __init__(self, given: Followed, calibration: SessionCalibration | None, *, earlier: bool = False) -> None:
+        self.store = KeyframeStore(given.rig, given.instrument.joint_names)
+        self._given = given
         self._alone: dict[str, Result] = {}
-        self._solved = 0  # keyframes of the last solution
-        self._asked = 0  # keyframes that were last given to be solved
-        self._asked_names: frozenset[str] = frozenset()  # of these
-        self._asked_taken = 0  # images that had been kept as keyframes until then
-        self._reason = ""
-        self._known_mm = np.inf  # as `Solution.tip_mm`, of the last solution
+        self._solved, self._asked = _Solved(), _Given()
         self._bases = 0  # that were given up
         self._own = False  # whether the calibration is that of the keyframes
         self._agreeing: int | None = 0 if earlier else None  # images so far; None where none need to agree
-        self._following: Following | None = None
-        self._lag: FoundLag | None = None  # of the calibration
+        self._following = None if calibration is None else self._by(calibration)
         self._confirms: SessionCalibration | None = None  # that does not tell the lag: images are not followed by it
         self._began = 0.0  # s, the image from which the calibration has been followed by
         self._last: tuple[float, Posed] | None = None  # time, s, pose and joints of the last image that has some
-        if calibration is not None:
-            self._begin(calibration)
 
     @property
     def calibration(self) -> SessionCalibration | None:
@@ -82,26 +80,27 @@ class CalibratedFollower:
     @property
     def lag(self) -> FoundLag | None:
         """The lag of the calibration; None if it does not tell one."""
-        return None if self._following is None else self._lag
+        return None if self._following is None else self._following.lag
 
     @property
     def known(self) -> BaseKnown:
         """How far the base is known, in numbers."""
-        tip_mm = self._known_mm if np.isfinite(self._known_mm) else None
-        return BaseKnown(len(self.store), self._solved, tip_mm, self.calibration is not None)
+        tip_mm = self._solved.tip_mm if np.isfinite(self._solved.tip_mm) else None
+        return BaseKnown(len(self.store), self._solved.keyframes, tip_mm, self.calibration is not None)
 
     @property
     def state(self) -> str:
         """How far the base is known, in words: by the error of the tips that it leaves."""
         count = f"{len(self.store)} keyframe{'' if len(self.store) == 1 else 's'}"
-        known = f"base +- {self._known_mm:.2g} mm" if np.isfinite(self._known_mm) else "base not known yet"
+        tip_mm = self._solved.tip_mm
+        known = f"base +- {tip_mm:.2g} mm" if np.isfinite(tip_mm) else "base not known yet"
         if self.calibration is None:
             return f"calibrating: {count}, {known}"
         if self._agreeing is not None:
             return f"checking an earlier calibration: {self._agreeing} of {_CONFIRMING} images agree"
         if not self._own:
             return f"calibration given: {count}"
-        return f"{'calibrated' if self._solved >= SOLVED_AT[-1] else 'calibrating'}: {count}, {known}"
+        return f"{'calibrated' if self._solved.keyframes >= SOLVED_AT[-1] else 'calibrating'}: {count}, {known}"
 
     @property
     def due(self) -> bool:
@@ -110,9 +109,8 @@ class CalibratedFollower:
         Where the last images disagree with the calibration, one more is enough. When there are as many as are kept, a
         third of them must be new, or some where images disagree.
         """
-        given = max(self._solved, self._asked)
-        new = self.store.taken - self._asked_taken
-        waiting = self._asked > self._solved
+        given, new = self._most_given, self.store.taken - self._asked.taken
+        waiting = given > self._solved.keyframes
         if self._following is not None and self._following.disagrees and not waiting and len(self.store) > SOLVED_AT[0]:
             return new >= (_NEW_THAT_DISAGREE if len(self.store) >= SOLVED_AT[-1] else 1)
         if given >= SOLVED_AT[-1] and new >= NEW_AT_MOST:
@@ -120,51 +118,51 @@ class CalibratedFollower:
         return any(given < count <= self._most for count in SOLVED_AT)
 
     @property
+    def _most_given(self) -> int:
+        """Most keyframes that were solved, or given to be."""
+        return max(self._solved.keyframes, len(self._asked.names))
+
+    @property
     def _most(self) -> int:
         """Most keyframes to solve next: twice those before, since more would take too long to be used soon."""
-        return min(len(self.store), max(SOLVED_AT[0], 2 * max(self._solved, self._asked)))
+        return min(len(self.store), max(SOLVED_AT[0], 2 * self._most_given))
 
     def problem(self) -> KeyframeProblem:
         """Return what the keyframes pose to be solved; of many new ones, those that are farthest from each other.
 
         They test the camera file, which takes long, once as many as are kept have been solved without that.
         """
-        keyframes = self.store.spread(self._most, self._asked_names)
-        self._asked, self._asked_taken = len(keyframes), self.store.taken
-        self._asked_names = frozenset(one.name for one in keyframes)
-        session = self._config.session
-        if self._solved < SOLVED_AT[-1]:
-            session = replace(session, test_camera=False)
-        config = replace(self._config, session=session)
-        return self.store.problem(keyframes, self._arm, config, self._alone, self._bases)
+        keyframes, config = self.store.spread(self._most, self._asked.names), self._given.config
+        self._asked = _Given(frozenset(one.name for one in keyframes), self.store.taken)
+        if self._solved.keyframes < SOLVED_AT[-1]:
+            config = replace(config, session=replace(config.session, test_camera=False))
+        return self.store.problem(keyframes, self._given.arm, config, self._alone, self._bases)
 
     @property
     def unsolved(self) -> list[KeyframeTask]:
         """The keyframes that no solution has estimated by themselves yet, first those that are solved next."""
         if all(name in self._alone for name in self.store.names):
             return []
-        keyframes = self.store.spread(len(self.store), self._asked_names)
-        return [KeyframeTask(one, self._rig, self._config) for one in keyframes if one.name not in self._alone]
+        keyframes, given = self.store.spread(len(self.store), self._asked.names), self._given
+        return [KeyframeTask(one, given.rig, given.config) for one in keyframes if one.name not in self._alone]
 
     def use(self, solution: Solution) -> bool:
         """Follow by a solution, if it has a calibration that predicts its frames; returns whether it has.
 
         One of keyframes of a base that was given up since is not used.
         """
-        if solution.base != self._bases or solution.keyframes < self._solved:
+        if solution.base != self._bases or solution.keyframes < self._solved.keyframes:
             return False
         known = self._alone | dict(solution.alone)
         self._alone = {name: known[name] for name in self.store.names if name in known}
-        self._solved = max(self._solved, solution.keyframes)
-        self._reason = solution.reason
-        self._known_mm = solution.tip_mm
+        self._solved = _Solved(solution.keyframes, solution.reason, solution.tip_mm)
         if solution.calibration is None or solution.reason or not self._is_better(solution):
             return False
         if self.calibration is None and not self._is_useful(solution):
             self._confirms = solution.calibration if solution.keyframes >= _RELIED_ON else None
             return False
         self._own, self._agreeing, self._confirms = True, None, None
-        self._begin(solution.calibration)
+        self._following = self._by(solution.calibration)
         return True
 
     def _is_useful(self, solution: Solution) -> bool:
@@ -173,9 +171,9 @@ class CalibratedFollower:
         Not by one whose error is too large, nor by few keyframes that do not tell the lag: the arm may have been slow.
         """
         assert solution.calibration is not None
-        _, std = lag_and_std(solution.calibration, self._config.track.lag_std)
+        _, std = lag_and_std(solution.calibration, self._given.config.track.lag_std)
         told = std <= _TOLD_LAG or solution.keyframes >= _OWN_IS_ENOUGH
-        return told and solution.tip_mm <= self._config.trust.tip_mm * _BY_THE_BASE
+        return told and solution.tip_mm <= self._given.config.trust.tip_mm * _BY_THE_BASE
 
     def _is_better(self, solution: Solution) -> bool:
         """Whether a solution is to replace the calibration: one of an earlier run only if that is another or worse."""
@@ -187,53 +185,49 @@ class CalibratedFollower:
         same = float(apart @ np.linalg.solve(before + after, apart)) <= _SAME_BASE**2 * len(apart)
         return not same or float(np.trace(after[:3, :3])) < float(np.trace(before[:3, :3]))
 
-    def _begin(self, calibration: SessionCalibration) -> None:
-        """Follow by a calibration."""
-        unknown = self._config.track.lag_std
-        self._lag, (_, std) = lag_of(calibration, unknown), lag_and_std(calibration, unknown)
-        self._following = Following(
-            self._rig, self._body, self._config, calibration, lag_std=std, uncertain=self._is_of_few
-        )
+    def _by(self, calibration: SessionCalibration) -> Following:
+        """Return what follows by a calibration."""
+        lag = lag_of(calibration, self._given.config.track.lag_std)
+        return Following(self._given, calibration, lag, uncertain=self._is_of_few)
 
-    def can_follow(self, time: float, readings: ReadingBuffer, seen: Seen, segmenter: ViewSegmenter) -> bool:
+    def can_follow(self, time: float, readings: ReadingBuffer, seen: Seen) -> bool:
         """Whether an image of a time, s, can be followed by a calibration.
 
         There must be one, the outer joints must have been read at an image or be read now, and masks must be there, or
         colours by which they are found.
         """
-        if self._following is None or not segmenter.is_ready(seen):
+        following = self._following
+        if following is None or not self._given.segmenter.is_ready(seen):
             return False
-        late = 0.0 if self.lag is None else self.lag.seconds
-        return self._following.has_readings or readings.at(time - late).has_outer
+        return following.has_readings or readings.at(time - following.late).has_outer
 
-    def follow(self, time: float, readings: ReadingBuffer, seen: Seen, segmenter: ViewSegmenter) -> TrackResult:
+    def follow(self, time: float, readings: ReadingBuffer, seen: Seen) -> TrackResult:
         """Fit an image by the calibration; if too many in a row contradict it, it does not hold any more.
 
         Fewer are enough for one of an earlier run and, soon after it was found, for one of few keyframes.
         """
-        following, lag = self._following, self.lag
+        following = self._following
         assert following is not None
-        late = 0.0 if lag is None else lag.seconds
         if not following.begun:
             self._began = time
             if self._last is not None and time - self._last[0] <= _LATELY:
-                following.start_from(self._last[1], readings.at(self._last[0] - late))
-        result = following.follow(time, readings.at(time - late), seen, segmenter, shows_well=self.store.shows_well)
+                following.start_from(self._last[1], readings.at(self._last[0] - following.late))
+        result = following.follow(time, readings.at(time - following.late), seen, shows_well=self.store.shows_well)
         wrong = following.contradicted or (self._agreeing is not None and following.disagrees)
         soon = time - self._began <= _SOON
         if wrong or (soon and self._is_of_few and following.explains_little):
             self._give_up()
             return replace(result, status="doubtful" if result.status == "ok" else result.status)
-        kept = self.offer(time, readings.at(time), seen, segmenter, following)
+        kept = self.offer(time, readings.at(time), seen, following)
         if result.status == "ok" and self._agreeing is not None:
-            self._agreeing += kept and following.misfit < _AGREES
+            self._agreeing += kept and following.last.misfit < _AGREES
             if self._agreeing >= _CONFIRMING:
                 self._agreeing = None
             else:
                 result = replace(result, status="doubtful", reasons=(self.state,))
-        if result.status == "ok" and self._own and self._solved < _RELIED_ON:
+        if result.status == "ok" and self._own and self._solved.keyframes < _RELIED_ON:
             result = replace(result, status="doubtful", reasons=(f"too few keyframes to rely on: {self._how_far()}",))
-        uncertain = result.tip_std_mm is not None and result.tip_std_mm > self._config.trust.tip_mm
+        uncertain = result.tip_std_mm is not None and result.tip_std_mm > self._given.config.trust.tip_mm
         if result.status == "doubtful" and uncertain and self._own:
             result = replace(result, reasons=(*result.reasons, self._how_far()))
         return result
@@ -241,17 +235,17 @@ class CalibratedFollower:
     def note(self, result: TrackResult) -> None:
         """Remember where an image shows the instrument: fits by a new calibration start from there."""
         if result.camera_from_root is not None and result.status != "lost":
-            joints = np.array([result.joints[name] for name in self._body.instrument.joint_names])
+            joints = np.array([result.joints[name] for name in self._given.instrument.joint_names])
             self._last = result.time, Posed(result.camera_from_root, joints)
 
     @property
     def _is_of_few(self) -> bool:
         """Whether the calibration is that of few keyframes."""
-        return self._own and self._solved < _OWN_IS_ENOUGH
+        return self._own and self._solved.keyframes < _OWN_IS_ENOUGH
 
     def _how_far(self) -> str:
         """Say how far the base is known by the last solution."""
-        return f"base known to {self._known_mm:.2g} mm, {self._solved} keyframes"
+        return f"base known to {self._solved.tip_mm:.2g} mm, {self._solved.keyframes} keyframes"
 
     def _give_up(self) -> None:
         """Follow by the calibration no longer: images contradict it.
@@ -260,25 +254,21 @@ class CalibratedFollower:
         are not, nor those that are to be solved once more, since a solution of few may have been wrong itself, nor
         those of an endoscope whose readings say where it is.
         """
-        few = self._is_of_few and len(self.store) > self._solved
-        self._following, self._reason, self._known_mm = None, "", np.inf
-        self._solved = self._asked = 0
-        self._asked_names = frozenset()
+        few = self._is_of_few and len(self.store) > self._solved.keyframes
+        self._following, self._solved, self._asked = None, _Solved(), replace(self._asked, names=frozenset())
         if self._agreeing is None and not few and not self.store.steered:
             self._bases += 1
             self._alone.clear()
             self.store.clear()
         self._own, self._agreeing, self._confirms = False, None, None
 
-    def offer(
-        self, time: float, reading: ReadingAt, seen: Seen, segmenter: ViewSegmenter, following: Following | None
-    ) -> bool:
+    def offer(self, time: float, reading: ReadingAt, seen: Seen, following: Following | None) -> bool:
         """Keep an image as a keyframe, if it is worth that; returns whether it is.
 
         Where it has no masks, they are found about the pose to which it was followed, if that explains it. Where
         readings are too sparse for the motion, they do not tell what the image shows.
         """
-        names = (*OUTER_JOINTS, *self._body.instrument.joint_names)
+        names = (*OUTER_JOINTS, *self._given.instrument.joint_names)
         if reading.still or (reading.sparse is not None and reading.sparse.reason):
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
@@ -286,9 +276,10 @@ class CalibratedFollower:
         if reading.ecm is not None:
             readings |= dict(zip(ECM_JOINTS, reading.ecm.tolist(), strict=True))
         rates = dict(zip(names, [*reading.outer_rate.tolist(), *reading.joint_rate.tolist()], strict=True))
+        segmenter = self._given.segmenter
         masks = segmenter.given(seen)
-        if not masks and following is not None and following.explained and self.store.is_new(time, readings):
-            masks = following.masks_of(seen, segmenter)
+        if not masks and following is not None and following.last.explained and self.store.is_new(time, readings):
+            masks = following.masks_of(seen)
         return bool(masks) and self.store.offer(time, masks, segmenter.ignored(seen), readings, rates)
 
     def unconfirmed(self, result: TrackResult, readings: ReadingBuffer) -> TrackResult:
@@ -300,17 +291,15 @@ class CalibratedFollower:
             return result
         only_tips = all(reason.startswith(TIPS_NOT_ACCURATE) for reason in result.reasons)
         if only_tips and self._confirms is not None:
-            late, std = lag_and_std(self._confirms, self._config.track.lag_std)
-            reading = readings.at(result.time - late)
-            instrument = self._body.instrument
-            confirmed = confirmed_by(self._confirms, result, reading, std, self._rig, self._config, instrument)
+            late, std = lag_and_std(self._confirms, self._given.config.track.lag_std)
+            confirmed = confirmed_by(self._confirms, result, readings.at(result.time - late), std, self._given)
             if confirmed is not None and confirmed.status == "ok":
                 return confirmed
         if self.calibration is not None:
             reason = "no readings of the outer joints so far"
         else:
             known = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
-            why = f" ({self._reason})" if self._reason else ""
-            far = f" ({self._how_far()})" if np.isfinite(self._known_mm) and not why else ""
+            why = f" ({self._solved.reason})" if self._solved.reason else ""
+            far = f" ({self._how_far()})" if np.isfinite(self._solved.tip_mm) and not why else ""
             reason = f"base not known yet: {len(self.store)} keyframes{known}{why}{far}"
         return replace(result, status="doubtful", reasons=(*result.reasons, reason))

@@ -7,12 +7,20 @@ Its pose, once smoothed over the recording, is judged by the rules of `estimate 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from dvrk_cmaes.calibration.frame_fit import FOLLOWED, FrameFit, fit_frame
+from dvrk_cmaes.calibration.frame_fit import (
+    FOLLOWED,
+    FROM_PREDICTION,
+    FROM_TWO_STARTS,
+    WHILE_RUNNING,
+    FrameFit,
+    OwnEstimate,
+    fit_frame,
+)
 from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
 from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame, StoredView
 from dvrk_cmaes.config import EstimateConfig
@@ -21,7 +29,6 @@ from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView, shown_views
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
@@ -80,24 +87,47 @@ def starts_of(expected: Expected, before: Float64 | None) -> list[Posed]:
     return [near, expected.mean] if apart > _ANOTHER_START else [near]
 
 
+def fit_near(
+    views: Sequence[FrameView],
+    config: EstimateConfig,
+    expected: Expected,
+    before: Float64 | None,
+    masks: SessionMasks | None,
+    lengths: Mapping[str, float] | None = None,
+) -> tuple[FrameFit, OwnEstimate]:
+    """Fit a frame near what is expected of it; returns the fit, and what its outlines are measured by.
+
+    Parameters
+    ----------
+    views, config, expected
+        As in `fit_frame`.
+    before : (D,)
+        Deviation of the frame before from its prediction; None without one.
+    masks
+        States the margin that is taken off each view's mask.
+    lengths
+        Correlation lengths, px, of the contours of images before, by view. They are given while images come: the fit is
+        then found in few drawings.
+    """
+    starts, names = starts_of(expected, before), [view.name for view in views]
+    margins, preset = margins_of(masks, names), FOLLOWED
+    if lengths is None:
+        return fit_frame(views, config, expected, starts, margins=margins, preset=preset)
+    preset = FROM_PREDICTION if before is None else WHILE_RUNNING if len(starts) == 1 else FROM_TWO_STARTS
+    of_views = [lengths.get(name, config.refine.outline.correlation) for name in names]
+    return fit_frame(views, config, expected, starts, margins=margins, lengths=of_views, preset=preset)
+
+
 def fit_followed(
     body: Body, config: EstimateConfig, frame: PredictedFrame, before: Float64 | None, masks: SessionMasks | None
 ) -> FittedFrame | None:
-    """Fit a frame; ``before`` (D,) is the deviation of the frame before from its prediction.
-
-    ``masks`` states the margin that is taken off each view's mask.
-    """
+    """Read and fit a frame of a recording, as `fit_near`; None if its masks show nothing."""
     started = time.perf_counter()
-    data, expected = frame.read(), frame.expected
-    if data is None:
+    data = frame.read()
+    views = [] if data is None else views_that_show(data.views, body)
+    if data is None or not views:
         return None
-    views = views_that_show(data.views, body)
-    if not views:
-        return None
-    limits = split_readings(body.instrument, {}, config)[0]
-    starts = starts_of(expected, before)
-    margins = margins_of(masks, [view.name for view in views])
-    fit, own = fit_frame(views, limits, config, expected, starts, None, margins=margins, preset=FOLLOWED)
+    fit, own = fit_near(views, config, frame.expected, before, masks)
     stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
     return FittedFrame(
         StoredFrame(tuple(stored), data.camera, own), fit, own.noises[0].inflation, time.perf_counter() - started

@@ -24,6 +24,7 @@ from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
+from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.known_base import CalibratedFollower
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
@@ -108,8 +109,8 @@ class Tracker:
         self._given_lag, self._remarks = lag, rig.remarks
         self._readings = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
         self._segmenter = ViewSegmenter(rig, self._body, track, evidence, hints)
-        self._known = CalibratedFollower(rig, self._body, used_arm, settings, calibration, earlier=earlier)
-        self._unknown = UnknownBase(rig, self._body, used_arm, settings, self._segmenter, sliced)
+        given = Followed(rig, self._body, used_arm, settings, self._segmenter)
+        self._known, self._unknown = CalibratedFollower(given, calibration, earlier=earlier), UnknownBase(given, sliced)
         self._renderer = Renderer(self._body, rig.views[0].camera)
         self._time: float | None = None
 
@@ -262,12 +263,12 @@ class Tracker:
     def _followed(self, time: float, seen: Seen) -> TrackResult:
         """Follow to an image by the calibration, if there is one, and otherwise from the image before."""
         known, unknown, readings = self._known, self._unknown, self._readings
-        if known.can_follow(time, readings, seen, self._segmenter):
+        if known.can_follow(time, readings, seen):
             unknown.forget()
-            return known.follow(time, readings, seen, self._segmenter)
+            return known.follow(time, readings, seen)
         lag = known.lag
         result = unknown.step(time, readings.at(time - (0.0 if lag is None else lag.seconds)), seen, known.calibration)
-        known.offer(time, readings.at(time), seen, self._segmenter, unknown.following)
+        known.offer(time, readings.at(time), seen, unknown.following)
         return known.unconfirmed(result, readings)
 
     def _with_sparse_readings(self, result: TrackResult) -> TrackResult:

@@ -25,23 +25,21 @@ from dvrk_cmaes.calibration.model import (
     SessionModel,
     offset_deviations,
 )
-from dvrk_cmaes.calibration.prediction import Prediction, endoscope_at
-from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig, TrustConfig
+from dvrk_cmaes.calibration.prediction import FoundLag, Prediction, endoscope_at
+from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Float64, Posed, inverse
-from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.segment.segmentation import Box
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage
+from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.following import Following
 from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.view_segmenter import Seen, ViewSegmenter
+from dvrk_cmaes.track.view_segmenter import Seen
 from dvrk_cmaes.track.window import CORRELATED_FRAMES
 
 NOT_FOUND: Final = "not found: the first image could not be solved"
@@ -61,10 +59,9 @@ _OWN_ERROR = 2.0  # factor on the stated errors of a searched image, which is th
 _WALK = (0.02, 0.5, 1.0)  # m, rad about the root's x and y, about its z and of the joints, in a second without readings
 
 
-def wide_calibration(
-    at: Posed, covariance: Float64, reading: ReadingAt, instrument: Instrument, arm: Arm, config: EstimateConfig
-) -> SessionCalibration:
+def wide_calibration(at: Posed, covariance: Float64, reading: ReadingAt, given: Followed) -> SessionCalibration:
     """Return the calibration that a pose with a covariance (D, D) makes of the readings at its time."""
+    instrument, arm, config = given.instrument, given.arm, given.config
     names = instrument.joint_names
     offsets = np.concatenate([[0.0, 0.0], at.joints - np.nan_to_num(reading.joints)])
     spread = Deviations.of(config.session, names)
@@ -137,11 +134,7 @@ class UnknownBase:
     ``sliced`` tells whether a search goes on in the steps after its image.
     """
 
-    rig: Rig
-    body: Body
-    arm: Arm
-    config: EstimateConfig
-    segmenter: ViewSegmenter
+    given: Followed
     sliced: bool
     _modes: list[_Mode] = field(default_factory=list)
     _search: _Search | None = None
@@ -171,7 +164,7 @@ class UnknownBase:
         """
         assert result.camera_from_root is not None
         assert result.covariance is not None
-        names, others = self.body.instrument.joint_names, result.alternatives
+        names, others = self.given.instrument.joint_names, result.alternatives
         poses = [(result.camera_from_root, result.joints), *((one.camera_from_root, one.joints) for one in others)]
         modes = [Posed(pose, np.array([joints[name] for name in names])) for pose, joints in poses]
         chance = 1.0 if result.mode_probability is None else result.mode_probability
@@ -180,11 +173,11 @@ class UnknownBase:
         covariance = widened**2 * result.covariance
         self.forget()
         self._modes = [_Mode(time, at, covariance, cost) for at, cost in zip(modes, costs, strict=True)]
-        self._modes = self._modes[: self.config.track.modes]
+        self._modes = self._modes[: self.given.config.track.modes]
         self._followed = self._unsupported = 0
         self._wait = _FIRST_WAIT
         if seen is not None:
-            self.segmenter.learn(seen, self.rig.views, modes[0])
+            self.given.segmenter.learn(seen, self.given.rig.views, modes[0])
 
     def step(
         self, time: float, reading: ReadingAt, seen: Seen, calibration: SessionCalibration | None = None
@@ -218,10 +211,12 @@ class UnknownBase:
     def _begin_search(self, image: _Image, calibration: SessionCalibration | None, *, first: bool) -> None:
         """Begin to search an image."""
         kept = replace(image, seen=image.seen.copied())
-        config = replace(self.config, threads=1) if self.sliced else self.config
+        given = self.given
+        if self.sliced:
+            given = replace(given, config=replace(given.config, threads=1))
         around = {} if calibration is None else self._around(image.reading, calibration)
         # nothing of this object, so that the thread of the call ends with it
-        search = partial(_solved, kept, self.rig, self.body, config, self.segmenter, around, calibration, first=first)
+        search = partial(_solved, kept, given, around, calibration, first=first)
         self._search = _Search(SlicedCall(search), [kept], first)
 
     def _go_on(self, search: _Search, image: _Image) -> None:
@@ -235,7 +230,7 @@ class UnknownBase:
         self._search, found, began = None, search.call.value(), search.images[0]
         if found is None or found.camera_from_root is None or found.covariance is None:
             return
-        if search.first or _explains(found, self.config.trust):
+        if search.first or _explains(found, self.given.config.trust):
             self.start(began.time, found, began.seen, widened=_OWN_ERROR)
             self._late = deque(search.images)
 
@@ -243,10 +238,10 @@ class UnknownBase:
         """Return boxes, by view, around the instrument where readings and calibration make expect it."""
         if not reading.has_outer:
             return {}
-        names = self.body.instrument.joint_names
+        names = self.given.instrument.joint_names
         endoscope = endoscope_at(calibration, None, reading.ecm)
         expected = Prediction.of(calibration, reading.outer[None], reading.joints[None], names, endoscope=endoscope)
-        return self.segmenter.boxes_around(expected.at[0], calibration.corrected_views(self.rig.views))
+        return self.given.segmenter.boxes_around(expected.at[0], calibration.corrected_views(self.given.rig.views))
 
     def _follow(self, image: _Image, calibration: SessionCalibration | None) -> TrackResult:
         """Follow all modes to an image, and drop those that it makes improbable."""
@@ -262,33 +257,32 @@ class UnknownBase:
         result = pairs[0][1]
         following = self._modes[0].following
         assert following is not None
-        if not following.explained and image.seen.problem is None:
+        if not following.last.explained and image.seen.problem is None:
             self._unsupported += 1
             if self._unsupported >= self._wait and self._search is None:
                 self._wait = min(2 * self._wait, self._wait + _MORE_WAIT)
                 self._begin_search(image, calibration, first=False)
-        elif following.explained:
+        elif following.last.explained:
             self._unsupported, self._wait = 0, _FIRST_WAIT
         return result
 
     def _follow_mode(self, mode: _Mode, image: _Image) -> TrackResult:
         """Follow one mode to an image."""
-        reading, names = image.reading, self.body.instrument.joint_names
+        reading, names = image.reading, self.given.instrument.joint_names
         reads = reading.has_outer and not reading.still
         used = reading if reads else _standing(reading, mode.at)
         if mode.following is None or not (reads and mode.reads):
             walked = mode.covariance + _walk(max(image.time - mode.time, 0.0), len(names))
-            wide = wide_calibration(mode.at, walked, used, self.body.instrument, self.arm, self.config)
-            lag_std = self.config.track.lag_std if reads else 0.0
-            mode.following = Following(self.rig, self.body, self.config, wide, lag_std=lag_std, uncertain=True)
+            wide = wide_calibration(mode.at, walked, used, self.given)
+            mode.following = Following(self.given, wide, None if reads else FoundLag(0.0, 0.0), uncertain=True)
             mode.reads = reads
-        result = mode.following.follow(image.time, used, image.seen, self.segmenter)
+        result = mode.following.follow(image.time, used, image.seen)
         assert result.camera_from_root is not None
         assert result.covariance is not None
         mode.time, mode.covariance = image.time, result.covariance
         mode.at = Posed(result.camera_from_root, np.array([result.joints[name] for name in names]))
-        if math.isfinite(mode.following.score):
-            mode.cost += mode.following.score / CORRELATED_FRAMES
+        if math.isfinite(mode.following.last.score):
+            mode.cost += mode.following.last.score / CORRELATED_FRAMES
         if reads:
             return result
         read = dict(zip(names, reading.joints.tolist(), strict=True))
@@ -298,10 +292,7 @@ class UnknownBase:
 
 def _solved(
     image: _Image,
-    rig: Rig,
-    body: Body,
-    config: EstimateConfig,
-    segmenter: ViewSegmenter,
+    given: Followed,
     around: Mapping[int, Box],
     calibration: SessionCalibration | None,
     *,
@@ -309,15 +300,16 @@ def _solved(
 ) -> Result | None:
     """Solve an image by itself; None if nothing is found in it, or its masks are nothing but instrument."""
     outer = zip(OUTER_JOINTS, image.reading.outer.tolist(), strict=True)
-    joints = zip(body.instrument.joint_names, image.reading.joints.tolist(), strict=True)
+    joints = zip(given.instrument.joint_names, image.reading.joints.tolist(), strict=True)
     readings = {name: value for name, value in (*outer, *joints) if not math.isnan(value)}
-    masks: Mapping[str, Mask] = segmenter.first_masks(image.seen, hinted=first, around=around)
+    masks: Mapping[str, Mask] = given.segmenter.first_masks(image.seen, hinted=first, around=around)
     if not masks:
         return None
     stage("")  # what is drawn for the search is not done in the step that found the masks
     try:
+        ignored = given.segmenter.ignored(image.seen)
         return estimate(
-            masks, rig, readings, body, ignore=segmenter.ignored(image.seen), session=calibration, config=config
+            masks, given.rig, readings, given.body, ignore=ignored, session=calibration, config=given.config
         )
     except InputError:
         return None

@@ -66,7 +66,7 @@ def solved(world: Steered40, endoscope: Endoscope, index: np.ndarray | None = No
     of_endoscope = endoscope.start.information
     prior = np.pad(PRIOR, (0, len(of_endoscope)))
     prior[len(PRIOR) :, len(PRIOR) :] = of_endoscope
-    solution, _ = solve_with_modes(model, world.modes, consensus.calibration, prior)
+    solution = solve_with_modes(model, world.modes, consensus.calibration, prior)
     return model, solution
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import run_command
-from helpers.moving_worlds import SMALL, MovingWorld, moving_world
+from helpers.moving_worlds import SMALL, MovingWorld, followed, moving_world
 
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.config import EstimateConfig
@@ -153,9 +153,8 @@ def test_base_of_an_arm_is_exported(tracks: Path, tmp_path: Path, capsys: pytest
     readings = ReadingBuffer(names, 0.2, 1.0)
     readings.add(0.0, world.readings[0])
     at = Posed(truth.camera_from_root, truth.values)
-    found = wide_calibration(
-        at, 1e-6 * np.eye(6 + len(names)), readings.at(0.0), world.body.instrument, "classic", EstimateConfig()
-    )
+    given = followed(world, EstimateConfig())
+    found = wide_calibration(at, 1e-6 * np.eye(6 + len(names)), readings.at(0.0), given)
     write_json(tmp_path / "tracks" / "PSM2" / "session.json", found.to_dict())
     arguments = ("--to", "tf", "--arm", "PSM2", "--out", tmp_path / "tf", "--json")
     ran = run_command(capsys, "export", tmp_path / "tracks", *arguments)

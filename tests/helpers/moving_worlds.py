@@ -8,7 +8,8 @@ from functools import cache
 
 import numpy as np
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body
@@ -16,6 +17,8 @@ from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MotionLevel, moving_arm, read_moving
 from dvrk_cmaes.synth.truth import Truth, exact_mask
 from dvrk_cmaes.track import Tracker
+from dvrk_cmaes.track.followed import Followed
+from dvrk_cmaes.track.view_segmenter import ViewSegmenter
 
 SMALL = Camera(320, 240, 513, 513, 161, 119)
 OFFSETS_ONLY = MotionLevel(1.5, 0.0, 4.0, 0.0, 0.0, 0.0, False, False)
@@ -72,3 +75,9 @@ def moving_world(frames: int = 40, seed: int = 3, level: MotionLevel = OFFSETS_O
     paths = read_moving(truths, rng, level)
     readings = [{name: float(path[k]) for name, path in paths.items()} for k in range(frames)]
     return MovingWorld(body, SMALL, base, truths, [exact_mask(body, SMALL, truth) for truth in truths], readings)
+
+
+def followed(world: MovingWorld, config: EstimateConfig) -> Followed:
+    """Return what a tracker of a world follows."""
+    rig = Rig.of(world.camera)
+    return Followed(rig, world.body, "classic", config, ViewSegmenter(rig, world.body, config.track, None, None))

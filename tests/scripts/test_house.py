@@ -89,7 +89,7 @@ def test_named_functions_exist_and_one_that_does_not_is_refused(tmp_path: Path, 
     assert found["tests: files that read clocks"] == 1
     assert {kind: found[kind] for kind in NAMED} == {kind: len(names.split()) for kind, names in NAMED.items()}
 
-    (tmp_path / "dvrk_cmaes" / "track" / "quick_fit.py").write_text("", encoding="utf-8")
+    (tmp_path / "dvrk_cmaes" / "calibration" / "frame_fit.py").write_text("", encoding="utf-8")
     refused = run_here("house", "--root", tmp_path)
     assert refused.code == 2
-    assert "drivers of a fit: expected a name of dvrk_cmaes, got track/quick_fit.py:quick_fit" in refused.err
+    assert "drivers of a fit: expected a name of dvrk_cmaes, got calibration/frame_fit.py:fit_frame" in refused.err

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.moving_worlds import SMALL, MovingWorld, moving_world
+from helpers.moving_worlds import SMALL, MovingWorld, followed, moving_world
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, lag_of
@@ -136,14 +136,13 @@ def test_image_is_not_confirmed_where_the_keyframes_expect_another_place(
     for k in range(len(results)):
         readings.add(world.time(k), world.readings[k])
     at = readings.at(result.time)
-    rig, instrument = Rig.of(world.camera), world.body.instrument
     for pitch, expected in ((0.0, True), (0.9, False)):
         turned = moved(result.camera_from_root, np.array([0.0, 0.0, 0.0, pitch, 0.0, 0.0]))
         other = replace(result, camera_from_root=turned)
-        confirmed = confirmed_by(calibration, other, at, 0.08, rig, CONFIG, instrument)
+        confirmed = confirmed_by(calibration, other, at, 0.08, followed(world, CONFIG))
         assert (confirmed is not None) == expected
     strict = replace(CONFIG, trust=TrustConfig(tip_mm=0.9 * (result.tip_std_mm or 0)))
-    doubtful = confirmed_by(calibration, result, at, 0.08, rig, strict, instrument)
+    doubtful = confirmed_by(calibration, result, at, 0.08, followed(world, strict))
     assert doubtful is not None
     assert doubtful.status == "doubtful"
     assert doubtful.reasons[0].startswith("tips not accurate")
@@ -274,7 +273,7 @@ def failed(known: CalibratedFollower) -> Solution:
 
 
 def test_keyframes_are_solved_at_some_numbers_and_when_a_third_of_the_most_are_new(world: MovingWorld) -> None:
-    known = CalibratedFollower(Rig.of(world.camera), world.body, "classic", CONFIG, None)
+    known = CalibratedFollower(followed(world, CONFIG), None)
     solved_at = []
     for number in range(1, MOST_KEYFRAMES + 2 * NEW_AT_MOST + 1):
         keep(known, 1)
@@ -290,7 +289,7 @@ def test_solutions_have_at_most_twice_the_keyframes_of_those_before_and_the_last
 ) -> None:
     """Images came faster than keyframes were solved; the first few are then those that are farthest apart."""
     known, problems = (
-        CalibratedFollower(Rig.of(world.camera), world.body, "classic", CONFIG, None),
+        CalibratedFollower(followed(world, CONFIG), None),
         list[KeyframeProblem](),
     )
     keep(known, MOST_KEYFRAMES)

@@ -21,8 +21,7 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import exact_mask
 from dvrk_cmaes.track.image_frames import BlockTask, fit_block
-from dvrk_cmaes.track.quick_fit import quick_fit
-from dvrk_cmaes.track.recorded_frames import PredictedFrame
+from dvrk_cmaes.track.recorded_frames import PredictedFrame, fit_near, views_that_show
 
 RIGHT = Camera(320, 240, 513, 513, 159, 121)
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
@@ -66,9 +65,9 @@ def by_block(wide: str, masks: SessionMasks | None) -> Posed:
 def by_step(wide: str, masks: SessionMasks | None) -> Posed:
     """Fit the frame as a stream is."""
     body, truth, _ = world()
-    found = quick_fit(body, CONFIG, frame(wide).views, Expected(truth, np.linalg.inv(SPREAD)), None, {}, masks)
-    assert found is not None
-    return found.fit.at
+    views = views_that_show(frame(wide).views, body)
+    found, _ = fit_near(views, CONFIG, Expected(truth, np.linalg.inv(SPREAD)), None, masks, lengths={})
+    return found.at
 
 
 @pytest.mark.parametrize("wide", ["left", "right"])
