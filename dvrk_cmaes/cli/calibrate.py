@@ -244,9 +244,6 @@ def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
 
     The frames are estimated again with that: with a guess that is far off, their poses disagree.
     """
-    from tempfile import TemporaryDirectory
-
-    from dvrk_cmaes.calibration.together import solved_alone
     from dvrk_cmaes.camera import Rig
 
     if not arm.session.guessed:
@@ -254,9 +251,7 @@ def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
     frames = arm.session.frames
     few = replace(arm, session=replace(arm.session, frames=frames[:: -(-len(frames) // _FIRST_FRAMES)]))
     note(f"finding the camera with {len(few.session.frames)} frames")
-    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
-        out = Path(folder) / "session"
-        solved = solved_alone(_solving_arm(few, out, replace(asked, refine_camera=True)))
+    solved = _solved_apart(few, replace(asked, refine_camera=True))
     if solved is None:
         return None
     rig = Rig(tuple(view.restored() for view in solved.calibration.views))
@@ -268,20 +263,24 @@ def _predicted_with(arm: ArmInSession, asked: _Asked) -> Predictions | str | Non
 
     None if it was interrupted.
     """
+    note(f"trying instrument {arm.body.instrument.name}")
+    try:
+        solved = _solved_apart(arm, asked)
+    except InputError as error:
+        if not str(error).startswith(_REFUSED):
+            raise
+        return str(error).removeprefix(_REFUSED)
+    return None if solved is None else solved.calibration.leave_one_out
+
+
+def _solved_apart(arm: ArmInSession, asked: _Asked) -> SolvedSession | None:
+    """Calibrate the session of an arm in a folder that is not kept; None if interrupted."""
     from tempfile import TemporaryDirectory
 
     from dvrk_cmaes.calibration.together import solved_alone
 
-    note(f"trying instrument {arm.body.instrument.name}")
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
-        out = Path(folder) / "session"
-        try:
-            solved = solved_alone(_solving_arm(arm, out, asked))
-        except InputError as error:
-            if not str(error).startswith(_REFUSED):
-                raise
-            return str(error).removeprefix(_REFUSED)
-    return None if solved is None else solved.calibration.leave_one_out
+        return solved_alone(_solving_arm(arm, Path(folder) / "session", asked))
 
 
 def _solving_arm(
