@@ -105,11 +105,9 @@ class Source:
         ahead: bool,
     ) -> ArmInSession:
         """Read the session of a tool."""
-        if self.video is None:
-            if video != DEFAULT_VIDEO:
-                raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
-            return tool.read(self.folder, camera, joints=joints, reading=reading, ahead=ahead)
-        opened = video.open(self.video, camera.side)
+        if self.video is None and video != DEFAULT_VIDEO:
+            raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
+        opened = None if self.video is None else video.open(self.video, camera.side)
         return tool.read(self.folder, camera, joints=joints, reading=reading, video=opened, ahead=ahead)
 
 

@@ -20,6 +20,7 @@ Arrays = Mapping[str, NDArray[Any]] | None
 R = TypeVar("R")
 
 _OWN: Final = list["FollowedArm"]()  # the arm that this process follows
+_LINES: Final = list[str]()  # of this process for the user, until they are told
 
 
 class Process(Protocol):
@@ -121,19 +122,6 @@ class TrackerApart:
 # in the process
 
 
-class _Lines(list[str]):
-    """Lines for the user, until they are told."""
-
-    def told(self) -> tuple[str, ...]:
-        """Return the lines, and forget them."""
-        lines = tuple(self)
-        self.clear()
-        return lines
-
-
-_LINES: Final = _Lines()
-
-
 def _begin(make: Callable[[Report], FollowedArm] | None, rig: Rig) -> _Answer:
     if make is not None:
         _OWN[:] = [make(_LINES.append)]
@@ -159,4 +147,6 @@ def _after(time: float) -> _Answer:
 
 
 def _answer(result: TrackResult | None = None) -> _Answer:
-    return _Answer(result, _OWN[0].state, _LINES.told())
+    lines = tuple(_LINES)
+    _LINES.clear()
+    return _Answer(result, _OWN[0].state, lines)
