@@ -95,28 +95,26 @@ class LiveTopics:
         right = (self.right_mask_topic, self.right_camera_topic)
         if self.right_image_topic is None and any(right):
             raise InputError("--right-image-topic: expected the topic of the right eye's images, got none")
-        names = ("mask_topic", "right_mask_topic", "joints_topic", "jaw_topic")
-        each: dict[str, tuple[str, ...]] = {f"--{name.replace('_', '-')}": getattr(self, name) for name in names}
-        for option, given in each.items():
-            if given and len(given) != len(arms):
-                raise InputError(f"{option}: expected a topic for each of {', '.join(arms)}, got {', '.join(given)}")
+        masks = _of_each("--mask-topic", self.mask_topic, arms)
+        right_masks = _of_each("--right-mask-topic", self.right_mask_topic, arms)
+        joints = _of_each("--joints-topic", self.joints_topic, arms, "/{}/measured_js")
+        jaws = _of_each("--jaw-topic", self.jaw_topic, arms, "/{}/jaw/measured_js")
         if self.right_image_topic is not None and bool(self.mask_topic) != bool(self.right_mask_topic):
             raise InputError("--right-mask-topic: expected masks of both eyes or of neither, got those of one")
         if len(arms) > 1 and not self.mask_topic:
             raise InputError("--mask-topic: expected a topic for each of several arms: colours do not tell them apart")
-        by_arm = {option: dict(zip(arms, given, strict=True)) if given else {} for option, given in each.items()}
-        eyes = {"left": EyeTopics.of(self.image_topic, self.camera_topic, by_arm["--mask-topic"])}
+        eyes = {"left": EyeTopics.of(self.image_topic, self.camera_topic, masks)}
         if self.right_image_topic is not None:
-            masks = by_arm["--right-mask-topic"]
-            eyes["right"] = EyeTopics.of(self.right_image_topic, self.right_camera_topic, masks)
-        joints = {
-            arm: (
-                by_arm["--joints-topic"].get(arm, f"/{arm}/measured_js"),
-                by_arm["--jaw-topic"].get(arm, f"/{arm}/jaw/measured_js"),
-            )
-            for arm in arms
-        }
-        return InputTopics(eyes, joints, self.ecm_topic)
+            eyes["right"] = EyeTopics.of(self.right_image_topic, self.right_camera_topic, right_masks)
+        return InputTopics(eyes, {arm: (joints[arm], jaws[arm]) for arm in arms}, self.ecm_topic)
+
+
+def _of_each(option: str, given: tuple[str, ...], arms: tuple[str, ...], default: str = "") -> dict[str, str]:
+    """Return the topics of arms, those by default where none are given; InputError where they are not one for each."""
+    if given and len(given) != len(arms):
+        raise InputError(f"{option}: expected a topic for each of {', '.join(arms)}, got {', '.join(given)}")
+    by_default = tuple(default.format(arm) for arm in arms) if default else ()
+    return dict(zip(arms, given or by_default, strict=False))
 
 
 DEFAULT_TOPICS = LiveTopics()
