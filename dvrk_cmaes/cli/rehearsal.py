@@ -96,9 +96,7 @@ class Rehearsed:
             eyes[eye] = EyeTopics(f"/{eye}/image" if has_images else "", f"/{eye}/camera_info", masks)
         return InputTopics(eyes, {arm: (f"/{arm}/measured_js",) for arm in self.arms})
 
-    def settings(
-        self, arm: str, config: EstimateConfig, lag: float | None, calibration: CalibrationOf
-    ) -> TrackSettings:
+    def settings(self, arm: str, config: EstimateConfig, lag: float | None, known: CalibrationOf) -> TrackSettings:
         """Return the settings with which ``track --causal`` follows an arm."""
         own, read = self.arms[arm], self.clocks[arm].outer_read
         given = known(arm, own.body)
