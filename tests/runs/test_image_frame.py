@@ -93,14 +93,14 @@ def test_found_mask_is_written_and_a_repeated_estimate_is_identical(
     files = replace(session.frames[0], mask=None)
     frame = read_frame_image(files, session.camera)
     with segmented_anew():
-        run = run_frame(files, frame, bundled_body, METHOD, tmp_path)
-    assert [str(path.relative_to(tmp_path)) for path in run.written] == [
+        result, written = run_frame(files, frame, bundled_body, METHOD, tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in written] == [
         "frames/0000.json",
         "overlays/0000.jpg",
         "masks/0000.png",
     ]
     assert np.array_equal(read_mask(tmp_path / "masks" / "0000.png"), found[0].data.mask)
-    assert without_seconds(run.result) == without_seconds(found[0].result)
+    assert without_seconds(result) == without_seconds(found[0].result)
 
 
 def test_guessed_mask_makes_pose_doubtful(
