@@ -142,11 +142,7 @@ class TrackResult:
             **encoded_fields(self, "tip_probability", "offsets", "tips"),
             "seconds": round(self.seconds, 5),
             **encoded_fields(self, "searched", "residual_px"),
-            **(
-                {}
-                if self.base is None
-                else {"base": encoded_fields(self.base, "keyframes", "solved", "tip_mm", "used")}
-            ),
+            **({} if self.base is None else {"base": encoded(self.base)}),
         }
 
 
