@@ -1,6 +1,6 @@
 """Plot of a session's disagreement as a function of the lag between images and readings.
 
-As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVG.
+As in panels.py, coordinates in the drawing are computed here; the template makes the SVG.
 """
 
 from __future__ import annotations

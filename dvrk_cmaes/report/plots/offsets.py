@@ -1,6 +1,6 @@
 """Plot of a session's joint offsets, with their standard deviations and the corrections of single frames.
 
-As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVG.
+As in panels.py, coordinates in the drawing are computed here; the template makes the SVG.
 """
 
 from __future__ import annotations

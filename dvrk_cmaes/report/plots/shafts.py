@@ -1,6 +1,6 @@
 """Plot of the shafts' axes of a session's frames, which meet at the remote centre of motion (RCM).
 
-As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVGs.
+As in panels.py, coordinates in the drawing are computed here; the template makes the SVGs.
 """
 
 from __future__ import annotations
