@@ -159,6 +159,19 @@ def test_readings_of_an_endoscope_that_stands_change_nothing() -> None:
     assert Steered.of(np.full((30, 4), np.nan)) is None
 
 
+@pytest.mark.parametrize("noise", [1e-3, 5e-3])
+def test_single_readings_that_are_off_make_no_place(noise: float) -> None:
+    """Of many readings some are beyond four standard deviations of what the most scatter."""
+    rng, kinds = np.random.default_rng(5), []
+    for _ in range(20):
+        scatter = noise * rng.standard_normal((100, 4)) * [1, 1, 0.1, 1]
+        read = np.array([0.1, 0.2, 0.1, 0.3]) + scatter
+        moved_once = read + np.where(np.arange(100) < 60, 0, 1)[:, None] * [0.09, 0, 0.005, 0]
+        kinds.append((Steered.of(read) is None, len(find_places(moved_once))))
+    assert sum(still for still, _ in kinds) >= 19
+    assert all(places == 2 for _, places in kinds)
+
+
 def test_readings_with_noise_are_of_few_places() -> None:
     """Noise of 0.3 deg and 0.5 mm from frame to frame does not make places of its own."""
     rng = np.random.default_rng(4)
