@@ -181,7 +181,7 @@ class Steered(Endoscope):
             places = (Place(np.median(read, axis=0), np.zeros(4)),)
         if len(places) == 1:
             away = (np.abs(read - places[0].readings) > np.maximum(places[0].within, _NOISE)).any(axis=1)
-            if not np.convolve(away, np.ones(_STANDS), "valid").max(initial=0.0) == _STANDS:  # single ones are noise
+            if np.convolve(away, np.ones(_STANDS), "valid").max(initial=0.0) != _STANDS:  # single ones are noise
                 return None
         start = EndoscopeValues.read(STRAIGHT, STRAIGHT, np.zeros(4), np.zeros((len(places) - 1, 4)))
         return cls(read, places, start, start.std)
