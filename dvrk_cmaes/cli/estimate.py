@@ -30,18 +30,14 @@ from dvrk_cmaes.cli.options import (
     joint_files,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import answer, warn
+from dvrk_cmaes.cli.terminal import answer, exit_code, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dvrk_cmaes.camera.files import CameraFile
-    from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings, ReadAs
-
-EXIT_CODES = {"ok": 0, "failed": 1, "doubtful": 3}
 
 _Hyphens = Parameter(allow_leading_hyphen=True)
 
@@ -179,7 +175,6 @@ def estimate(
 
         kinds = (result_path, overlay_path, *(() if mask is not None else (mask_path,)))
         check_output_folder(out, "estimate", names=[path(Path(), name).as_posix() for path in kinds], owns=False)
-    camera_file: CameraFile | RigFile
     if mask_right is None and image_right is None:
         camera_file = camera.read(files)
     else:
@@ -195,11 +190,11 @@ def estimate(
     data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
     shown = hints_within(prompts.resolve(), files.crop)
     solved_as = FrameMethod(instrument.kinematics, settings, known, model.resolve(), shown)
-    run = run_frame(files, data, body, solved_as, out)
-    for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
+    result, written = run_frame(files, data, body, solved_as, out)
+    for text in dict.fromkeys((*result.remarks, *result.warnings)):
         warn(text)
-    answer(run.result.to_dict(), describe(run.result, run.written), json=json)
-    return EXIT_CODES[run.result.status]
+    answer(result.to_dict(), describe(result, written), json=json)
+    return exit_code([result.status])
 
 
 def _moment(time: str | None, image: str) -> float | None:

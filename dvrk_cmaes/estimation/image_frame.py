@@ -20,7 +20,7 @@ from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
-from dvrk_cmaes.segment.shaft_pairs import prompt_in
+from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -88,9 +88,8 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
     found: list[_FoundMask] = []
     for view in data.views:
         own = method.hints or Hints()
-        if found:  # the prompts are pixels of the first view
-            chosen = found[0].segmentation.others or own != Hints()
-            own = prompt_in(view, found[0].view.mask, found[0].view, body) if chosen else Hints()
+        if found:
+            own = prompts_in(view, found[0].view, own, body, several=bool(found[0].segmentation.others))
         try:
             found.append(_find_mask(view, body, files.readings, solve, settings, own, method.config.threads))
         except DvrkCmaesError as error:
@@ -147,7 +146,10 @@ def _find_mask(
         again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints, outside=outside)
         if again is None:
             break
-        found, result = again, None
+        which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
+        confidence = min(again.confidence, found.confidence)
+        found = replace(again, confidence=confidence, notes=(*again.notes, *which), others=found.others)
+        result = None
     means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"
     found = replace(found, notes=(how, *found.notes))

@@ -25,7 +25,7 @@ from pathlib import Path
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.files import CameraFile, Side, read_camera_file
 from dvrk_cmaes.camera.guess import CameraGuess
-from dvrk_cmaes.camera.rig_files import RigFile, read_rig
+from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
@@ -237,7 +237,6 @@ def read_session(
     without = camera is None and not stereo and not (root / "camera.yaml").exists() and not guessed
     if without and notes[0] != "a session folder":
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
-    lens: CameraFile | RigFile
     if stereo:
         lens = fit.lens(_read_eyes(own, root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
@@ -264,7 +263,7 @@ def read_session(
 
 def _read_eyes(
     own: OwnFiles, root: Path, left: Path | None, right: Path | None, rectified: bool, frame: FrameFiles
-) -> RigFile:
+) -> CameraFile:
     """Read the camera files of a folder with two views of each frame."""
     if left is None and right is None and os.path.lexists(root / "left.yaml"):
         left, right = root / "left.yaml", root / "right.yaml"
@@ -336,8 +335,8 @@ def _session_frames(
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
     boxes = read_boxes(root / "boxes.csv") if os.path.lexists(root / "boxes.csv") else {}
     films = {} if video is None else video.frames(files, tuple(masks))
-    if video is not None:
-        times = {name: video.time_of(film) for name, film in films.items()} if video.keeps_time(files) else times
+    if video is not None and all(file.labels != "frame" for file in files):  # else the times are those of the rows
+        times = {name: video.start + video.video.times[film.number] for name, film in films.items()}
     image_times = {
         name: times.get(name, time_in_name(name))
         for name in sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])), key=natural)

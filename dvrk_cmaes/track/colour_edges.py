@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Indices, Posed
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
@@ -326,6 +328,7 @@ class EdgeFit:
     ``information`` (D, D) and ``slope`` (D,) are those of the edges alone there, ``score`` half of all sums of squares.
     ``supported`` is the share of the outline near which there is an edge, ``beside`` the share beside which the
     instrument's colours go on; ``sigma`` px is the robust standard deviation of the supporting edges, None without any.
+    ``by_masks`` (D, 7) is as of `FrameFit`.
     """
 
     at: Posed
@@ -335,6 +338,7 @@ class EdgeFit:
     supported: float
     beside: float
     sigma: float | None
+    by_masks: Float64 | None = None
 
     def with_margin(self, along: Float64) -> EdgeFit:
         """Return the fit without what all edges tell wrongly together; ``along`` (D,) is the pose's change by that."""
@@ -366,6 +370,8 @@ def fit_edges(
 ) -> EdgeFit | None:
     """Fit a pose to the edges that the colours of images show; None if it has no outline in them.
 
+    The joints stay within their limits: jaws that have passed each other have the outline of open ones.
+
     Parameters
     ----------
     model, images
@@ -378,16 +384,16 @@ def fit_edges(
         Whether edges are looked for far from the start.
     """
     at, covariance = start, np.asarray(np.linalg.inv(expected.information))
+    limits = ReadingsTerm(Readings.none(model.instrument))
     for reach, steps in _FAR if far else _NEAR:
         drawn = model.draw(at, tuple(images))
         if drawn is None:
             return None
         term = ColourEdges(model, drawn, images, reach, covariance)
         for _ in range(steps):
-            edges, other = term.local(at[None]), expected.local(at[None])
-            near = edges + other
+            near = term.local(at[None]) + expected.local(at[None]) + limits.local(at[None])
             step = -np.linalg.solve(near.information[0], near.slope[0])
-            at, moving = at.moved(step), model.move(drawn, at)
+            at, moving = limits.allowed(at.moved(step)), model.move(drawn, at)
             if moving is None or float(np.abs(moving.jacobian @ step).max()) < _STILL_PX:
                 break
         covariance = np.asarray(np.linalg.inv(near.information[0]))

@@ -95,8 +95,8 @@ def test_result_equals_estimate_from_found_mask(session: Session, bundled_body: 
 def test_found_mask_is_written(session: Session, bundled_body: Body, found: Found, tmp_path: Path) -> None:
     files = replace(session.frames[0], mask=None)
     frame = read_frame_image(files, session.camera)
-    run = run_frame(files, frame, bundled_body, METHOD, tmp_path)
-    assert [str(path.relative_to(tmp_path)) for path in run.written] == [
+    _, written = run_frame(files, frame, bundled_body, METHOD, tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in written] == [
         "frames/0000.json",
         "overlays/0000.jpg",
         "masks/0000.png",
@@ -116,6 +116,19 @@ def test_guessed_mask_makes_pose_doubtful(
         "mask is a guess: confidence 0.31, expected at least 0.5",
         "mask or pose: the mask is probably to blame: it is a guess, confidence 0.31",
     )
+
+
+def test_mask_around_a_pose_is_no_surer_and_keeps_the_other_instruments(
+    session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mask, which = found[0].data.mask, "two instruments, the left one taken (pass --point)"
+    other = Segmentation(np.zeros_like(mask), None, 0.6)
+    first = Segmentation(mask, None, 0.6, (which,), None, (other,))
+    monkeypatch.setattr(image_frame, "segment_first", lambda *_, **__: first)
+    frame = solve_image(session, session.frames[0], bundled_body)
+    assert frame.segmentation.confidence == 0.6
+    assert frame.segmentation.others == (other,)
+    assert which in frame.result.warnings
 
 
 def test_unrefined_mask_is_estimated_once(
