@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import FitTask, fit_task, gather_task
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
-from dvrk_cmaes.calibration.masks_again import PackedMask, with_masks
+from dvrk_cmaes.calibration.masks_again import with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations
 from dvrk_cmaes.calibration.session_camera import camera_undetermined
 from dvrk_cmaes.calibration.session_masks import margins_of
@@ -30,6 +30,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_wi
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 

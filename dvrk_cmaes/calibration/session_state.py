@@ -16,7 +16,7 @@ from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.mask_growth import GrowthEstimate
-from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
+from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
 from dvrk_cmaes.calibration.session_doubts import DISAGREES
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
@@ -25,6 +25,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, Solution, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm

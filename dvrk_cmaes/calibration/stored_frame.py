@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.camera import Camera
@@ -13,6 +13,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.shadows import shadow_stretches
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.frames.seen_view import shown_views
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.views import FrameView
@@ -23,31 +24,26 @@ from dvrk_cmaes.silhouette import Body, Renderer
 class StoredEvidence:
     """Evidence of a frame with one bit a pixel, small enough to be stored for all frames and sent to processes.
 
-    ``evidence`` has all parts but the images ``mask`` and ``weight``, which are (0, 0); ``mask`` and ``counts`` are
-    those images (H, W) as packed bits. ``counts`` tells which pixels have weight 1, None where all have.
+    ``evidence`` has all parts but the images ``mask`` and ``weight``, which are (0, 0). ``counts`` tells which pixels
+    have weight 1, None where all have.
     """
 
     evidence: Evidence
-    mask: NDArray[np.uint8]
-    counts: NDArray[np.uint8] | None
+    mask: PackedMask
+    counts: PackedMask | None
 
     @classmethod
     def of(cls, evidence: Evidence) -> StoredEvidence:
         """Pack evidence whose weights are 0 or 1."""
-        counts = None if evidence.weight.all() else np.packbits(evidence.weight > 0)
+        counts = None if evidence.weight.all() else PackedMask.of(evidence.weight > 0)
         empty = np.empty((0, 0), np.float32)
-        return cls(replace(evidence, mask=empty > 0, weight=empty), np.packbits(evidence.mask), counts)
+        return cls(replace(evidence, mask=empty > 0, weight=empty), PackedMask.of(evidence.mask), counts)
 
     def restored(self) -> Evidence:
         """Return the evidence with its images."""
-        camera = self.evidence.camera
-        shape = camera.height, camera.width
-        mask = np.unpackbits(self.mask, count=shape[0] * shape[1]).reshape(shape)
-        if self.counts is None:
-            weight = np.ones(shape, np.float32)
-        else:
-            weight = np.unpackbits(self.counts, count=mask.size).reshape(shape).astype(np.float32)
-        return replace(self.evidence, mask=mask.astype(np.bool_), weight=weight)
+        mask = self.mask.restored()
+        counts = np.ones_like(mask) if self.counts is None else self.counts.restored()
+        return replace(self.evidence, mask=mask, weight=counts.astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +109,13 @@ class StoredFrame:
             )
             renderer = Renderer(body, evidence.camera, threads=1)
             views.append(FrameView(view.name, evidence, renderer, view.view_from_camera))
-        stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
-        return cls(tuple(stored), data.camera, with_noise(OwnEstimate.of(views, own), views, config))
+        return cls.of_views(views, data.camera, with_noise(OwnEstimate.of(views, own), views, config))
+
+    @classmethod
+    def of_views(cls, views: Sequence[FrameView], camera: Camera, own: OwnEstimate) -> StoredFrame:
+        """Pack the views of a frame that show the instrument."""
+        stored = (StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views)
+        return cls(tuple(stored), camera, own)
 
     @property
     def reference(self) -> StoredEvidence:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Bool
+from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.results.layers import FrameLayers, Outline
+from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Alternative, Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -41,12 +42,8 @@ def frame_layers(
     """
     regions = {"mask": mask}
     if result.camera_from_root is not None:
-        names = body.instrument.joint_names
-        poses = [(result.camera_from_root, result.joints)]
-        poses += [(other.camera_from_root, other.joints) for other in result.alternatives]
-        drawn = Renderer(body, camera, threads=1).masks(
-            np.stack([pose for pose, _ in poses]), np.array([[joints[name] for name in names] for _, joints in poses])
-        )
+        at = Posed.stacked(posed(each, body.instrument.joint_names) for each in (result, *result.alternatives))
+        drawn = Renderer(body, camera, threads=1).masks(at.pose, at.joints)
         regions |= dict(zip(("result", *alternative_names(result.alternatives)), drawn, strict=True))
     height, width = mask.shape
     outlines = tuple(Outline(name, _rings(region)) for name, region in regions.items())

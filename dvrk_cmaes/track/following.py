@@ -250,7 +250,7 @@ class Following:
         views = views_that_show(shown, given.body)
         if not views:
             return _nothing(at, spread, seen)
-        expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
+        expected = Expected.of(at, spread)
         fit, own = fit_near(views, given.config, expected, before, self.calibration.masks, self._lengths)
         told = FitEvidence.of(fit, at, spread, inflation=own.noises[0].inflation, holds=fit.explains_mask)
         if fit.explains_mask:
@@ -267,7 +267,7 @@ class Following:
     def _by_edges(self, at: Posed, spread: Float64, seen: Seen) -> _FitOfImage:
         """Fit the edges that the colours of an image without masks show, as `_by_masks` does."""
         given, before = self._given, self.last.deviation
-        expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
+        expected = Expected.of(at, spread)
         start = at if before is None else at.moved(before)
         fit = given.segmenter.fit(seen, start, expected, near=before is not None)
         if fit is None:

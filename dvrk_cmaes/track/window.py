@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
@@ -20,7 +19,7 @@ from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.tip_probability import tip_probability
@@ -29,8 +28,6 @@ from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit
 from dvrk_cmaes.track.deviations import FrameDeviations
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
-
-Float64 = NDArray[np.float64]
 
 CORRELATED_FRAMES = 3.0
 """Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
