@@ -284,11 +284,7 @@ class Following:
             tips = apply(found[0].pose, instrument.tips(found[0].joints))
             if instrument.jaw_tips and outside_image(tips, camera).all():
                 reasons.append("tip out of view: the jaw tips lie outside the image")
-            if told.misfit > given.config.session.largest_misfit:
-                off = told.misfit**0.5
-                reasons.append(
-                    f"disagrees with the recording: the image is {off:.1f} times the expected error from that"
-                )
+            reasons += LIMITS.disagreement(told.misfit, given.config.session, "image")
             return _Judged("doubtful" if reasons else "ok", reasons, error, fit.sigma, explained=not fit.doubts)
 
         return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.holds else None, judge)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.frame_fit import LEAST_OVERLAP, FrameFit
 from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
@@ -34,8 +34,6 @@ CORRELATED_FRAMES = 3.0
 
 LIMITS = OF_FRAMES["followed"]
 """How far an image may be from what its calibration expects."""
-
-_LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +142,7 @@ def status_of(
     if judged is None:
         return "lost", [EMPTY.format(source=source)]
     quality = judged.quality
-    if quality.iou < _LEAST_OVERLAP:
+    if quality.iou < LEAST_OVERLAP:
         return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]
     reasons = [*judged.reasons, *LIMITS.doubts(quality, misfit, calibration, config.session)]
     return "doubtful" if reasons else "ok", reasons
