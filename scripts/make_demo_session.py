@@ -80,7 +80,7 @@ def main() -> int:
         write_image(out / "images" / f"{name}.jpg", image)
     write_camera_info(out / "camera.yaml", CAMERA, "demo")
     write_joints(out / "joints.csv", dict(zip(names, readings, strict=True)), (*OUTER_JOINTS, *WRIST_JOINTS))
-    frames = {n: rounded_truth(t, "T_camera_roll_link", "tips_camera_m") for n, t in zip(names, truths, strict=True)}
+    frames = {n: rounded_truth(t) for n, t in zip(names, truths, strict=True)}
     write_json(out / "golden.json", {"camera_from_base": rounded(camera_from_base), "frames": frames})
     write_text(out / "README.md", README)
     return 0

@@ -182,7 +182,7 @@ def entry(name: str, case: Case, truth: Truth, rng: np.random.Generator) -> dict
         "mask": f"masks/{name}.png",
         "ignore": f"ignore/{name}.png" if case.occluded else None,
         "readings": rounded_joints(reading),
-        "truth": rounded_truth(truth, "camera_from_root", "tips_camera_m"),
+        "truth": rounded_truth(truth, "camera_from_root"),
         "tolerance": asdict(case.tolerance),
         "outcome": case.outcome,
         "reason": case.reason or None,

@@ -7,7 +7,10 @@
     python scripts/segmentation.py pictures FRAMES [--groups jhu,endovis17,...] [--predicted DIR] [--drawn 12] [--poses]
         masks of pictures of several laboratories in ../shared/frames, found by the instrument's model, and of drawn
         ones: how right they are, how sure, and CPU seconds; with the half by which settings were tuned and the other
-        half apart. With --poses also the poses that follow from these masks
+        half apart. With --poses the masks and poses that `estimate` finds in them
+    python scripts/segmentation.py fit 20 [--seed 1000]
+        the weights of ``segment/by_model.py`` by which a candidate's confidence follows, fitted to drawn pictures, and
+        how sure and how right candidates of as many other drawn pictures are
 
 ``poses`` needs the session's camera, its readings and --instrument.
 """
@@ -31,16 +34,17 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.estimation.image_frame import segment_and_estimate
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.evidence.gather import window_around
-from dvrk_cmaes.frames.frame import FrameFiles, read_frame
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import read_any_frame, solve_frame
-from dvrk_cmaes.segment import segment
+from dvrk_cmaes.segment import Segmentation, segment
+from dvrk_cmaes.segment.sizes import resized
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -52,7 +56,9 @@ NEAR_DEG: Final = 10.0
 OVERLAP: Final = 0.85
 RIGHT: Final = 0.8
 SURE: Final = 0.8
+RIGHT_POSE: Final = 0.5
 RIGHT_DEG: Final = 4.0
+_RIDGE: Final = 0.5
 _DRAWN: Final = 2000  # first seed of drawn pictures that are measured
 
 
@@ -64,6 +70,8 @@ def main() -> int:
 
 def _report(options: argparse.Namespace) -> Report:
     """Return the report of a command."""
+    if options.command == "fit":
+        return fit_report(int(str(options.sessions[0])), options.seed)
     if options.command == "pictures":
         groups = options.groups.split(",") if options.groups else []
         found = (
@@ -81,14 +89,17 @@ def _report(options: argparse.Namespace) -> Report:
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("masks", "poses", "predicted", "pictures"), help="what to measure")
-    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="session folders, or session.json")
+    parser.add_argument("command", choices=("masks", "poses", "predicted", "pictures", "fit"), help="what to measure")
+    parser.add_argument(
+        "sessions", nargs="+", type=Path, metavar="SESSION", help="session folders, session.json, or a number"
+    )
     parser.add_argument("--instrument", default="lnd", metavar="NAME|URDF", help="for poses: instrument (default: lnd)")
     parser.add_argument("--groups", default=",".join(GROUPS), help="for pictures: groups of them, and bench")
     parser.add_argument("--predicted", type=Path, help="for pictures of the bench: folder of silhouettes by eye")
     parser.add_argument("--most", type=int, help="for pictures: number of a group's, at most (default: all)")
     parser.add_argument("--drawn", type=int, default=0, help="for pictures: number of drawn ones (default: none)")
-    parser.add_argument("--poses", action="store_true", help="for pictures: estimate poses, too")
+    parser.add_argument("--poses", action="store_true", help="for pictures: masks and poses as by estimate")
+    parser.add_argument("--seed", type=int, default=1000, help="for fit: first seed (default: 1000)")
     add_output_options(parser)
     return parser
 
@@ -140,25 +151,29 @@ def _drawn(count: int) -> Iterator[Picture]:
     yield from (picture for picture in map(drawn_picture, range(_DRAWN, _DRAWN + count)) if picture is not None)
 
 
-def _posed(picture: Picture, mask: Bool) -> tuple[bool | None, str]:
-    """Estimate the pose by a mask; return whether it is right, None where the truth is not known, and its status.
+def _posed(picture: Picture) -> tuple[Segmentation, bool | None, str]:
+    """Find a picture's mask and pose as `estimate` does; return the mask, whether the pose is right, and its status.
 
-    Right is a silhouette whose overlap with an instrument is 0.8, or a shaft within 4 deg.
+    Right is a silhouette that shows an instrument as masks do, or a shaft within 4 deg; None where nothing is known.
     """
-    if not mask.any() or mask.all():
-        return False, "failed"
-    body = prepare(picture.instrument)
-    result = estimate(mask, picture.camera, picture.joints, body)
+    body, shape = prepare(picture.instrument), picture.image.shape[:2]
+    data = FrameData.of(np.zeros(shape, np.bool_), picture.camera, image=picture.image)
+    try:
+        files = FrameFiles(picture.name, None, picture.joints)
+        found = segment_and_estimate(data, files, body, FrameMethod("classic", EstimateConfig()))
+    except DvrkCmaesError:
+        return Segmentation(np.zeros(shape, np.bool_), None, 0.0), False, "failed"
+    mask, result = found.segmentation, found.result
     if result.camera_from_root is None:
-        return False, result.status
+        return mask, False, result.status
     at = np.array([result.joints[name] for name in body.instrument.joint_names])
-    if picture.tools:
-        silhouette = Renderer(body, picture.camera).masks(result.camera_from_root, at)
-        return bool(max(picture.overlap(silhouette, tool) for tool in picture.tools) > RIGHT), result.status
+    shown = picture.shows(Renderer(body, picture.camera).masks(result.camera_from_root, at))
+    if shown is not None:
+        return mask, shown >= RIGHT, result.status
     if picture.axis is None:
-        return None, result.status
+        return mask, None, result.status
     cosine = result.camera_from_root[:3, 2] @ picture.axis / np.linalg.norm(picture.axis)
-    return bool(np.degrees(np.arccos(min(abs(float(cosine)), 1.0))) < RIGHT_DEG), result.status
+    return mask, bool(np.degrees(np.arccos(min(abs(float(cosine)), 1.0))) < RIGHT_DEG), result.status
 
 
 def pictures_report(pictures: Iterable[Picture], *, poses: bool = False) -> dict[str, Rows]:
@@ -169,10 +184,13 @@ def pictures_report(pictures: Iterable[Picture], *, poses: bool = False) -> dict
     found: Rows = []
     for picture in pictures:
         started = time.process_time()
-        mask = segment(picture.image, instrument=picture.instrument, camera=picture.camera, joints=picture.joints)
+        right, status = None, None
+        if poses:
+            mask, right, status = _posed(picture)
+        else:
+            mask = segment(picture.image, instrument=picture.instrument, camera=picture.camera, joints=picture.joints)
         seconds = time.process_time() - started
         every = [mask.mask, *(other.mask for other in mask.others)]
-        right, status = _posed(picture, mask.mask) if poses else (None, None)
         found.append(
             {
                 "group": picture.group,
@@ -208,6 +226,49 @@ def pictures_report(pictures: Iterable[Picture], *, poses: bool = False) -> dict
             }
         )
     return {"pictures": rows, "each": found}
+
+
+def fit_report(count: int, seed: int) -> dict[str, Rows]:
+    """Report weights of a candidate's measures fitted to drawn pictures from a seed on, and those of as many others."""
+    measures, right = _candidates(count, seed)
+    known, truth = _candidates(count, seed + count)
+    inputs = np.c_[measures, np.ones(len(measures))]
+    weights = np.zeros(inputs.shape[1])
+    ridge = _RIDGE * np.diag([1.0] * (inputs.shape[1] - 1) + [0.0])
+    for _ in range(30):
+        chance = 1 / (1 + np.exp(-inputs @ weights))
+        slope = inputs.T @ (right - chance) - ridge @ weights
+        weights += np.linalg.solve(inputs.T @ (inputs * (chance * (1 - chance))[:, None]) + ridge, slope)
+    rows: Rows = []
+    for name, own, of in (("fitted", measures, right), ("others", known, truth)):
+        chance = 1 / (1 + np.exp(-np.c_[own, np.ones(len(own))] @ weights))
+        for low, high in ((0.0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 1.0)):
+            among = (chance >= low) & (chance <= high)
+            share = float(of[among].mean()) if among.any() else None
+            rows.append(
+                {"pictures": name, "confidence": f"{low} to {high}", "number": int(among.sum()), "right": share}
+            )
+    return {"weights": [{"weights": ", ".join(f"{value:.2f}" for value in weights)}], "confidence": rows}
+
+
+def _candidates(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the measures (N, 5) of the candidates in drawn pictures, and whether each is an instrument's, (N,)."""
+    from measure.drawn_pictures import drawn_picture
+
+    from dvrk_cmaes.segment.by_model import find_instruments
+
+    measures, right = [], []
+    drawn = (drawn_picture(own) for own in range(seed, seed + count))
+    for picture in (each for each in drawn if each is not None):
+        outside = np.zeros(picture.image.shape[:2], np.bool_)
+        body = prepare(picture.instrument)
+        for found in find_instruments(picture.image, outside, body, picture.camera, picture.joints):
+            height, width = found.silhouette.shape
+            tools = [resized(tool, (width, height)) for tool in picture.tools]
+            overlaps = [(found.silhouette & tool).sum() / (found.silhouette | tool).sum() for tool in tools]
+            measures.append(found.measures)
+            right.append(float(max(overlaps, default=0.0) > RIGHT_POSE))
+    return np.array(measures), np.array(right)
 
 
 def _mask_row(

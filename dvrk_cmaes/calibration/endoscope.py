@@ -156,16 +156,33 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
+class _Tips:
+    """Where the tip of an endoscope whose arm is read is in N frames, at some ``values`` of the unknowns.
+
+    ``ecm_from_tip`` (N, 4, 4), m, and its Jacobian ``by_joints`` (N, 6, 4); ``reference`` (4, 4) and
+    ``reference_by_joints`` (6, 4) are those at the reference place.
+    """
+
+    values: EndoscopeValues
+    ecm_from_tip: Float64
+    by_joints: Float64
+    reference: Float64
+    reference_by_joints: Float64
+
+
+@dataclass(frozen=True, eq=False)
 class Steered(Endoscope):
     """An endoscope whose arm is read, in N frames.
 
-    ``read`` (N, 4) are the readings, rad and m, ``places`` where it stands, the first of which is the reference.
+    ``read`` (N, 4) are the readings, rad and m, ``places`` where it stands, the first of which is the reference;
+    ``_known`` is what `_tips` has computed last.
     """
 
     read: Float64
     places: tuple[Place, ...]
     start: EndoscopeValues
     loose: Float64
+    _known: _Tips | None = None
 
     @classmethod
     def of(cls, read: Float64, places: Sequence[Place] = ()) -> Steered | None:
@@ -222,11 +239,19 @@ class Steered(Endoscope):
         read = np.where(self.place[:, None] >= 0, readings[self.place], self.read)
         return read + self.shares[:, 1:] @ values.errors + values.offsets
 
+    def _tips(self, values: EndoscopeValues) -> _Tips:
+        """Return where the tip is, and keep it, because many bases are tried with the same values."""
+        if self._known is None or self._known.values is not values:
+            joints, reference = self._joints(values), self.places[0].readings + values.offsets
+            known = _Tips(values, *ecm_from_tip_and_jacobian(joints), *ecm_from_tip_and_jacobian(reference))
+            object.__setattr__(self, "_known", known)
+            return known
+        return self._known
+
     def relative(self, values: EndoscopeValues) -> Float64:
         """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""
-        tips, _ = ecm_from_tip_and_jacobian(self._joints(values))
-        first, _ = ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
-        return np.asarray(inverse(tips @ values.tip_from_camera) @ first @ values.tip_from_camera)
+        tips, tip_from_camera = self._tips(values), values.tip_from_camera
+        return np.asarray(inverse(tips.ecm_from_tip @ tip_from_camera) @ tips.reference @ tip_from_camera)
 
     def ecm_from_base(self, values: EndoscopeValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
         """Compute an arm's base (4, 4) in that of the ECM, and its changes (6, 10) by hand-eye and offsets.
@@ -247,7 +272,7 @@ class Steered(Endoscope):
     def jacobian(self, values: EndoscopeValues, camera_from_base: Float64) -> Float64:
         """Compute the changes (N, 6, M) of each frame's camera_from_base by the unknowns."""
         own, of_joints = self._by_joints(values, camera_from_base)
-        _, first = ecm_from_tip_and_jacobian(self.places[0].readings + values.offsets)
+        first = self._tips(values).reference_by_joints
         base_from_camera = inverse(camera_from_base)
         to_base = adjoint(base_from_camera)
         out = np.zeros((len(self.read), 6, len(values.deviation)))
@@ -264,13 +289,17 @@ class Steered(Endoscope):
 
     def _by_joints(self, values: EndoscopeValues, camera_from_base: Float64) -> tuple[Float64, Float64]:
         """Compute the cameras in the base (N, 4, 4), and the changes (N, 6, 4) of the bases by the ECM."""
-        _, of_tip = ecm_from_tip_and_jacobian(self._joints(values))
         own = inverse(self.relative(values) @ camera_from_base)
-        return own, -adjoint(own @ inverse(values.tip_from_camera)) @ of_tip
+        return own, -adjoint(own @ inverse(values.tip_from_camera)) @ self._tips(values).by_joints
 
     def subset(self, index: Sequence[int] | NDArray[np.integer]) -> Steered:
         """Return the endoscope in the frames at some indices."""
-        return replace(self, read=self.read[index])
+        if (known := self._known) is None:
+            return replace(self, read=self.read[index])
+        known = replace(known, ecm_from_tip=known.ecm_from_tip[index], by_joints=known.by_joints[index])
+        other = replace(self, read=self.read[index], _known=known)
+        other.__dict__.update(place=self.place[index], shares=self.shares[index])
+        return other
 
     def with_start(self, values: EndoscopeValues, loose: Float64) -> Steered:
         """Return the endoscope with other values from which estimations start."""

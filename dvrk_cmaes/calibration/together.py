@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -24,8 +25,11 @@ from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
 R = TypeVar("R")
-Solving = Generator[SessionState, Sequence[SessionState], R]
-"""A solution of one arm: yields how far it is by itself, and takes the same of the other arms."""
+Solving = Generator[SessionState | None, Sequence[SessionState], R]
+"""A solution of one arm: yields how far it is by itself, and takes the same of the other arms.
+
+It may do so again; None waits until each of the others waits, too, or has ended.
+"""
 
 _AGREE: Final = 4.0  # standard deviations of each unknown, within which arms tell the same
 _LEAST_PX: Final = 0.05  # change of the camera and of margins, from which on frames are fitted again
@@ -43,27 +47,39 @@ def solved_together(arms: Mapping[str, Callable[[Sequence[Place]], Solving[R]]])
     """
     begun: dict[str, Solving[R]] = {}
     states: dict[str, SessionState] = {}
+    waiting: set[str] = set()
     done: dict[str, R] = {}
+
+    def to_its_next(name: str, step: Callable[[], SessionState | None]) -> None:
+        try:
+            state = step()
+        except StopIteration as stop:
+            done[name] = stop.value
+            return
+        if state is None:
+            waiting.add(name)
+        else:
+            states[name] = state
+
     failed: Exception | None = None
     places: Sequence[Place] = ()
     for name, begin in arms.items():
-        solving = begin(places)
+        begun[name] = begin(places)
         try:
-            states[name] = next(solving)
-        except StopIteration as stop:
-            done[name] = stop.value
+            to_its_next(name, partial(next, begun[name]))
         except Exception as error:
             failed = error
+            del begun[name]
             break
-        else:
-            begun[name] = solving
-            endoscope = states[name].model.endoscope
-            places = places or (endoscope.places if isinstance(endoscope, Steered) else ())
-    for name, solving in begun.items():
-        try:
-            solving.send([] if failed else [own for other, own in states.items() if other != name])
-        except StopIteration as stop:
-            done[name] = stop.value
+        endoscope = states[name].model.endoscope if name in states else None
+        places = places or (endoscope.places if isinstance(endoscope, Steered) else ())
+    while left := [name for name in begun if name not in done]:
+        told = {} if failed else dict(states)
+        ready = [name for name in left if name not in waiting] or left
+        waiting.difference_update(ready)
+        for name in ready:
+            others = [own for other, own in told.items() if other != name]
+            to_its_next(name, partial(begun[name].send, others))
     if failed is not None:
         raise failed
     return {name: done[name] for name in arms}
@@ -89,20 +105,26 @@ def with_others(state: SessionState, others: Sequence[SessionState]) -> SessionS
 
 
 def _with_endoscope(state: SessionState, others: Sequence[SessionState]) -> SessionState:
-    """Return an arm's session that knows beforehand what the others tell of the endoscope."""
-    endoscope, own = state.model.endoscope, state.solution.calibration.endoscope
-    if not isinstance(endoscope, Steered) or own is None:
+    """Return an arm's session that knows beforehand what the others tell of the endoscope.
+
+    Of one that is not read, these are the moves of the camera between pieces, where the others have the same pieces.
+    """
+    own, read = state.solution.calibration.endoscope, isinstance(state.model.endoscope, Steered)
+    if own is None:
         return state
     prior = information = state.problem.endoscope_prior
     vector = np.zeros(len(prior))
     mine, of_mine = own.deviation, _of_endoscope(state)
     for other in others:
         values = other.solution.calibration.endoscope
-        if values is None or len(values.numbers) != len(own.numbers):
+        if values is None or (len(values.poses), len(values.numbers)) != (len(own.poses), len(own.numbers)):
             continue
         theirs, of_theirs = replace(values, expected=own.expected).deviation, _of_endoscope(other)
-        apart = (mine - theirs)[:_HAND_EYE]
-        if (np.abs(apart) > _AGREE * np.sqrt(np.diag(of_mine + of_theirs)[:_HAND_EYE])).any():
+        compared = _HAND_EYE if read else len(mine)
+        apart = np.abs(mine - theirs) > _AGREE * np.sqrt(np.diag(of_mine + of_theirs))
+        if apart[:compared].any() and not read:
+            continue
+        if apart[:compared].any():
             text = (
                 "the arms tell another camera in the endoscope's tip: each has its own; one arm's readings may be wrong"
             )

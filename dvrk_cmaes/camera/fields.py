@@ -6,14 +6,14 @@ The reader of each format converts a document of plain values to `Intrinsics`; a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from dvrk_cmaes.camera.critical import remarks_on
 from dvrk_cmaes.camera.model import Camera
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.short_text import listed, shown
 
 Side = Literal["left", "right"]
@@ -92,6 +92,12 @@ def take_length(where: str, name: str, value: Any) -> int:
     return int(number)
 
 
+def take_size(where: str, name: str, entry: Any) -> Size:
+    """Read width and height from a list of both; InputError otherwise."""
+    width, height = take_numbers(where, name, entry, count=2)
+    return take_length(where, name, width), take_length(where, name, height)
+
+
 def take_numbers(where: str, name: str, entry: Any, count: int | None = None) -> list[float]:
     """Read finite numbers from a flat list, a list of rows, or the ``data`` of a mapping; InputError otherwise."""
     if isinstance(entry, Mapping):
@@ -151,14 +157,26 @@ def opencv_distortion(where: str, name: str, entry: Any) -> Distortion:
     return ("rational_polynomial" if len(coefficients) > 5 else "plumb_bob"), tuple(coefficients[:8])
 
 
-def refuse_rectified(where: str, kind: str, distortion: Distortion) -> None:
-    """Raise an InputError for rectified images and a file without projection matrix, unless its distortion is zero."""
+def known_lens(where: str, given: object, models: Collection[str]) -> str:
+    """Return the name of a distortion model if it is one of some; InputError, which lists these, otherwise."""
+    if isinstance(given, str) and given in models:
+        return given
+    names = ", ".join(nearest_first(given[:60], models) if isinstance(given, str) else models)
+    raise InputError(f"{where}: distortion_model: expected one of {names}, got {shown(given)}")
+
+
+def lens_of(where: str, kind: str, distortion: Distortion, *, rectified: bool) -> Distortion:
+    """Return the distortion of raw images, and none for rectified ones, of a file without projection matrix.
+
+    Its camera is that of rectified images only if its distortion is zero; InputError otherwise.
+    """
     model, coefficients = distortion
-    if model == "equidistant" or any(coefficients):
+    if rectified and (model == "equidistant" or any(coefficients)):
         raise InputError(
             f"{where}: --rectified: expected a projection matrix (ROS camera_info, or OpenCV with P1 and P2), "
             f"got none in this {kind} file"
         )
+    return ("plumb_bob", ()) if rectified else distortion
 
 
 def one_camera(where: str, side: Side, name: object = None, *, right: bool = False) -> tuple[str, ...]:

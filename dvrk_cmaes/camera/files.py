@@ -16,18 +16,13 @@ from dvrk_cmaes.camera.fields import Intrinsics, Side, Size, unknown_layout
 from dvrk_cmaes.camera.kalibr import is_camchain, read_camchain
 from dvrk_cmaes.camera.opencv import is_storage, read_storage, read_storage_xml
 from dvrk_cmaes.camera.other_formats import (
+    MAPPINGS,
     MAT_FILE,
     colmap_document,
     endovis_document,
-    flat_document,
     is_colmap,
     is_endovis,
-    is_flat,
-    is_matrix,
-    is_scene,
     matlab_document,
-    matrix_document,
-    scene_document,
 )
 from dvrk_cmaes.camera.plain import is_plain, read_plain
 from dvrk_cmaes.camera.ros import is_camera_info, read_camera_info
@@ -49,18 +44,18 @@ _KINDS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CameraFile:
-    """A camera read from a file: ``kind`` describes the format, ``notes`` state assumptions that were made."""
+    """A camera or a pair read from files: ``kind`` describes the format, ``notes`` state assumptions that were made."""
 
-    camera: Camera
+    rig: Rig
     kind: str
     notes: tuple[str, ...] = ()
 
     @property
-    def rig(self) -> Rig:
-        """The rig of this camera alone."""
-        return Rig.of(self.camera)
+    def camera(self) -> Camera:
+        """The only camera, or the reference camera of a pair."""
+        return self.rig.camera
 
 
 def read_camera(
@@ -123,8 +118,7 @@ def read_camera_file(
                 "not state"
             )
         notes = (*notes, f"the camera file states no image size: taken to be {width} x {height}, that of the frames")
-    camera = intrinsics.camera(path, (width, height))
-    return CameraFile(camera, intrinsics.kind, notes)
+    return CameraFile(Rig.of_camera(intrinsics.camera(path, (width, height))), intrinsics.kind, notes)
 
 
 def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:
@@ -155,22 +149,14 @@ def read_document(path: str | Path) -> dict[str, Any]:
 
 def is_camera(document: Mapping[str, Any]) -> bool:
     """Whether a document has the fields of a camera of any format."""
-    return (
-        is_flat(document)
-        or is_matrix(document)
-        or is_scene(document)
-        or any(is_kind(document) for is_kind, _ in _KINDS)
-    )
+    return any(is_kind(document) for is_kind, _ in (*MAPPINGS, *_KINDS))
 
 
-def _unwrapped(document: dict[str, Any], where: str = "") -> dict[str, Any]:
-    """Return the camera in a document that is nested under a single key; a flat one in the layout of OpenCV's."""
-    if is_flat(document):
-        return flat_document(document)
-    if is_matrix(document):
-        return matrix_document(where, document)
-    if is_scene(document):
-        return scene_document(document)
+def _unwrapped(document: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the camera in a document that is nested under a single key; those of `MAPPINGS` are converted."""
+    for is_kind, converted in MAPPINGS:
+        if is_kind(document):
+            return converted(where, document)
     if any(is_kind(document) for is_kind, _ in _KINDS) or _is_pair(document):
         return document
     inside = [value for value in document.values() if isinstance(value, dict)]

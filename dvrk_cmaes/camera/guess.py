@@ -8,6 +8,7 @@ from typing import Final
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.camera.files import CameraFile
 from dvrk_cmaes.camera.model import Camera
+from dvrk_cmaes.camera.rig import Rig
 from dvrk_cmaes.errors import InputError
 
 USUAL: Final = 1.5
@@ -38,4 +39,5 @@ class CameraGuess:
                 f"{_LARGEST:g} widths of the images, got {focal:g}"
             )
         camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-        return CameraFile(camera, f"none; a guess with a focal length of {focal:g} px and no lens distortion")
+        kind = f"none; a guess with a focal length of {focal:g} px and no lens distortion"
+        return CameraFile(Rig.of_camera(camera), kind)

@@ -13,14 +13,14 @@ from typing import Any
 from dvrk_cmaes.camera.fields import (
     Intrinsics,
     Side,
-    Size,
+    known_lens,
+    lens_of,
     one_camera,
-    refuse_rectified,
     take_field,
-    take_length,
     take_numbers,
+    take_size,
 )
-from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
 _NAME = re.compile(r"cam\d+")
@@ -44,20 +44,16 @@ def read_camchain(where: str, document: Mapping[str, Any], *, rectified: bool, s
     if fx <= 0 or fy <= 0:
         raise InputError(f"{inside}: intrinsics: expected positive focal lengths in pixels, got fx {fx:g}, fy {fy:g}")
     _, lens = take_field(inside, entry, ("distortion_model",))
-    if not isinstance(lens, str) or lens not in _MODELS:
-        names = ", ".join(nearest_first(lens[:60], _MODELS) if isinstance(lens, str) else _MODELS)
-        raise InputError(f"{inside}: distortion_model: expected one of {names}, got {shown(lens)}")
-    known = _MODELS[lens]
+    known = _MODELS[known_lens(inside, lens, _MODELS)]
     distortion: tuple[str, tuple[float, ...]] = ("plumb_bob", ())
     if known is not None:
         coefficients = take_numbers(inside, *take_field(inside, entry, ("distortion_coeffs",)), count=known[1])
         distortion = known[0], tuple(coefficients)
     kind = f"kalibr camchain, {name} of {len(cameras)}"
-    if rectified:
-        refuse_rectified(inside, "kalibr camchain", distortion)
-        distortion = ("plumb_bob", ())
+    distortion = lens_of(inside, "kalibr camchain", distortion, rectified=rectified)
+    size = None if entry.get("resolution") is None else take_size(inside, "resolution", entry["resolution"])
     images = "rectified images (intrinsics)" if rectified else f"raw images (intrinsics and {lens} distortion)"
-    return Intrinsics(f"{kind}, {images}", _size(inside, entry), fx, fy, cx, cy, *distortion, notes)
+    return Intrinsics(f"{kind}, {images}", size, fx, fy, cx, cy, *distortion, notes)
 
 
 def kalibr_cameras(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -80,11 +76,3 @@ def chosen_camera(where: str, cameras: Mapping[str, Mapping[str, Any]], side: Si
         )
     name = "cam0" if side == "left" else "cam1"
     return name, (f"the topics do not say which camera is the left one: cam0 is, so {name} is taken",)
-
-
-def _size(where: str, entry: Mapping[str, Any]) -> Size | None:
-    """Read width and height; None if they are not stated."""
-    if entry.get("resolution") is None:
-        return None
-    width, height = take_numbers(where, "resolution", entry["resolution"], count=2)
-    return take_length(where, "resolution", width), take_length(where, "resolution", height)

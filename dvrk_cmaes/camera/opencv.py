@@ -19,13 +19,14 @@ from dvrk_cmaes.camera.fields import (
     Size,
     as_number,
     has_field,
+    lens_of,
     one_camera,
     opencv_distortion,
-    refuse_rectified,
     take_field,
     take_length,
     take_matrix,
     take_numbers,
+    take_size,
 )
 from dvrk_cmaes.camera.other_formats import FORMAT
 from dvrk_cmaes.errors import InputError
@@ -92,7 +93,7 @@ def read_storage(where: str, document: Mapping[str, Any], *, rectified: bool, si
             projection, entry = _take(where, plain, spelled, projections)
             focal, images = take_matrix(where, projection, entry, columns=4), f"rectified images ({projection})"
         else:
-            refuse_rectified(where, str(document.get(FORMAT, "OpenCV")), distortion)
+            lens_of(where, str(document.get(FORMAT, "OpenCV")), distortion, rectified=True)
         distortion, more = ("plumb_bob", ()), ()
     return Intrinsics(
         f"{kind}, {images}",
@@ -171,7 +172,5 @@ def _size(where: str, plain: Mapping[str, Any], spelled: Mapping[str, str]) -> S
             take_length(where, spelled["imageheight"], plain["imageheight"]),
         )
     if has_field(plain, _SIZES):
-        name, entry = _take(where, plain, spelled, _SIZES)
-        width, height = take_numbers(where, name, entry, count=2)
-        return take_length(where, name, width), take_length(where, name, height)
+        return take_size(where, *_take(where, plain, spelled, _SIZES))
     return None

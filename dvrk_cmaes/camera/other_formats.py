@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -94,11 +94,9 @@ def matlab_document(where: str, data: bytes) -> dict[str, Any]:
             f"{where}: expected the fields of cameraParams or stereoParams, got {listed(fields) or 'an object'}: save "
             f"objects as structs, {_TO_STRUCT}"
         )
-    document: dict[str, Any] = {FORMAT: "MATLAB"}
     if "CameraParameters1" not in found:
-        document |= {"camera_matrix": {"rows": 3, "cols": 3, "dt": "d", "data": _matrix(where, found)}}
-        document["distortion_coefficients"] = _coefficients(where, found)
-        return document | _size(where, found)
+        return _one_camera("MATLAB", _matrix(where, found), _coefficients(where, found), _size(where, found))
+    document: dict[str, Any] = {FORMAT: "MATLAB"}
     for number in (1, 2):
         camera = found.get(f"CameraParameters{number}")
         if not isinstance(camera, Mapping):
@@ -125,18 +123,13 @@ def is_flat(document: Mapping[str, Any]) -> bool:
     )
 
 
-def flat_document(document: Mapping[str, Any]) -> dict[str, Any]:
+def flat_document(where: str, document: Mapping[str, Any]) -> dict[str, Any]:
     """Convert a document with fx, fy, cx, cy, and where known width, height and k1, k2, p1, p2, k3."""
     document = {_REALSENSE.get(name, name): value for name, value in document.items()}
     fx, fy, cx, cy = (document[name] for name in _FLAT)
     coefficients = document.get("coeffs", [document.get(name, 0.0) for name in _COEFFICIENTS])
-    converted = {
-        FORMAT: "fx, fy, cx, cy",
-        "camera_matrix": {"rows": 3, "cols": 3, "dt": "d", "data": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]},
-        "distortion_coefficients": [] if coefficients in ([0.0] * 5, None) else coefficients,
-    }
-    sizes = {f"image_{name}": document.get(name, document.get(f"image_{name}")) for name in ("width", "height")}
-    return converted | {name: value for name, value in sizes.items() if value is not None}
+    matrix, lens = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], [] if coefficients in ([0.0] * 5, None) else coefficients
+    return _one_camera("fx, fy, cx, cy", matrix, lens, _stated_size(document))
 
 
 def is_matrix(document: Mapping[str, Any]) -> bool:
@@ -156,19 +149,27 @@ def matrix_document(where: str, document: Mapping[str, Any]) -> dict[str, Any]:
     name = next(name for name in _MATRICES if name in document)
     matrix = take_numbers(where, name, [value for row in document[name] for value in row], 9)
     lens: Any = next((document[name] for name in _DISTORTIONS if document.get(name) is not None), [])
-    nested = isinstance(lens, list) and all(isinstance(row, list) for row in lens)
-    converted = {
-        FORMAT: "matrix and distortion",
-        "camera_matrix": {"rows": 3, "cols": 3, "dt": "d", "data": matrix},
-        "distortion_coefficients": [value for row in lens for value in row] if nested else lens,
-    }
-    sizes = {f"image_{name}": document.get(name, document.get(f"image_{name}")) for name in ("width", "height")}
+    if isinstance(lens, list) and all(isinstance(row, list) for row in lens):
+        lens = [value for row in lens for value in row]
+    sizes = _stated_size(document)
     field = next((field for field in _SIZES if field in document), None)
     if field is not None:
         height, width = sorted(take_numbers(where, field, document[field], 2))
         upright = matrix[2] < width and matrix[5] < height
         sizes = {"image_width": width if upright else height, "image_height": height if upright else width}
-    return converted | {name: value for name, value in sizes.items() if value is not None}
+    return _one_camera("matrix and distortion", matrix, lens, sizes)
+
+
+def _stated_size(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a document states of width and height, None for what it does not."""
+    return {f"image_{name}": document.get(name, document.get(f"image_{name}")) for name in ("width", "height")}
+
+
+def _one_camera(kind: str, matrix: Any, lens: Any, sizes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the converted document of one camera, without sizes that are None."""
+    known = {name: value for name, value in sizes.items() if value is not None}
+    whole = {"rows": 3, "cols": 3, "dt": "d", "data": matrix}
+    return {FORMAT: kind, "camera_matrix": whole, "distortion_coefficients": lens, **known}
 
 
 def is_colmap(text: str) -> bool:
@@ -189,7 +190,7 @@ def colmap_document(where: str, text: str) -> dict[str, Any]:
     focal = values.get("f")
     known = {} if focal is None else {"fx": focal, "fy": focal}
     centre = {"cx": values["cx"] - 0.5, "cy": values["cy"] - 0.5, "width": int(width), "height": int(height)}
-    return flat_document({**values, **known, **centre}) | {FORMAT: f"COLMAP {model}"}
+    return flat_document(where, {**values, **known, **centre}) | {FORMAT: f"COLMAP {model}"}
 
 
 def is_scene(document: Mapping[str, Any]) -> bool:
@@ -197,10 +198,13 @@ def is_scene(document: Mapping[str, Any]) -> bool:
     return bool(document) and all(isinstance(entry, Mapping) and "cam_K" in entry for entry in document.values())
 
 
-def scene_document(document: Mapping[str, Any]) -> dict[str, Any]:
+def scene_document(where: str, document: Mapping[str, Any]) -> dict[str, Any]:
     """Convert BOP's scene_camera.json, of which the first image counts; the images have no distortion."""
-    matrix = {"rows": 3, "cols": 3, "dt": "d", "data": next(iter(document.values()))["cam_K"]}
-    return {FORMAT: "BOP scene_camera", "camera_matrix": matrix, "distortion_coefficients": []}
+    return _one_camera("BOP scene_camera", next(iter(document.values()))["cam_K"], [], {})
+
+
+MAPPINGS: Final = ((is_flat, flat_document), (is_matrix, matrix_document), (is_scene, scene_document))
+"""Kinds of documents of plain values, each as whether a document is of it, and its conversion."""
 
 
 def _with_fields(content: Mapping[str, Any]) -> Mapping[str, Any] | None:

@@ -8,9 +8,9 @@ from typing import Any
 from dvrk_cmaes.camera.fields import (
     Intrinsics,
     Side,
+    lens_of,
     one_camera,
     opencv_distortion,
-    refuse_rectified,
     take_field,
     take_matrix,
 )
@@ -24,11 +24,8 @@ def is_plain(document: Mapping[str, Any]) -> bool:
 def read_plain(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
     """Read the intrinsics of a plain document; InputError names the field and what was expected."""
     focal = take_matrix(where, "intrinsic", document["intrinsic"])
-    name, entry = take_field(where, document, ("distortion",))
-    distortion = opencv_distortion(where, name, entry)
+    stated = opencv_distortion(where, *take_field(where, document, ("distortion",)))
     kind = "plain YAML"
-    if rectified:
-        refuse_rectified(where, kind, distortion)
-        distortion = ("plumb_bob", ())
+    distortion = lens_of(where, kind, stated, rectified=rectified)
     images = "rectified images (intrinsic)" if rectified else "raw images (intrinsic and distortion)"
     return Intrinsics(f"{kind}, {images}", None, *focal, *distortion, one_camera(where, side))

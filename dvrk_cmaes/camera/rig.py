@@ -18,7 +18,7 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, inverse, moved, rotation_angle, transform
 from dvrk_cmaes.io.arguments import check_type
 
-_BASELINE = (0.0005, 0.5)
+BASELINE = (0.0005, 0.5)
 """Smallest and largest distance of the eyes of an endoscope or a stereo camera, m."""
 _LARGEST_TURN = np.deg2rad(45.0)
 _RIGID = 1e-6
@@ -222,7 +222,7 @@ def _check_transform(view: View) -> None:
 def _check_place(view: View) -> None:
     """Raise an InputError for a view that cannot be another eye of the reference."""
     distance = float(np.linalg.norm(view.view_from_camera[:3, 3]))
-    least, most = _BASELINE
+    least, most = BASELINE
     if not least <= distance <= most:
         unit = " (millimetres where metres are expected?)" if least <= distance / 1e3 <= most else ""
         raise InputError(

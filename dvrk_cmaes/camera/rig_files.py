@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.camera.fields import ONE_CAMERA
-from dvrk_cmaes.camera.files import Size, read_camera_file, read_document
+from dvrk_cmaes.camera.files import CameraFile, Size, read_camera_file, read_document
 from dvrk_cmaes.camera.kalibr import is_camchain
 from dvrk_cmaes.camera.opencv import is_stereo_storage
 from dvrk_cmaes.camera.plain import is_plain
@@ -17,17 +16,6 @@ from dvrk_cmaes.camera.ros import is_camera_info
 from dvrk_cmaes.camera.stereo import StereoPose, pose_of_camchain, pose_of_camera_infos, pose_of_plain, pose_of_storage
 from dvrk_cmaes.errors import InputError
 
-__all__ = ["RigFile", "read_rig"]
-
-
-@dataclass(frozen=True, eq=False)
-class RigFile:
-    """A rig read from files: ``kind`` describes the format, ``notes`` state assumptions that were made."""
-
-    rig: Rig
-    kind: str
-    notes: tuple[str, ...] = ()
-
 
 def read_rig(
     left: str | Path,
@@ -35,7 +23,7 @@ def read_rig(
     *,
     rectified: bool = False,
     size: Size | Callable[[], Size] | None = None,
-) -> RigFile:
+) -> CameraFile:
     """Read the two cameras of a stereo pair and the pose between them.
 
     Parameters
@@ -63,7 +51,7 @@ def read_rig(
         raise InputError(f"{both}: {error}") from None
     kind = first.kind if right is None else f"{first.kind} of each eye"
     more = tuple(note for note in second.notes if note != ONE_CAMERA)
-    return RigFile(rig, f"stereo: {kind}", tuple(dict.fromkeys((*first.notes, *more, *notes))))
+    return CameraFile(rig, f"stereo: {kind}", tuple(dict.fromkeys((*first.notes, *more, *notes))))
 
 
 def _pose_of_one(path: Path, rectified: bool) -> StereoPose:

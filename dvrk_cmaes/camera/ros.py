@@ -19,13 +19,14 @@ from dvrk_cmaes.camera.fields import (
     Side,
     as_number,
     has_field,
+    known_lens,
     one_camera,
     take_field,
     take_length,
     take_matrix,
     take_numbers,
 )
-from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.short_text import shown
@@ -53,10 +54,8 @@ def is_camera_info(document: Mapping[str, Any]) -> bool:
 
 def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool, side: Side) -> Intrinsics:
     """Read the intrinsics of a camera_info document; InputError names the field and what was expected."""
-    width_name, width = take_field(where, document, _WIDTH)
-    height_name, height = take_field(where, document, _HEIGHT)
-    size = take_length(where, width_name, width), take_length(where, height_name, height)
-    _refuse_region(where, document, *size)
+    width, height = (take_length(where, *take_field(where, document, names)) for names in (_WIDTH, _HEIGHT))
+    _refuse_region(where, document, width, height)
     notes: tuple[str, ...] = ()
     if not rectified and _is_zero(document, _RAW) and any(map(as_number, _numbers(document, _RECTIFIED))):
         rectified, notes = True, ("K is zero: the images are taken for rectified ones, with the camera of P",)
@@ -71,7 +70,7 @@ def read_camera_info(where: str, document: Mapping[str, Any], *, rectified: bool
     notes = (*notes, *one_camera(where, side, frame, right=_is_right(document)))
     across, down = (as_number(document.get(name)) or 1.0 for name in ("binning_x", "binning_y"))
     ratio = down / across
-    return Intrinsics(f"ROS camera_info {form}, {images}", size, *focal, model, distortion, notes, ratio)
+    return Intrinsics(f"ROS camera_info {form}, {images}", (width, height), *focal, model, distortion, notes, ratio)
 
 
 def _is_zero(document: Mapping[str, Any], names: tuple[str, ...]) -> bool:
@@ -95,15 +94,11 @@ def _numbers(document: Mapping[str, Any], names: tuple[str, ...]) -> list[Any]:
 
 def _distortion(where: str, document: Mapping[str, Any]) -> Distortion:
     """Read the distortion model and its coefficients; the model may be missing if the distortion is zero."""
-    name, entry = take_field(where, document, _DISTORTION)
-    coefficients = tuple(take_numbers(where, name, entry))
+    coefficients = tuple(take_numbers(where, *take_field(where, document, _DISTORTION)))
     given = document.get("distortion_model")
     if given in (None, "", "none", "None") and not any(coefficients):
         return "plumb_bob", ()
-    if not isinstance(given, str) or given not in _MODELS:
-        names = ", ".join(nearest_first(given[:60], _MODELS) if isinstance(given, str) else _MODELS)
-        raise InputError(f"{where}: distortion_model: expected one of {names}, got {shown(given)}")
-    return _MODELS[given], coefficients
+    return _MODELS[known_lens(where, given, _MODELS)], coefficients
 
 
 def _refuse_region(where: str, document: Mapping[str, Any], width: int, height: int) -> None:

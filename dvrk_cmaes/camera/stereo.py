@@ -16,6 +16,7 @@ import numpy as np
 from dvrk_cmaes.camera.fields import has_field, take_field, take_numbers
 from dvrk_cmaes.camera.kalibr import chosen_camera, kalibr_cameras
 from dvrk_cmaes.camera.opencv import plain_names
+from dvrk_cmaes.camera.rig import BASELINE
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, inverse, transform
 
@@ -23,7 +24,7 @@ Document = Mapping[str, Any]
 StereoPose = tuple[Float64, tuple[str, ...]]
 """``right_from_left`` (4, 4), m, and notes on how it was read."""
 
-_NEAREST, _FARTHEST = 0.0005, 0.5  # m, distances of two cameras
+_NEAREST, _FARTHEST = BASELINE
 _OF_AN_ENDOSCOPE = 0.02  # m, largest distance of an endoscope's eyes
 _RIGID = 0.01  # tolerance of R R^T = 1, for files that state few digits
 
@@ -50,7 +51,9 @@ def pose_of_camera_infos(where: tuple[str, str], left: Document, right: Document
     """
     if right.get(_POSE) is not None:
         raw, notes = pose_of_plain(where[1], right)
-        turns = _turns(where, left, right) if rectified else (np.eye(4), np.eye(4))
+        if not rectified:
+            return raw, notes
+        turns = [_turn(*each) for each in zip(where, (left, right), strict=True)]
         return turns[1] @ raw @ inverse(turns[0]), notes
     name, entry = take_field(where[0], left, _PROJECTION)
     if any(abs(_baseline(where[0], name, entry)) > 1e-9):
@@ -69,7 +72,7 @@ def pose_of_camera_infos(where: tuple[str, str], left: Document, right: Document
     pose = transform(np.eye(3), translation)
     if rectified:
         return pose, remarks
-    turns = _turns(where, left, right)
+    turns = [_turn(*each) for each in zip(where, (left, right), strict=True)]
     return inverse(turns[1]) @ pose @ turns[0], remarks
 
 
@@ -132,16 +135,11 @@ def _checked(where: str, name: str, pose: Float64, *, millimetres: bool) -> Ster
     return transform(rotation, translation), (*notes, *_sides(translation))
 
 
-def _turns(where: tuple[str, str], left: Document, right: Document) -> tuple[Float64, Float64]:
-    """Read the transforms (4, 4) from the raw to the rectified left and right camera."""
-    first, second = (_rectification(*each) for each in zip(where, (left, right), strict=True))
-    return transform(first, np.zeros(3)), transform(second, np.zeros(3))
-
-
-def _rectification(where: str, document: Document) -> Float64:
-    """Read the rotation from a raw to a rectified camera, (3, 3)."""
+def _turn(where: str, document: Document) -> Float64:
+    """Read the transform (4, 4) from a raw to its rectified camera."""
     name, entry = take_field(where, document, _RECTIFICATION)
-    return _rotation(where, name, np.reshape(take_numbers(where, name, entry, count=9), (3, 3)))
+    stated = np.reshape(take_numbers(where, name, entry, count=9), (3, 3))
+    return transform(_rotation(where, name, stated), np.zeros(3))
 
 
 def _rotation(where: str, name: str, stated: Float64) -> Float64:

@@ -33,11 +33,9 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession
-    from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.calibration.endoscope import Place
     from dvrk_cmaes.calibration.together import Solving
     from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
     Predictions = Mapping[str, tuple[float, float]]
@@ -138,12 +136,13 @@ def calibrate(
         raise InputError("--keyframes: expected either this or --every, got both")
     from dvrk_cmaes.calibration.instrument_test import fitting_instruments
     from dvrk_cmaes.calibration.together import solved_together
-    from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools
+    from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools, write_bases
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.results.folder import ALONE
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.manifest import check_same_session
+    from dvrk_cmaes.runs.mask_owners import exchanged_frames
 
     with output_folder(out, session, "calibration") as target:
         settings = method.resolve()
@@ -198,15 +197,19 @@ def calibrate(
         documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
         lines = {name: _lines(solution, target / name) for name, solution in solved.items()}
         answer_by_arm(documents, lines, json=json)
-        agree = True
+        agree, exchanged = True, list[str]()
         if len(solved) > 1:
             calibrations = {name: solution.calibration for name, solution in solved.items()}
+            if any(own.left_out for own in calibrations.values()):
+                exchanged = exchanged_frames(arms, calibrations, settings)
+            for text in exchanged:
+                warn(text)
             with output(target, "calibrate"):
-                agree = _write_bases(calibrations, setup, target, quiet=json)
+                agree = write_bases(calibrations, setup, target, quiet=json)
                 page = write_arms(target, arms)
             if not json:
                 show([Line(f"all arms: {page}")])
-        return _DOUBTFUL if not agree or any(map(_is_doubtful, solved.values())) else 0
+        return _DOUBTFUL if exchanged or not agree or any(map(_is_doubtful, solved.values())) else 0
 
 
 def _share(arm: ArmInSession, frames: str | None, every: int, keyframes: int | None) -> ArmInSession:
@@ -352,28 +355,6 @@ def _is_doubtful(solved: SolvedSession) -> bool:
     """Return whether the session is doubtful, or a frame of those that were solved together."""
     together = (solved.results[name] for name in solved.leave_one_out)
     return solved.calibration.status != "ok" or any(result.status != "ok" for result in together)
-
-
-def _write_bases(
-    calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, Float64], out: Path, *, quiet: bool
-) -> bool:
-    """Write where the arms' bases are relative to the first one's, and print it unless ``quiet``.
-
-    Returns whether they are where the set-up joints have them, whose poses of the arms ``setup`` are by name.
-    """
-    from dvrk_cmaes.calibration.together import against_setup, arms_document, relative_bases
-    from dvrk_cmaes.io.atomic import write_json
-    from dvrk_cmaes.results.folder import ARMS
-
-    bases, reference = relative_bases(calibrations), next(iter(calibrations))
-    compared = against_setup(bases, reference, setup)
-    write_json(out / ARMS, arms_document(calibrations, bases, compared))
-    if not quiet:
-        show(Line(f"base of {arm} from that of {reference}: {base.describe()}") for arm, base in bases.items())
-    wrong = {arm: own for arm, own in compared.items() if not own.agrees}
-    for arm, own in wrong.items():
-        warn(own.describe(arm, reference))
-    return not wrong
 
 
 def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:

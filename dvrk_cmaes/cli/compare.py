@@ -16,7 +16,8 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.compared_set import ComparedSet
-    from dvrk_cmaes.evaluate.comparison import Comparison, Difference
+    from dvrk_cmaes.evaluate.comparison import Comparison
+    from dvrk_cmaes.evaluate.pose_error import PoseError
 
 _TABLE = "compare.csv"
 _MOST_NAMED = 10  # frames in a line
@@ -208,7 +209,7 @@ def _frames(comparison: Comparison, most: int) -> Iterator[Line]:
         yield Line(f"and {len(comparison.by_size) - len(chosen)} frames that differ less (--frames 0 shows all)")
 
 
-def _row(found: Difference) -> str:
+def _row(found: PoseError) -> str:
     tip = "-" if found.tip_mm is None else f"{found.tip_mm:.3f}"
     joint = "-" if found.joint_deg is None else f"{found.joint_deg:.2f}"
     return f"{tip:>8}  {found.root_mm:>8.3f}  {found.shaft_deg:>10.3f}  {found.roll_deg:>9.3f}  {joint:>18}"

@@ -36,8 +36,6 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from dvrk_cmaes.camera.files import CameraFile
-    from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings, ReadAs
 
@@ -179,7 +177,6 @@ def estimate(
 
         kinds = (result_path, overlay_path, *(() if mask is not None else (mask_path,)))
         check_output_folder(out, "estimate", names=[path(Path(), name).as_posix() for path in kinds], owns=False)
-    camera_file: CameraFile | RigFile
     if mask_right is None and image_right is None:
         camera_file = camera.read(files)
     else:

@@ -16,7 +16,6 @@ from dvrk_cmaes.io.short_text import shown
 if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile
     from dvrk_cmaes.camera.guess import CameraGuess
-    from dvrk_cmaes.camera.rig_files import RigFile
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.picture_fit import PictureFit
@@ -110,7 +109,7 @@ class CameraOptions:
         lens = read_camera_file(self.camera, rectified=self.rectified, side=self.side, size=size)
         return lens if frame is None else self.fit.lens(lens, frame)
 
-    def read_rig(self, frame: FrameFiles) -> RigFile:
+    def read_rig(self, frame: FrameFiles) -> CameraFile:
         """Read the cameras of both eyes; ``frame`` is as in `read`."""
         from dvrk_cmaes.camera.rig_files import read_rig
         from dvrk_cmaes.frames.frame import frame_size

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
-from dvrk_cmaes.cli.terminal import Line, answer, warn
+from dvrk_cmaes.cli.terminal import Line, answer, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.instrument.arm import Arm
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
@@ -218,3 +219,25 @@ def solve_crossing_tools(
         stop = stack.enter_context(stopping_on_interrupt())
         reporter = stack.enter_context(progress())
         return solve_crossing(finished, executor=executor, stop=stop, progress=reporter, **options)
+
+
+def write_bases(
+    calibrations: Mapping[str, SessionCalibration], setup: Mapping[str, Float64], out: Path, *, quiet: bool
+) -> bool:
+    """Write arms.json, where the arms' bases are relative to the first one's, and print it unless ``quiet``.
+
+    Returns whether they are where the set-up joints have them, whose poses of the arms ``setup`` are by name.
+    """
+    from dvrk_cmaes.calibration.together import against_setup, arms_document, relative_bases
+    from dvrk_cmaes.io.atomic import write_json
+    from dvrk_cmaes.results.folder import ARMS
+
+    bases, reference = relative_bases(calibrations), next(iter(calibrations))
+    compared = against_setup(bases, reference, setup)
+    write_json(out / ARMS, arms_document(calibrations, bases, compared))
+    if not quiet:
+        show(Line(f"base of {arm} from that of {reference}: {base.describe()}") for arm, base in bases.items())
+    wrong = {arm: own for arm, own in compared.items() if not own.agrees}
+    for arm, own in wrong.items():
+        warn(own.describe(arm, reference))
+    return not wrong

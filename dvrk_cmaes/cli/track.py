@@ -33,13 +33,15 @@ from dvrk_cmaes.cli.options import (
     SessionOption,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_calibration_of, session_tools
+from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_calibration_of, session_tools, write_bases
 from dvrk_cmaes.cli.terminal import Line, frames_text, note, show, warn
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.endoscope import Place
+    from dvrk_cmaes.calibration.together import Solving
     from dvrk_cmaes.results.tracked import TrackResult
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.track_folder import TrackSummary
@@ -83,11 +85,11 @@ def track(
 ) -> int:
     r"""Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
 
-    Keyframes over the whole recording are solved together, as by `calibrate`; every frame is then fitted with what
-    that solution and its neighbours expect. With --causal, and where keyframes cannot be solved, the first frame is
-    solved as by `estimate`, the others start from what the readings did since the frame before, and keyframes are
-    solved as they come: no result depends on later frames, and none is ok before keyframes tell the arm's base. The
-    table [track] of the settings file configures that.
+    Keyframes over the whole recording are solved together, as by `calibrate`, those of several arms in one problem;
+    every frame is then fitted with what that solution and its neighbours expect. With --causal, and where keyframes
+    cannot be solved, the first frame is solved as by `estimate`, the others start from what the readings did since the
+    frame before, and keyframes are solved as they come: no result depends on later frames, and none is ok before
+    keyframes tell the arm's base. The table [track] of the settings file configures that.
 
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
     lost, 130 interrupted; the same command then goes on after the keyframes, or begins anew with --causal.
@@ -114,7 +116,8 @@ def track(
         beside camera.yaml and joints.csv. Or a ROS recording, which is converted to OUT/session as by `import`.
     out
         Folder for tracks.jsonl, tracks.csv, session.json, tracks.mp4 and report.html; SESSION/tracks by default, or
-        tracks beside the recording. Those of several arms are in OUT/ARM, and a video and a page of all in OUT.
+        tracks beside the recording. Those of several arms are in OUT/ARM, and a video, a page and arms.json, how their
+        bases lie to each other, in OUT.
     every
         Follow only every N-th frame.
     joints
@@ -178,11 +181,14 @@ def track(
         from dvrk_cmaes.export.rerun_file import check_rerun
 
         check_rerun("--rerun", rerun)
+    from dvrk_cmaes.calibration.together import solved_together
     from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
+    from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.joints.lag import Lag
+    from dvrk_cmaes.runs.mask_owners import AmongArms, ArmsOfRecording
     from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
-    from dvrk_cmaes.runs.track_folder import track_folder
+    from dvrk_cmaes.runs.track_folder import tracking_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask, with_increasing_times
     from dvrk_cmaes.runs.worker import hints_of
     from dvrk_cmaes.segment.segmentation import hints_within
@@ -196,7 +202,6 @@ def track(
             of_one = {"--first-mask": first_mask, "--rerun": rerun, "--joints FILE": readings}
             _check_of_several(of_one, calibration, prompts)
         files = () if readings is None else (readings,)
-        finished: dict[str, TrackSummary] = {}
         arms: dict[str, ArmInSession] = {}
         settings: dict[str, TrackSettings] = {}
         for name, tool in tools.items():
@@ -221,12 +226,16 @@ def track(
                 or hints_within(prompts.resolve(), followed.frames[0].crop),
                 workers,
             )
-        with stopping_on_interrupt() as stop:
-            for name, arm in arms.items():
-                finished[name] = done = track_folder(
-                    arm.session,
+        of_recording = ArmsOfRecording(arms)
+
+        def tracking(name: str, places: Sequence[Place]) -> Solving[TrackSummary | None]:
+            if stop.is_set() and name != next(iter(arms)):
+                return None
+            return (
+                yield from tracking_folder(
+                    arms[name].session,
                     target / name,
-                    arm.body,
+                    arms[name].body,
                     settings[name],
                     resume=resume,
                     video=video,
@@ -235,21 +244,29 @@ def track(
                     stop=stop,
                     progress=_progress(name),
                     notice=partial(_notice, name),
+                    among=AmongArms(name, of_recording, places),
                 )
-                if done.interrupted:
-                    break
+            )
+
+        with stopping_on_interrupt() as stop:
+            found = solved_together({name: partial(tracking, name) for name in arms})
+        finished = {name: summary for name, summary in found.items() if summary is not None}
+        interrupted = len(finished) < len(arms) or any(own.interrupted for own in finished.values())
         exchanged: list[str] = []
-        if len(tools) > 1 and not done.interrupted:
+        agree, setup = True, read_setup_joints(source.folder / SETUP)
+        if len(tools) > 1 and not interrupted:
             of_arms = {name: summary.readings for name, summary in finished.items()}
             exchanged = exchanged_arms(target, of_arms, arms, replace(method.resolve(), threads=1))
             with output(target, "track"):
-                write_track_arms(
-                    target, arms, every=every, frames_a_second=done.frames_a_second, video=video, page=page
-                )
+                rate = next(iter(finished.values())).frames_a_second
+                write_track_arms(target, arms, every=every, frames_a_second=rate, video=video, page=page)
+                known = {name: own.calibration for name, own in finished.items() if own.calibration is not None}
+                if len(known) == len(arms):
+                    agree = write_bases(known, setup, target, quiet=json)
         counts = {name: summary.counts for name, summary in finished.items()}
         lines = {name: _lines(own, target / name, page=page, rerun=rerun) for name, own in finished.items()}
         answer_by_arm(counts, lines, json=json)
-        if len(tools) > 1 and page and not (done.interrupted or json):
+        if len(tools) > 1 and page and not (interrupted or json):
             show([Line(f"all arms: {target / 'report.html'}")])
         for name, summary in finished.items():
             told = () if summary.calibration is None else summary.calibration.warnings
@@ -257,9 +274,10 @@ def track(
                 warn(text, name)
         for text in exchanged:
             warn(text)
-        if done.interrupted:
+        if interrupted:
             return _INTERRUPTED
-        return _DOUBTFUL if exchanged or any(set(summary.counts) - {"ok"} for summary in finished.values()) else 0
+        doubtful = exchanged or not agree or any(set(summary.counts) - {"ok"} for summary in finished.values())
+        return _DOUBTFUL if doubtful else 0
 
 
 def _check_of_several(of_one: Mapping[str, Path | None], calibration: Path | None, prompts: PromptOptions) -> None:

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, WHITE, Canvas, Colour
 from dvrk_cmaes.draw.overlay import FrameCanvas
-from dvrk_cmaes.draw.projection import skeleton_lines
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette import Body
 
 COLOURS: Final[tuple[Colour, ...]] = (SKY_BLUE, ORANGE, GREEN, PURPLE)
 """Colours of the arms, in their order; the fifth has that of the first again."""
@@ -95,14 +94,10 @@ def _draw_arm(frame: FrameCanvas, drawing: ArmDrawing) -> None:
     canvas, instrument, pose = frame.canvas, drawing.body.instrument, drawing.result.camera_from_root
     assert pose is not None
     joints = np.array([drawing.result.joints[name] for name in instrument.joint_names])
-    height, width = canvas.image.shape[:2]
-    renderer = Renderer(drawing.body, frame.camera.scaled(width, height), threads=1)
-    silhouette = renderer.masks(pose[None], joints[None])[0]
+    silhouette = frame.silhouette(drawing.body, pose, joints)
     canvas.tint(silhouette, drawing.colour, _TINT)
     canvas.outline(silhouette, drawing.colour)
-    line, tips = skeleton_lines(instrument, pose, joints, frame.camera)
-    for points in (line, *(np.stack([line[-1], tip]) for tip in tips)):
-        canvas.line(frame.at(points), WHITE, width=1.2)
+    line, _ = frame.draw_skeleton(instrument, pose, joints)
     u, v = frame.at(line[-1:])[0]
     if np.isfinite([u, v]).all():
         canvas.text(drawing.arm, (float(u) + 10 * canvas.unit, float(v)), drawing.colour, size=0.7, rim=True)

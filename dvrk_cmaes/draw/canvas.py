@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Bool, Float64
+from dvrk_cmaes.geometry import Bool, Float64, Image
 
 Colour = tuple[int, int, int]
 """Blue, green, red, 0 to 255."""
@@ -38,6 +38,18 @@ def plain(height: int, width: int, colour: Colour) -> NDArray[np.uint8]:
     image = np.empty((height, width, 3), dtype=np.uint8)
     image[:] = np.tile(np.array(colour, dtype=np.uint8), (width, 1))
     return image
+
+
+def beside(pictures: Sequence[Image]) -> Image:
+    """Return pictures (h, w, 3) beside each other, with dark rows below those that are lower than others."""
+    if len(pictures) == 1:
+        return pictures[0]
+    height = max(picture.shape[0] for picture in pictures)
+    padded = [
+        cv2.copyMakeBorder(picture, 0, height - picture.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=DARK)
+        for picture in pictures
+    ]
+    return np.asarray(np.concatenate(padded, axis=1), dtype=np.uint8)
 
 
 class Canvas:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.draw.canvas import DARK, GREY, WHITE, Canvas, Colour, plain
-from dvrk_cmaes.draw.overlay import MASK
+from dvrk_cmaes.draw.panels import MASK
 from dvrk_cmaes.geometry import Bool, Float64
 
 SIZE = 640, 480

@@ -15,31 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.draw.canvas import AXES, DARK, GREY, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas, plain
-from dvrk_cmaes.draw.panels import footer, header, heights
+from dvrk_cmaes.draw.canvas import AXES, DARK, GREY, Canvas, plain
+from dvrk_cmaes.draw.panels import FOUND, MASK, PROJECTED, SILHOUETTE, SKELETON, STEADY, footer, header
 from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.outline_noise import distances_to
 from dvrk_cmaes.evidence.steady_errors import steady_stretches
 from dvrk_cmaes.geometry import Bool, Float64, apply
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body, Renderer
-
-MASK, SILHOUETTE, FOUND, PROJECTED, SKELETON, STEADY = YELLOW, SKY_BLUE, ORANGE, PURPLE, WHITE, VERMILLION
-
-LEGEND = (
-    ("mask", MASK, "line"),
-    ("silhouette", SILHOUETTE, "line"),
-    ("mask only", MASK, "area"),
-    ("silhouette only", SILHOUETTE, "area"),
-    ("mask, off in a stretch", STEADY, "line"),
-    ("shaft edges, found", FOUND, "dash"),
-    ("projected", PROJECTED, "dash"),
-    ("tips, found", FOUND, "cross"),
-    ("projected", PROJECTED, "ring"),
-    ("skeleton", SKELETON, "line"),
-    ("root axes", WHITE, "axes"),
-)
 
 _SMALLEST, _LARGEST = 1000, 2000  # px, width of the drawing
 _AXIS = 0.006  # m, length of the drawn axes
@@ -102,20 +87,9 @@ def draw_failed(result: Result, picture: NDArray[np.uint8]) -> NDArray[np.uint8]
     return _between_strips(result, _canvas(picture.shape[:2], picture))
 
 
-def text_strips(result: Result, width: int, unit: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return the strips of text above and below the drawing of a result, (h, width, 3) BGR each."""
-    legend = () if result.camera_from_root is None else LEGEND
-    return header(result, width, unit), footer(result, legend, width, unit)
-
-
-def strip_heights(result: Result, width: int, unit: float) -> tuple[int, int]:
-    """Return the heights, px, of the strips of `text_strips`, without drawing them."""
-    return heights(result, () if result.camera_from_root is None else LEGEND, width, unit)
-
-
 def _between_strips(result: Result, canvas: Canvas) -> NDArray[np.uint8]:
-    above, below = text_strips(result, canvas.image.shape[1], canvas.unit)
-    return np.concatenate([above, canvas.image, below])
+    width = canvas.image.shape[1]
+    return np.concatenate([header(result, width, canvas.unit), canvas.image, footer(result, width, canvas.unit)])
 
 
 def _canvas(shape: tuple[int, ...], image: NDArray[np.uint8]) -> Canvas:
@@ -163,12 +137,24 @@ class FrameCanvas:
         smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7)
         return np.asarray(cv2.resize(smooth, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5)
 
+    def silhouette(self, body: Body, pose: Float64, joints: Float64) -> Bool:
+        """Render the silhouette of a pose (4, 4) and joints (J,) on the canvas, (h, w)."""
+        height, width = self.canvas.image.shape[:2]
+        renderer = Renderer(body, self.camera.scaled(width, height), threads=1)
+        return np.asarray(renderer.masks(pose[None], joints[None])[0])
+
+    def draw_skeleton(self, instrument: Instrument, pose: Float64, joints: Float64) -> tuple[Float64, Float64]:
+        """Draw the skeleton of a pose (4, 4) and joints (J,), and return it as `skeleton_lines`."""
+        line, tips = skeleton_lines(instrument, pose, joints, self.camera)
+        for points in (line, *(np.stack([line[-1], tip]) for tip in tips)):
+            self.canvas.line(self.at(points), SKELETON, width=1.2)
+        return line, tips
+
 
 def _draw_pose(frame: FrameCanvas, result: Result, mask: Bool, body: Body, evidence: Evidence, pose: Float64) -> None:
     canvas, camera, instrument = frame.canvas, frame.camera, body.instrument
     joints = np.array([result.joints[name] for name in instrument.joint_names])
-    height, width = canvas.image.shape[:2]
-    silhouette = Renderer(body, camera.scaled(width, height), threads=1).masks(pose[None], joints[None])[0]
+    silhouette = frame.silhouette(body, pose, joints)
     seen = frame.enlarged(mask)
     canvas.tint(seen & ~silhouette, MASK, 0.5)
     canvas.tint(silhouette & ~seen, SILHOUETTE, 0.5)
@@ -183,10 +169,7 @@ def _draw_pose(frame: FrameCanvas, result: Result, mask: Bool, body: Body, evide
         for edge in found_edges(evidence.shaft_edges[0], camera):
             canvas.line(frame.at(edge), FOUND, width=2.0, dash=(14, 26))
 
-    line, tips = skeleton_lines(instrument, pose, joints, camera)
-    canvas.line(frame.at(line), SKELETON, width=1.2)
-    for tip in tips:
-        canvas.line(frame.at(np.stack([line[-1], tip])), SKELETON, width=1.2)
+    _, tips = frame.draw_skeleton(instrument, pose, joints)
     for tip in tips:
         canvas.ring(frame.at(tip), PROJECTED)
     for tip in [] if evidence.tips is None else evidence.tips:

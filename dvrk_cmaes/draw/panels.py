@@ -7,7 +7,21 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.draw.canvas import AXES, DARK, GREEN, GREY, ORANGE, VERMILLION, WHITE, Canvas, Colour, plain
+from dvrk_cmaes.draw.canvas import (
+    AXES,
+    DARK,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY_BLUE,
+    VERMILLION,
+    WHITE,
+    YELLOW,
+    Canvas,
+    Colour,
+    plain,
+)
 from dvrk_cmaes.results.result import Result
 
 BADGES: dict[str, tuple[str, Colour]] = {
@@ -16,8 +30,22 @@ BADGES: dict[str, tuple[str, Colour]] = {
     "failed": ("FAILED", VERMILLION),
 }
 
-Legend = Sequence[tuple[str, Colour, str]]
-"""Text, colour and kind of sample of each entry."""
+MASK, SILHOUETTE, FOUND, PROJECTED, SKELETON, STEADY = YELLOW, SKY_BLUE, ORANGE, PURPLE, WHITE, VERMILLION
+
+LEGEND = (
+    ("mask", MASK, "line"),
+    ("silhouette", SILHOUETTE, "line"),
+    ("mask only", MASK, "area"),
+    ("silhouette only", SILHOUETTE, "area"),
+    ("mask, off in a stretch", STEADY, "line"),
+    ("shaft edges, found", FOUND, "dash"),
+    ("projected", PROJECTED, "dash"),
+    ("tips, found", FOUND, "cross"),
+    ("projected", PROJECTED, "ring"),
+    ("skeleton", SKELETON, "line"),
+    ("root axes", WHITE, "axes"),
+)
+"""Text, colour and kind of sample of each entry of the legend, which overlays with a pose have."""
 
 Places = list[list[tuple[int, float]]]
 """Index and left end, px, of the entries of each row."""
@@ -36,9 +64,9 @@ def _height(lines: int, unit: float) -> int:
     return max(1, round((lines * _LINE + 12) * unit))
 
 
-def heights(result: Result, legend: Legend, width: int, unit: float) -> tuple[int, int]:
+def heights(result: Result, width: int, unit: float) -> tuple[int, int]:
     """Return the heights, px, of `header` and `footer`, without drawing them."""
-    rows, columns = _rows(result, legend, width, unit)
+    rows, columns = _rows(result, width, unit)
     return _height(1 + len(_reasons(result, width, unit)), unit), _height(len(rows) + len(columns), unit)
 
 
@@ -71,9 +99,9 @@ def header(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
     return canvas.image
 
 
-def footer(result: Result, legend: Legend, width: int, unit: float) -> NDArray[np.uint8]:
+def footer(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
     """Draw the strip below: the legend, and each joint's estimate and reading, (h, width, 3) BGR."""
-    rows, columns = _rows(result, legend, width, unit)
+    rows, columns = _rows(result, width, unit)
     joints = [_joint(result, name) for name in result.joints]
     below = len(rows)
     canvas = _strip(width, below + len(columns), unit)
@@ -83,7 +111,7 @@ def footer(result: Result, legend: Legend, width: int, unit: float) -> NDArray[n
 
     for row, places in enumerate(rows):
         for index, left in places:
-            text, colour, kind = legend[index]
+            text, colour, kind = LEGEND[index]
             _sample(canvas, kind, colour, left, middle(row))
             canvas.text(text, (left + 34 * unit, middle(row)), GREY)
     for row, places in enumerate(columns):
@@ -101,10 +129,11 @@ def _reasons(result: Result, width: int, unit: float) -> list[str]:
     return lines
 
 
-def _rows(result: Result, legend: Legend, width: int, unit: float) -> tuple[Places, Places]:
+def _rows(result: Result, width: int, unit: float) -> tuple[Places, Places]:
     """Lay out the legend and the joints in rows, as `_flow`."""
     probe = _strip(width, 1, unit)
-    rows = _flow([_entry_width(probe, text) for text, _, _ in legend], width, unit)
+    legend = () if result.camera_from_root is None else LEGEND
+    rows = _flow([probe.text_width(text) + 56 * unit for text, _, _ in legend], width, unit)
     joints = (_joint(result, name) for name in result.joints)
     return rows, _flow([probe.text_width(text) + 28 * unit for text in joints], width, unit)
 
@@ -116,10 +145,6 @@ def _joint(result: Result, name: str) -> str:
     estimate, read = np.degrees(result.joints[name]), result.readings.get(name)
     told = "not read" if read is None else f"read {np.degrees(read):.1f}, {estimate - np.degrees(read):+z.1f}"
     return f"{name} {estimate:.1f}{spread} deg ({told})"
-
-
-def _entry_width(canvas: Canvas, text: str) -> float:
-    return canvas.text_width(text) + 56 * canvas.unit
 
 
 def _flow(widths: Sequence[float], width: float, unit: float) -> Places:

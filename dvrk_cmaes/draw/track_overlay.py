@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.draw.arms_overlay import arm_colours
-from dvrk_cmaes.draw.canvas import DARK, GREEN, SKY_BLUE, VERMILLION, YELLOW, Colour
+from dvrk_cmaes.draw.canvas import DARK, GREEN, SKY_BLUE, VERMILLION, YELLOW, Colour, beside
 from dvrk_cmaes.geometry import Bool, Image
 
 _STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLION}
@@ -39,7 +39,7 @@ def draw_track(views: Sequence[TrackView], *, frame: str, status: str, reasons: 
 
 def draw_outlines(views: Sequence[TrackView]) -> Image:
     """Draw the contours of mask (yellow, wide) and silhouette (blue) in each view, beside each other, (H, W, 3) BGR."""
-    return _beside([_outlined(view) for view in views])
+    return beside([_outlined(view) for view in views])
 
 
 def draw_track_of_arms(
@@ -62,9 +62,9 @@ def draw_track_of_arms(
                 picture[silhouette] = np.rint(mixed).astype(np.uint8)
                 _contour(picture, silhouette, colours[arm], _LINES)
         drawn.append(picture)
-    beside = _beside(drawn)
-    _write(beside, [(frame, YELLOW), *((f"{arm} {status}", colours[arm]) for arm, status in statuses.items())])
-    return beside
+    whole = beside(drawn)
+    _write(whole, [(frame, YELLOW), *((f"{arm} {status}", colours[arm]) for arm, status in statuses.items())])
+    return whole
 
 
 def _outlined(view: TrackView) -> Image:
@@ -90,18 +90,6 @@ def _contour(picture: Image, region: Bool, colour: Colour, lines: int) -> None:
     thickness = max(1, round(picture.shape[1] / lines))
     contours, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     cv2.drawContours(picture, contours, -1, colour, thickness, cv2.LINE_AA)
-
-
-def _beside(pictures: Sequence[Image]) -> Image:
-    """Return pictures beside each other, with dark rows below those that are lower than others."""
-    if len(pictures) == 1:
-        return pictures[0]
-    height = max(picture.shape[0] for picture in pictures)
-    padded = [
-        cv2.copyMakeBorder(picture, 0, height - picture.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=DARK)
-        for picture in pictures
-    ]
-    return np.asarray(np.concatenate(padded, axis=1), dtype=np.uint8)
 
 
 def _write(picture: Image, texts: Sequence[tuple[str, Colour]]) -> None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dvrk_cmaes.draw.canvas import DARK, WHITE, Canvas
+from dvrk_cmaes.draw.canvas import WHITE, Canvas, beside
 from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.seen_view import SeenView
+from dvrk_cmaes.geometry import Image
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 
@@ -23,9 +21,7 @@ def drawn_views(views: Sequence[SeenView]) -> list[SeenView]:
     return [view for view in views if view.mask.any() or len(views) == 1]
 
 
-def draw_views(
-    result: Result, views: Sequence[SeenView], body: Body, evidence: Evidence | None = None
-) -> NDArray[np.uint8]:
+def draw_views(result: Result, views: Sequence[SeenView], body: Body, evidence: Evidence | None = None) -> Image:
     """Draw a result over each view of a frame that is drawn, as `draw_overlay`, side by side; (h, w, 3) uint8 BGR.
 
     ``evidence`` is that of the mask of a single view, where known. Where there are several views, the name of each is
@@ -51,12 +47,4 @@ def draw_views(
         canvas = Canvas(overlay, overlay.shape[1] / 1280)
         canvas.text(view.name, (16 * canvas.unit, _TOP * overlay.shape[0]), WHITE, size=0.8, rim=True)
         drawn.append(canvas.image)
-    height = max(each.shape[0] for each in drawn)
-    padded = [_padded(each, height) for each in drawn]
-    return np.concatenate(padded, axis=1)
-
-
-def _padded(drawing: NDArray[np.uint8], height: int) -> NDArray[np.uint8]:
-    """Return a drawing with dark rows below, up to a height."""
-    below = np.full((height - drawing.shape[0], drawing.shape[1], 3), DARK, dtype=np.uint8)
-    return np.concatenate([drawing, below])
+    return beside(drawn)

@@ -148,7 +148,10 @@ def _find_mask(
         again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints, outside=outside)
         if again is None:
             break
-        found, result = again, None
+        which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
+        confidence = min(again.confidence, found.confidence)
+        found = replace(again, confidence=confidence, notes=(*again.notes, *which), others=found.others)
+        result = None
     means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"
     found = replace(found, notes=(how, *found.notes))

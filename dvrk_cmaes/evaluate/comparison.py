@@ -14,54 +14,14 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.compared_set import ComparedFrame, ComparedSet
-from dvrk_cmaes.evaluate.pose_error import compare_rotations
+from dvrk_cmaes.evaluate.pose_error import PoseError, pose_error
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.encode import encoded_fields
+from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded
 
 QUANTITIES: Final = {"tip_mm": "tips, mm", "root_mm": "root, mm", "shaft_deg": "shaft, deg", "roll_deg": "roll, deg"}
 """Names of a difference's quantities beside the joints, and their headings with units."""
-
-TWIN_DEG = 90.0
-"""Roll difference from which a pose is rather the mirror twin's than the reference's."""
-
-
-@dataclass(frozen=True)
-class Difference:
-    """Difference of a frame's pose from the reference's.
-
-    tip_mm : mean distance of the tips, None if they are not known. farthest_tip_mm : the larger of the tips' distances.
-    root_mm : distance of the root's origins.
-    shaft_deg, roll_deg : angle between the shaft's directions, and about the shaft.
-    joints_deg : this one's less the reference's, by name.
-    """
-
-    tip_mm: float | None
-    farthest_tip_mm: float | None
-    root_mm: float
-    shaft_deg: float
-    roll_deg: float
-    joints_deg: Mapping[str, float]
-
-    @property
-    def joint_deg(self) -> float | None:
-        """Largest difference of a joint without its sign, deg; None without common joints."""
-        return max((abs(value) for value in self.joints_deg.values()), default=None)
-
-    @property
-    def is_twin(self) -> bool:
-        """Whether the pose is rolled so far that it is rather the mirror twin's."""
-        return self.roll_deg > TWIN_DEG
-
-    @property
-    def size(self) -> tuple[float, float]:
-        """Sort key: distance of the tips, or else of the root, mm; then the roll, deg."""
-        return self.root_mm if self.tip_mm is None else self.tip_mm, self.roll_deg
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return encoded_fields(self, *QUANTITIES, "joints_deg")
 
 
 @dataclass(frozen=True)
@@ -82,10 +42,6 @@ class Spread:
         worst = max(values, key=lambda frame: values[frame])
         return cls(float(np.median(numbers)), float(np.percentile(numbers, 95)), values[worst], worst)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return encoded_fields(self, "median", "percentile_95", "largest", "frame")
-
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -98,7 +54,7 @@ class Comparison:
     sets: tuple[ComparedSet, ...]
     reference: int
     frames: tuple[str, ...]
-    differences: tuple[Mapping[str, Difference], ...]
+    differences: tuple[Mapping[str, PoseError], ...]
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -174,6 +130,7 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: the sets with their summaries, and all differences by frame."""
+        names = *QUANTITIES, "joints_deg"
         return {
             "reference": self.labels[self.reference],
             "sets": {label: self._summary(k) for k, label in enumerate(self.labels)},
@@ -182,7 +139,7 @@ class Comparison:
                     label: {
                         "status": compared.frames[frame].status,
                         "iou": compared.frames[frame].iou,
-                        **(differences[frame].to_dict() if frame in differences else {}),
+                        **(encoded_fields(differences[frame], *names) if frame in differences else {}),
                     }
                     for label, compared, differences in zip(self.labels, self.sets, self.differences, strict=True)
                     if frame in compared.frames
@@ -206,9 +163,7 @@ class Comparison:
             "tips_within_std": None
             if within_std is None
             else dict(zip(("once", "twice", "of"), within_std, strict=True)),
-            "differences": {
-                name: None if spread is None else spread.to_dict() for name, spread in self.spreads(index).items()
-            },
+            "differences": encoded(self.spreads(index)),
         }
 
 
@@ -244,27 +199,12 @@ def compare_sets(sets: Sequence[ComparedSet], instrument: Instrument) -> Compari
     return Comparison(tuple(sets), reference, names, differences)
 
 
-def compare_frames(frame: ComparedFrame, base: ComparedFrame, instrument: Instrument) -> Difference | None:
+def compare_frames(frame: ComparedFrame, base: ComparedFrame, instrument: Instrument) -> PoseError | None:
     """Return the difference of a frame's pose from the reference's; None if one of them has no pose."""
     if frame.camera_from_root is None or base.camera_from_root is None:
         return None
     tips, expected = _tips(frame, instrument), _tips(base, instrument)
-    apart = None
-    if tips is not None and expected is not None and tips.shape == expected.shape:
-        apart = 1e3 * np.linalg.norm(tips - expected, axis=1)
-    turned = compare_rotations(frame.camera_from_root, base.camera_from_root)
-    return Difference(
-        tip_mm=None if apart is None else float(apart.mean()),
-        farthest_tip_mm=None if apart is None else float(apart.max()),
-        root_mm=float(1e3 * np.linalg.norm(frame.camera_from_root[:3, 3] - base.camera_from_root[:3, 3])),
-        shaft_deg=turned.shaft_deg,
-        roll_deg=turned.roll_deg,
-        joints_deg={
-            name: float(np.degrees(value - base.joints[name]))
-            for name, value in frame.joints.items()
-            if name in base.joints
-        },
-    )
+    return pose_error(frame.camera_from_root, base.camera_from_root, frame.joints, base.joints, tips, expected)
 
 
 def _tips(frame: ComparedFrame, instrument: Instrument) -> Float64 | None:

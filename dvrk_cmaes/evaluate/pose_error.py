@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
+
+_TWIN_DEG: Final = 90.0
+"""Roll difference from which a pose is rather the mirror twin's than the true one."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ class PoseError:
     rotation_deg : angle of the whole rotation error.
     shaft_deg, roll_deg : angle between the shaft's directions, and about the shaft.
     joints_deg : found less true, by name.
+    farthest_tip_mm : the larger of the tips' distances, where the mean is known.
     """
 
     root_mm: float
@@ -60,6 +64,22 @@ class PoseError:
     shaft_deg: float
     roll_deg: float
     joints_deg: dict[str, float]
+    farthest_tip_mm: float | None = None
+
+    @property
+    def joint_deg(self) -> float | None:
+        """Largest difference of a joint without its sign, deg; None without common joints."""
+        return max((abs(value) for value in self.joints_deg.values()), default=None)
+
+    @property
+    def is_twin(self) -> bool:
+        """Whether the pose is rolled so far that it is rather the mirror twin's."""
+        return self.roll_deg > _TWIN_DEG
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Sort key: distance of the tips, or else of the root, mm; then the roll, deg."""
+        return self.root_mm if self.tip_mm is None else self.tip_mm, self.roll_deg
 
     def measured(self, tolerance: Tolerance) -> list[Measured]:
         """List each quantity's error with its tolerance; that of joints other than the jaw is ``pitch_yaw_deg``."""
@@ -107,23 +127,33 @@ def compare_poses(
 ) -> PoseError:
     """Compare a pose and its joints with the true ones: each is camera_from_root (4, 4) and joints by name, rad."""
     (pose, joints), (true_pose, true_joints) = estimate, truth
-    turned = compare_rotations(pose, true_pose)
-    tip_mm = None
-    if all(name in true_joints for name in instrument.joint_names):
-        ends = [
-            apply(t, instrument.ends([q[name] for name in instrument.joint_names]))
-            for t, q in ((pose, joints), (true_pose, true_joints))
-        ]
-        tip_mm = float(1e3 * np.linalg.norm(ends[0] - ends[1], axis=1).mean())
+    names = instrument.joint_names
+    tips: tuple[Float64, Float64] | tuple[None, None] = None, None
+    if all(name in true_joints for name in names):
+        first, second = (apply(t, instrument.ends([q[name] for name in names])) for t, q in (estimate, truth))
+        tips = first, second
+    own = {name: joints[name] for name in names if name in true_joints}
+    return pose_error(pose, true_pose, own, true_joints, *tips)
+
+
+def pose_error(
+    pose: Float64,
+    true_pose: Float64,
+    joints: Mapping[str, float],
+    true_joints: Mapping[str, float],
+    tips: Float64 | None,
+    true_tips: Float64 | None,
+) -> PoseError:
+    """Compare a pose (4, 4), its joints and its tips (K, 3) with the true ones, rad and m; joints that both have."""
+    turned, apart = compare_rotations(pose, true_pose), None
+    if tips is not None and true_tips is not None and tips.shape == true_tips.shape:
+        apart = 1e3 * np.linalg.norm(tips - true_tips, axis=1)
     return PoseError(
         root_mm=float(1e3 * np.linalg.norm(pose[:3, 3] - true_pose[:3, 3])),
-        tip_mm=tip_mm,
+        tip_mm=None if apart is None else float(apart.mean()),
         rotation_deg=turned.rotation_deg,
         shaft_deg=turned.shaft_deg,
         roll_deg=turned.roll_deg,
-        joints_deg={
-            name: float(np.degrees(joints[name] - true_joints[name]))
-            for name in instrument.joint_names
-            if name in true_joints
-        },
+        joints_deg={n: float(np.degrees(q - true_joints[n])) for n, q in joints.items() if n in true_joints},
+        farthest_tip_mm=None if apart is None else float(apart.max()),
     )

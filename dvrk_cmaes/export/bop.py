@@ -6,7 +6,7 @@ are numbered consecutively, and a file ``im_ids.csv`` maps the numbers to frames
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from dvrk_cmaes.export.pose_table import table_text
 from dvrk_cmaes.export.request import Exported, ExportRequest
@@ -24,7 +24,9 @@ def bop_files(results: Sequence[Result], *, scene: int = 0, obj: int = 1) -> dic
 
     Frames without a pose have no line. The score is the overlap (IoU), or 1 for a result without one; the time is in s.
     """
-    numbers = image_numbers([result.frame for result in results])
+    frames = [result.frame for result in results]
+    numbered = _numbered(frames)
+    numbers = {frame: int(frame) if numbered else row for row, frame in enumerate(frames)}
     lines = ["scene_id,im_id,obj_id,score,R,t,time"]
     for result in results:
         if result.camera_from_root is None:
@@ -36,16 +38,9 @@ def bop_files(results: Sequence[Result], *, scene: int = 0, obj: int = 1) -> dic
             f"{scene},{numbers[result.frame]},{obj},{score!r},{rotation},{translation},{result.seconds or -1.0!r}"
         )
     files = {RESULTS: "\n".join(lines) + "\n"}
-    if not _numbered(list(numbers)):
+    if not numbered:
         files[IM_IDS] = table_text([{"im_id": number, "frame": frame} for frame, number in numbers.items()])
     return files
-
-
-def image_numbers(frames: Sequence[str]) -> Mapping[str, int]:
-    """Return a number for each frame: its name if all names are different numbers, otherwise its index."""
-    if _numbered(frames):
-        return {frame: int(frame) for frame in frames}
-    return {frame: row for row, frame in enumerate(frames)}
 
 
 def _numbered(frames: Sequence[str]) -> bool:

@@ -1,11 +1,10 @@
-"""Names of coordinate frames in exported files, and conversions of rotations."""
+"""Names of coordinate frames in exported files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64, log_rotation
 from dvrk_cmaes.io.short_text import shown
 
 
@@ -35,8 +34,3 @@ class FrameNames:
         for option, name in (("--camera-frame", self.camera), ("--base-frame", self.base)):
             if name.startswith("/"):
                 raise InputError(f"{option}: expected a name as tf2 knows them, without a leading slash, got {name!r}")
-
-
-def rotation_vector(pose: Float64) -> Float64:
-    """Convert the rotation of a pose (4, 4) to axis times angle (3,), rad; the angle is at most pi."""
-    return log_rotation(pose[:3, :3])

@@ -81,20 +81,19 @@ def _check(where: str, cables: _Cables, joints: tuple[str, ...]) -> None:
     count = len(joints)
     if cables.joints != joints:
         raise refused(where, "cables.joints", ", ".join(joints), list(cables.joints))
-    for name, row in (("reference", cables.reference), ("narrow", cables.narrow), ("width", cables.width)):
+    vectors = {"reference": cables.reference, "narrow": cables.narrow, "width": cables.width}
+    for name, row in (vectors | {"alone.offset": cables.alone.offset}).items():
         if len(row) != count:
             raise refused(where, f"cables.{name}", f"{count} numbers, one a joint", list(row))
     for name, rows in (("coupling", cables.coupling), ("play", cables.play), ("alone.coupling", cables.alone.coupling)):
         if len(rows) != count or any(len(row) != count for row in rows):
             raise refused(where, f"cables.{name}", f"{count} rows of {count} numbers", [list(row) for row in rows])
-    if len(cables.alone.offset) != count:
-        raise refused(where, "cables.alone.offset", f"{count} numbers, one a joint", list(cables.alone.offset))
 
 
 def _linear(joints: tuple[str, ...], reference: Float64, offset: Float64, coupling: Float64) -> CableModel:
     """Return a model of offsets (C,) and coupling (C, C) alone."""
-    none, count = np.zeros(len(joints)), len(joints)
-    return CableModel(joints, reference, offset, coupling, np.zeros((count, count)), none, none, none, none, none)
+    none = np.zeros(len(joints))
+    return CableModel(joints, reference, offset, coupling, np.zeros_like(coupling), *[none] * 5)
 
 
 def _table(model: CableModel) -> str:

@@ -167,25 +167,29 @@ class RerunFile:
 
     def _pictures(self, entity: str, view: ViewPictures) -> None:
         """Log image, mask and outline below a camera's entity; those that are missing are cleared."""
-        rr, image, mask, silhouette = self._rerun, view.image, view.mask, view.silhouette
-        if image is not None:
-            data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
-            self._log(f"{entity}/image", rr.EncodedImage(contents=data, media_type="image/jpeg", draw_order=0))
-        else:
-            self._log(f"{entity}/image", rr.Clear(recursive=False))
-        if mask is not None:
+        jpeg, png = None, None
+        if view.image is not None:
+            jpeg = cv2.imencode(".jpg", view.image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+        if view.mask is not None:
             red, green, blue, alpha = _MASK
-            tint = np.where(mask[..., None], np.array([blue, green, red, alpha], np.uint8), np.uint8(0))
-            data = cv2.imencode(".png", tint, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
-            self._log(f"{entity}/mask", rr.EncodedImage(contents=data, media_type="image/png", draw_order=1))
-        else:
-            self._log(f"{entity}/mask", rr.Clear(recursive=False))
+            tint = np.where(view.mask[..., None], np.array([blue, green, red, alpha], np.uint8), np.uint8(0))
+            png = cv2.imencode(".png", tint, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+        self._picture(f"{entity}/image", jpeg, "image/jpeg", 0)
+        self._picture(f"{entity}/mask", png, "image/png", 1)
         strips: list[NDArray[np.int32]] = []
-        if silhouette is not None:
-            contours, _ = cv2.findContours(silhouette.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+        if view.silhouette is not None:
+            contours, _ = cv2.findContours(view.silhouette.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
             strips = [np.concatenate([each[:, 0], each[:1, 0]]).astype(np.int32) for each in contours]
         placed = [strip + _HALF for strip in strips]
-        self._log(f"{entity}/outline", rr.LineStrips2D(placed, colors=_OUTLINE, draw_order=2))
+        self._log(f"{entity}/outline", self._rerun.LineStrips2D(placed, colors=_OUTLINE, draw_order=2))
+
+    def _picture(self, entity: str, data: bytes | None, media_type: str, order: int) -> None:
+        """Log an encoded picture, or clear the one before."""
+        rr = self._rerun
+        if data is None:
+            self._log(entity, rr.Clear(recursive=False))
+        else:
+            self._log(entity, rr.EncodedImage(contents=data, media_type=media_type, draw_order=order))
 
     def _pose(self, row: Mapping[str, Any]) -> None:
         """Log the poses of the root and of the links, and the tips; without a pose the instrument is hidden."""

@@ -64,24 +64,20 @@ class ToolTip:
 def result_messages(
     results: Sequence[Result], times: Mapping[str, int], names: FrameNames, base: ChosenBase | None, tip: ToolTip
 ) -> list[RosMessage]:
-    """Return the messages of all results with a pose, by time; ``times`` are those of the frames, ns.
+    """Return the messages of results, by time, which all have a pose; ``times`` are those of the frames, ns.
 
     ``base`` is None where no base is known.
     """
     arm, roll_offset = stated_kinematics(result.config for result in results) or ("classic", ROLL_OFFSET)
     messages: list[RosMessage] = []
     for result in sorted(results, key=lambda result: times[result.frame]):
-        time = times[result.frame]
+        time, pose = times[result.frame], result.camera_from_root
+        assert pose is not None
         own = None if base is None else base.in_frame(result)
         messages += _read(result, time, names, own, tip, arm, roll_offset)
-        messages += _found(result, time, names, tip)
-        messages += _transforms(result, time, names, base)
+        messages += _found(result, pose, time, names, tip)
+        messages.append(tf_message(time, _transforms(pose, result.root_link, names, base, own)))
     return messages
-
-
-def numbered_times(results: Sequence[Result]) -> dict[str, int]:
-    """Return times that number the frames, for frames of unknown times: one second apart, from 1 s, ns."""
-    return {result.frame: number * NANOSECONDS for number, result in enumerate(results, start=1)}
 
 
 def times_or_rows(results: Sequence[Result], times: Mapping[str, int]) -> tuple[Mapping[str, int], tuple[str, ...]]:
@@ -94,7 +90,7 @@ def times_or_rows(results: Sequence[Result], times: Mapping[str, int]) -> tuple[
     """
     if not times:
         note = "the frames' times are not known (--times images.csv): they are numbered, one second apart"
-        return numbered_times(results), (note,)
+        return {result.frame: number * NANOSECONDS for number, result in enumerate(results, start=1)}, (note,)
     untimed = [result.frame for result in results if result.camera_from_root is not None and result.frame not in times]
     if untimed:
         raise InputError(f"--times: expected a time of every frame, got none of {listed(untimed)}")
@@ -111,8 +107,6 @@ def _read(
     roll_offset: float,
 ) -> Iterator[RosMessage]:
     """Yield the messages of the readings of a frame."""
-    if result.camera_from_root is None:
-        return
     readings = result.readings
     root_from_read_tip = tip.in_root(readings)
     if camera_from_base is not None and root_from_read_tip is not None and set(OUTER_JOINTS) <= set(readings):
@@ -125,11 +119,8 @@ def _read(
         yield joint_message(f"/{names.arm}/jaw/measured_js", time, {"jaw": readings["jaw"]})
 
 
-def _found(result: Result, time: int, names: FrameNames, tip: ToolTip) -> Iterator[RosMessage]:
-    """Yield the messages of what was found in a frame."""
-    pose = result.camera_from_root
-    if pose is None:
-        return
+def _found(result: Result, pose: Float64, time: int, names: FrameNames, tip: ToolTip) -> Iterator[RosMessage]:
+    """Yield the messages of what was found in a frame, whose pose is (4, 4), m."""
     found = f"{FOUND}/{names.arm}"
     yield pose_message(f"{found}/camera_from_root", time, names.camera, pose)
     root_from_found_tip = tip.in_root(result.joints)
@@ -139,13 +130,12 @@ def _found(result: Result, time: int, names: FrameNames, tip: ToolTip) -> Iterat
         yield joint_message(f"{found}/measured_js", time, result.joints)
 
 
-def _transforms(result: Result, time: int, names: FrameNames, base: ChosenBase | None) -> Iterator[RosMessage]:
-    """Yield the message of the transforms of a frame."""
-    if result.camera_from_root is None:
-        return
-    poses = {(names.camera, f"{names.arm}_{result.root_link}"): result.camera_from_root}
-    if base is not None:
-        camera_from_base = base.in_frame(result)
+def _transforms(
+    pose: Float64, root_link: str, names: FrameNames, base: ChosenBase | None, camera_from_base: Float64 | None
+) -> dict[tuple[str, str], Float64]:
+    """Return the transforms (4, 4) of a frame, m, by the names of the parent and the child."""
+    poses = {(names.camera, f"{names.arm}_{root_link}"): pose}
+    if base is not None and camera_from_base is not None:
         if base.tip_from_camera is None or base.ecm_from_base is None:
             poses[names.camera, names.base] = camera_from_base
         else:
@@ -154,4 +144,4 @@ def _transforms(result: Result, time: int, names: FrameNames, base: ChosenBase |
             poses["ECM_tip", names.camera] = base.tip_from_camera
             poses["ECM_base", names.base] = base.ecm_from_base
             poses |= {("ECM_base", f"{arm}_base"): other for arm, other in base.others.items()}
-    yield tf_message(time, poses)
+    return poses

@@ -26,25 +26,19 @@ def publisher_command(camera_from_base: Float64, names: FrameNames) -> str:
     )
 
 
-def publisher_file(camera_from_base: Float64, names: FrameNames, of: str = "") -> dict[str, str]:
-    """Return the text of a shell script with the command, by file name, which begins with ``of`` or the arm's."""
-    return {f"{of or names.arm}-static-transform.sh": publisher_command(camera_from_base, names) + "\n"}
-
-
 def exported(request: ExportRequest) -> Exported:
     """Export ``camera_from_base``; InputError if the source has none.
 
     Of an endoscope that moved and whose arm is read, the transforms that stay are exported in its place: the camera in
     the endoscope's tip, and the bases of the session's arms in that of the endoscope's arm.
     """
-    base = request.source.base()
-    if base.tip_from_camera is None or base.ecm_from_base is None:
-        return Exported.of_texts(publisher_file(base.camera_from_base, request.names), base=base)
-    names = request.names
-    texts = {
-        **publisher_file(base.tip_from_camera, replace(names, camera="ECM_tip", base=names.camera), "ECM-tip"),
-        **publisher_file(base.ecm_from_base, replace(names, camera="ECM_base")),
-    }
-    for arm, other in base.others.items():
-        texts |= publisher_file(other, FrameNames(arm, "ECM_base", f"{arm}_base"))
+    base, names = request.source.base(), request.names
+    transforms = {names.arm: (base.camera_from_base, names)}
+    if base.tip_from_camera is not None and base.ecm_from_base is not None:
+        transforms = {
+            "ECM-tip": (base.tip_from_camera, replace(names, camera="ECM_tip", base=names.camera)),
+            names.arm: (base.ecm_from_base, replace(names, camera="ECM_base")),
+            **{arm: (other, FrameNames(arm, "ECM_base", f"{arm}_base")) for arm, other in base.others.items()},
+        }
+    texts = {f"{name}-static-transform.sh": f"{publisher_command(*each)}\n" for name, each in transforms.items()}
     return Exported.of_texts(texts, base=base)

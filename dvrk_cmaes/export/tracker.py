@@ -13,9 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.export.frames import rotation_vector
 from dvrk_cmaes.export.request import Exported, ExportRequest
-from dvrk_cmaes.geometry import Float32, Float64
+from dvrk_cmaes.geometry import Float32, Float64, log_rotation
 from dvrk_cmaes.results.result import Result
 
 POSE, JOINTS = "optimized_ctr.npy", "optimized_joint_angles.npy"
@@ -39,7 +38,7 @@ def tracker_files(results: Sequence[Result]) -> dict[str, bytes]:
 
 def pose_vector(camera_from_root: Float64) -> Float32:
     """Convert a pose (4, 4) to axis times angle, rad, and translation, m, (6,)."""
-    return np.concatenate([rotation_vector(camera_from_root), camera_from_root[:3, 3]]).astype(np.float32)
+    return np.concatenate([log_rotation(camera_from_root[:3, :3]), camera_from_root[:3, 3]]).astype(np.float32)
 
 
 def joint_vector(result: Result) -> Float32:

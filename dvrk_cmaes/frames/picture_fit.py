@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.camera.files import CameraFile
-from dvrk_cmaes.camera.rig_files import RigFile
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, Window, frame_size
 from dvrk_cmaes.io.short_text import shown
-
-Lens = TypeVar("Lens", CameraFile, RigFile)
 
 _SAME_ASPECT = 0.005
 
@@ -33,7 +29,7 @@ class PictureFit:
     crop: Window | None = None
     stretch: bool = False
 
-    def lens(self, lens: Lens, frame: FrameFiles) -> Lens:
+    def lens(self, lens: CameraFile, frame: FrameFiles) -> CameraFile:
         """Return a camera or a rig for the pictures of a frame, which has the same crop, and notes on what was done.
 
         A camera of the size of the whole pictures, or of their aspect if the part has another, is cropped, too.
@@ -48,10 +44,7 @@ class PictureFit:
         whole, part = frame_size(replace(frame, crop=None)), frame_size(frame)
         notes: list[str] = []
         cameras = {view.name: self._camera(view.camera, whole, part, notes) for view in lens.rig.views}
-        changed: dict[str, Any] = {"rig": lens.rig.with_cameras(cameras)}
-        if isinstance(lens, CameraFile):
-            changed = {"camera": next(iter(cameras.values()))}
-        return replace(lens, **changed, notes=(*lens.notes, *dict.fromkeys(notes)))
+        return replace(lens, rig=lens.rig.with_cameras(cameras), notes=(*lens.notes, *dict.fromkeys(notes)))
 
     def _camera(self, camera: Camera, whole: Size, part: Size, notes: list[str]) -> Camera:
         """Return the camera of the part of pictures."""

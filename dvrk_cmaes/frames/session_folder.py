@@ -25,7 +25,7 @@ from pathlib import Path
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.files import CameraFile, Side, read_camera_file
 from dvrk_cmaes.camera.guess import CameraGuess
-from dvrk_cmaes.camera.rig_files import RigFile, read_rig
+from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
 from dvrk_cmaes.frames.coco_mask import FILES, frames_of
@@ -237,7 +237,6 @@ def read_session(
     without = camera is None and not stereo and not (root / "camera.yaml").exists() and not guessed
     if without and notes[0] != "a session folder":
         raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
-    lens: CameraFile | RigFile
     if stereo:
         lens = fit.lens(_read_eyes(own, root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
@@ -264,7 +263,7 @@ def read_session(
 
 def _read_eyes(
     own: OwnFiles, root: Path, left: Path | None, right: Path | None, rectified: bool, frame: FrameFiles
-) -> RigFile:
+) -> CameraFile:
     """Read the camera files of a folder with two views of each frame."""
     if left is None and right is None and os.path.lexists(root / "left.yaml"):
         left, right = root / "left.yaml", root / "right.yaml"

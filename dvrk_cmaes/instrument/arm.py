@@ -11,7 +11,7 @@ tools' files). Right angles are exact here; the files round them to 1.5708.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import pi
 from typing import Any, Final, Literal, NamedTuple
 
@@ -104,11 +104,10 @@ def base_from_root(
     InputError
         The arm is unknown, a joint is missing from the mapping, or the number of values is not four.
     """
-    rows = dh_table(arm, roll_offset=roll_offset)
     values = _values(outer)
     pose = np.broadcast_to(np.eye(4), (*values.shape[:-1], 4, 4))
-    for k, row in enumerate(rows):
-        pose = pose @ _row_transform(row, values[..., k])
+    for step in _row_transforms(dh_table(arm, roll_offset=roll_offset), values):
+        pose = pose @ step
     return pose
 
 
@@ -121,7 +120,7 @@ def base_from_root_and_jacobian(
     of its own frame. Errors as `base_from_root`.
     """
     rows = dh_table(arm, roll_offset=roll_offset)
-    steps = [_row_transform(row, outer[..., k]) for k, row in enumerate(rows)]
+    steps = _row_transforms(rows, outer)
     jacobian = np.zeros((*outer.shape[:-1], 6, len(rows)))
     link_from_root = np.broadcast_to(np.eye(4), (*outer.shape[:-1], 4, 4))
     for k in reversed(range(len(rows))):
@@ -150,9 +149,8 @@ def root_from_tip(
     """
     pitch = DHJoint(alpha=-pi / 2, a=0.0, theta=-pi / 2, d=0.0)
     yaw = DHJoint(alpha=-pi / 2, a=wrist_length, theta=-pi / 2, d=0.0)
-    return np.asarray(
-        _row_transform(pitch, np.float64(wrist_pitch)) @ _row_transform(yaw, np.float64(wrist_yaw)) @ tooltip_offset
-    )
+    by_pitch, by_yaw = _row_transforms((pitch, yaw), np.array([wrist_pitch, wrist_yaw]))
+    return np.asarray(by_pitch @ by_yaw @ tooltip_offset)
 
 
 def stated_kinematics(configs: Iterable[Mapping[str, Any]]) -> tuple[Arm, float] | None:
@@ -195,15 +193,14 @@ def _values(outer: Mapping[str, ArrayLike] | ArrayLike) -> Float64:
     return values
 
 
-def _row_transform(row: DHJoint, value: Float64 | np.float64) -> Float64:
-    """Compute the transforms (..., 4, 4) of one DH row at joint values (...)."""
-    theta = np.full_like(value, row.theta) if row.prismatic else row.theta + value
-    d = row.d + value if row.prismatic else np.full_like(value, row.d)
-    c, s = np.cos(theta), np.sin(theta)
-    ca, sa = np.cos(row.alpha), np.sin(row.alpha)
-    out = np.zeros((*value.shape, 4, 4))
-    out[..., 0, 0], out[..., 0, 1], out[..., 0, 3] = c, -s, row.a
+def _row_transforms(rows: Sequence[DHJoint], values: Float64) -> Float64:
+    """Compute the transforms (R, ..., 4, 4) of R DH rows at joint values (..., R)."""
+    alpha, a, theta, d, prismatic = (np.array(column) for column in zip(*rows, strict=True))
+    theta, d = np.where(prismatic, theta, theta + values), np.where(prismatic, d + values, d)
+    c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    out = np.zeros((*values.shape, 4, 4))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 3] = c, -s, a
     out[..., 1, 0], out[..., 1, 1], out[..., 1, 2], out[..., 1, 3] = s * ca, c * ca, -sa, -sa * d
     out[..., 2, 0], out[..., 2, 1], out[..., 2, 2], out[..., 2, 3] = s * sa, c * sa, ca, ca * d
     out[..., 3, 3] = 1.0
-    return out
+    return np.moveaxis(out, -3, 0)

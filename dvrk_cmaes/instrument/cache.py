@@ -10,22 +10,23 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.instrument.kinematics import Chain, Joint
 from dvrk_cmaes.instrument.locate import find_mesh
-from dvrk_cmaes.instrument.model import Instrument, JawTip, Link, Shaft
+from dvrk_cmaes.instrument.model import Instrument
 from dvrk_cmaes.io.array_file import UNUSABLE, read_arrays, write_arrays
 from dvrk_cmaes.io.bundled import cache_folder
 from dvrk_cmaes.io.files import file_digest
+from dvrk_cmaes.io.prepared_type import prepared
 
-_FORMAT = 4
+_FORMAT = 5
 
 
 def cache_file(*arguments: object) -> Path | None:
@@ -47,8 +48,8 @@ def read_cached(path: Path, urdf: Path, packages: Mapping[str, Path]) -> Instrum
             str(find_mesh(name, urdf, packages, "").absolute()) != found for name, found in document["meshes"].items()
         ):
             return None
-        return _instrument(document, arrays)
-    except (*UNUSABLE, InputError):
+        return msgspec.convert(document["instrument"], prepared(Instrument), dec_hook=lambda _, name: arrays[name])
+    except (*UNUSABLE, InputError, msgspec.ValidationError):
         return None
 
 
@@ -57,50 +58,19 @@ def write_cached(path: Path, instrument: Instrument, urdf: Path, meshes: Mapping
 
     ``meshes`` are the paths of the meshes by the names that the URDF gives them.
     """
-    document: dict[str, Any] = {
+    arrays: dict[str, NDArray[Any]] = {}
+
+    def named(value: Any) -> Any:
+        """Return the name of an array, which is kept by it, and the value of a number of NumPy."""
+        if not isinstance(value, np.ndarray):
+            return value.item()
+        arrays[name := f"array {len(arrays)}"] = value
+        return name
+
+    document = {
         "files": {str(file.absolute()): file_digest(file) for file in (urdf, *meshes.values())},
         "meshes": {name: str(found.absolute()) for name, found in meshes.items()},
-        "name": instrument.name,
-        "root_link": instrument.root_link,
-        "links": [link.name for link in instrument.links],
-        "joint_names": instrument.joint_names,
-        "tips": [tip.link for tip in instrument.jaw_tips],
-        "link_joints": instrument.link_joints,
-        "has_twin": instrument.has_twin,
-        "chain": [_plain_fields(joint) for joint in instrument.chain.joints],
+        "instrument": msgspec.to_builtins(instrument, enc_hook=named),
     }
-    arrays: dict[str, Any] = {"limits": instrument.limits}
-    for i, link in enumerate(instrument.links):
-        arrays |= {f"vertices_{i}": link.vertices, f"faces_{i}": link.faces}
-    for i, joint in enumerate(instrument.chain.joints):
-        arrays |= {f"parent_from_joint_{i}": joint.parent_from_joint, f"axis_{i}": joint.axis}
-    for i, tip in enumerate(instrument.jaw_tips):
-        arrays[f"tip_{i}"] = tip.position
-    shaft = instrument.shaft
-    if shaft is not None:
-        arrays |= {"shaft_point": shaft.point, "shaft_direction": shaft.direction}
-        document["shaft"] = [shaft.radius, shaft.distal_end, shaft.proximal_end]
     with contextlib.suppress(DvrkCmaesError, OSError):
         write_arrays(path, document, arrays)
-
-
-def _plain_fields(joint: Joint) -> dict[str, Any]:
-    """Return the fields of a joint that are not arrays."""
-    return {name: value for name, value in asdict(joint).items() if not isinstance(value, np.ndarray)}
-
-
-def _instrument(document: dict[str, Any], arrays: Any) -> Instrument:
-    """Build an instrument from the JSON document and the arrays of a cache file."""
-    joints = tuple(
-        Joint(parent_from_joint=arrays[f"parent_from_joint_{i}"], axis=arrays[f"axis_{i}"], **fields)
-        for i, fields in enumerate(document["chain"])
-    )
-    shaft = None
-    if "shaft" in document:
-        shaft = Shaft(arrays["shaft_point"], arrays["shaft_direction"], *document["shaft"])
-    named = enumerate(document["links"])
-    links = tuple(Link(name, arrays[f"vertices_{i}"], arrays[f"faces_{i}"]) for i, name in named)
-    tips = tuple(JawTip(link, arrays[f"tip_{i}"]) for i, link in enumerate(document["tips"]))
-    lists, moved = (tuple(document["joint_names"]), arrays["limits"]), tuple(document["link_joints"])
-    whole = document["name"], document["root_link"], links, *lists, shaft, tips, Chain(joints), moved
-    return Instrument(*whole, has_twin=document["has_twin"])

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dvrk_cmaes import _kernel
-from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.geometry import Float64, skew
 
 Motion = Literal["fixed", "revolute", "prismatic"]
 
@@ -64,12 +64,6 @@ class Joint:
         return self.motion != "fixed" and self.driver is not None and self.multiplier != 0.0
 
 
-def _cross_matrix(axis: Float64) -> Float64:
-    """Return the cross-product matrix (3, 3) of a vector (3,)."""
-    x, y, z = axis
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def _terms(joint: Joint) -> Float64:
     """Compute the matrices (3, 4, 4) whose sum with weights 1, sin q (or q) and cos q is the joint's transform."""
     origin = np.asarray(joint.parent_from_joint, dtype=np.float64)
@@ -77,7 +71,7 @@ def _terms(joint: Joint) -> Float64:
     if joint.motion == "prismatic":
         moving[:3, 3] = joint.axis
     elif joint.motion == "revolute":
-        cross = _cross_matrix(joint.axis)
+        cross = skew(joint.axis)
         moving[:3, :3] = cross
         cosine[:3, :3] = -(cross @ cross)
         constant[:3, :3] -= cosine[:3, :3]

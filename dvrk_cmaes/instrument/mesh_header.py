@@ -12,30 +12,22 @@ import struct
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.files import check_file
 
-_LARGEST = 500_000_000  # bytes; meshes of scanned instruments have about ten million
 _LFS_POINTER = b"version https://git-lfs"
 _HEADER = 100_000  # bytes; longer than a PLY header
 _STL_HEADER, _STL_FACE = 84, 50  # bytes
 _PLY_ELEMENT = re.compile(rb"^element\s+(\S+)\s+(\d+)\s*$", re.MULTILINE)
 
 
-def check_header_sizes(path: Path) -> None:
-    """Check that a mesh file is as large as its header states.
+def check_header_sizes(path: Path, data: bytes) -> None:
+    """Check that a mesh file, whose content is ``data``, is as large as its header states.
 
     Raises
     ------
     InputError
-        The file is not a regular file, over 500 MB, a Git LFS pointer, or smaller than its header states.
+        The file is a Git LFS pointer, or smaller than its header states.
     """
-    check_file(path, expected="a mesh file", largest=_LARGEST)
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            head = file.read(_HEADER)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the mesh: {error.strerror}") from None
+    size, head = len(data), data[:_HEADER]
     if head.startswith(_LFS_POINTER):
         raise InputError(f"{path}: a Git LFS pointer, not the mesh itself; fetch it with 'git lfs pull'")
     suffix = path.suffix.lower()
@@ -46,7 +38,7 @@ def check_header_sizes(path: Path) -> None:
             raise InputError(f"{path}: cut off or no STL: expected {whole} bytes of {faces} faces, got {size}")
     if suffix == ".ply":
         for name, count in _PLY_ELEMENT.findall(head.partition(b"end_header")[0]):
-            if len(count) > len(str(_LARGEST)) or int(count) > size:  # an entry has at least one byte
+            if len(count) > len(str(size)) or int(count) > size:  # an entry has at least one byte
                 stated = count[:20].decode()
                 raise InputError(
                     f"{path}: element {name[:20].decode(errors='replace')}: {stated} are claimed, in {size} bytes"

@@ -13,6 +13,7 @@ from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument.dae_size import check_dae_size
 from dvrk_cmaes.instrument.mesh_header import check_header_sizes
+from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.plain_xml import parse_xml
 
 #: Suffixes of the mesh formats that can be read.
@@ -21,6 +22,7 @@ SUFFIXES = (".stl", ".obj", ".dae", ".ply")
 #: Largest extent of one mesh that is accepted, m; a larger one is likely to be in millimetres.
 LARGEST_EXTENT = 5.0
 
+_LARGEST = 500_000_000  # bytes; meshes of scanned instruments have about ten million
 _LARGEST_COORDINATE = 1e9
 _WELD = 1e-8  # grid size for merging vertices, as a fraction of the bounding box's diagonal
 _FLAT = 1e-7  # height / longest side below which a triangle is degenerate; the resolution of float32
@@ -46,9 +48,10 @@ def read_mesh(path: Path) -> Triangles:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: cannot read a mesh of kind {suffix!r}; expected one of {', '.join(SUFFIXES)}")
-    check_header_sizes(path)
+    data = read_bytes(path, expected="a mesh file", largest=_LARGEST)
+    check_header_sizes(path, data)
     try:
-        places, corners = _read_ply(path) if suffix == ".ply" else _read_with_trimesh(path)
+        places, corners = _read_ply(path) if suffix == ".ply" else _read_with_trimesh(path, data)
     except InputError:
         raise
     except Exception as error:  # the parsers raise exceptions of many types, e.g. struct.error, AttributeError
@@ -94,11 +97,10 @@ def _fan(polygon: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.stack([first, polygon[1:-1][: len(first)], polygon[2:][: len(first)]], axis=1)
 
 
-def _read_with_trimesh(path: Path) -> tuple[Float64, NDArray[np.int64]]:
+def _read_with_trimesh(path: Path, data: bytes) -> tuple[Float64, NDArray[np.int64]]:
     """Read STL, OBJ or DAE; a DAE file states its unit and is converted to metres."""
     import trimesh
 
-    data = path.read_bytes()
     suffix = path.suffix.lower()
     unit = _dae_unit(path, data) if suffix == ".dae" else 1.0
     # as data instead of a path, so that no file that it names, such as a texture, is opened

@@ -41,6 +41,8 @@ def resembles_twin(instrument: Instrument) -> bool:
 
 def _surface(instrument: Instrument, joints: Float64) -> Float64:
     """Sample points (N, 3) uniformly on wrist and jaws in the root link's frame; they are the same for all joints."""
+    import trimesh
+
     poses = instrument.forward(joints)
     closed = instrument.forward(np.zeros_like(joints))
     corners: list[Float64] = []
@@ -50,10 +52,6 @@ def _surface(instrument: Instrument, joints: Float64) -> Float64:
             along = apply(zero, triangles) @ instrument.shaft.direction
             triangles = triangles[along.max(axis=1) > instrument.shaft.distal_end + 1e-6]
         corners.append(apply(pose, triangles))
-    a, b, c = np.moveaxis(np.concatenate(corners), 1, 0)
-    total = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
-    rng = np.random.default_rng(0)
-    chosen = np.minimum(np.searchsorted(total, rng.uniform(0, total[-1], _TARGETS)), len(total) - 1)
-    first, second = rng.uniform(size=(2, _TARGETS, 1))
-    root = np.sqrt(first)  # for a uniform density over the triangle
-    return np.asarray((1 - root) * a[chosen] + root * (1 - second) * b[chosen] + root * second * c[chosen])
+    points = np.concatenate(corners).reshape(-1, 3)
+    mesh = trimesh.Trimesh(points, np.arange(len(points)).reshape(-1, 3), process=False)
+    return np.asarray(trimesh.sample.sample_surface(mesh, _TARGETS, seed=0)[0])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.names import joints_by_count
 from dvrk_cmaes.joints.rows import JointFile, JointRow
@@ -50,18 +50,11 @@ def read_small_array(path: str, data: bytes, *, expected: str) -> Float64:
         version = np.lib.format.read_magic(stream)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read_header(stream)
+        small = dtype.kind in "fiu" and 0 < math.prod(shape) <= _MOST
+        stream.seek(0)
+        values = np.load(stream, allow_pickle=False) if small else None
     except Exception as error:  # NumPy parses the header as a Python literal, with errors of many types
-        raise InputError(f"{path}: expected {expected}, got no valid NumPy file ({_line(error)})") from None
-    if dtype.kind not in "fiu" or not 0 < math.prod(shape) <= _MOST:
+        raise InputError(f"{path}: expected {expected}, got no valid NumPy file ({one_line(error)})") from None
+    if values is None:
         raise InputError(f"{path}: expected {expected}, got {dtype} of shape {shape}")
-    stream.seek(0)
-    try:
-        values = np.load(stream, allow_pickle=False)
-    except Exception as error:  # as above
-        raise InputError(f"{path}: expected {expected}, got no valid NumPy file ({_line(error)})") from None
     return np.asarray(values, np.float64).ravel()
-
-
-def _line(error: BaseException) -> str:
-    """Return an error's text on one line of at most 120 characters."""
-    return " ".join(str(error).split())[:120]

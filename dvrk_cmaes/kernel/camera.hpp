@@ -20,6 +20,7 @@ struct Camera {
   int width, height;
   double fx, fy, cx, cy;
   Lens lens;
+  double bend = 0.0;  // px, by which the image of a straight line of four pixels is off its chord at most: `largest_bend`
 
   bool is_pinhole() const { return lens.model == Lens::Model::none; }
 
@@ -30,7 +31,10 @@ struct Camera {
 
   // Length, px, up to which the image of a straight line is off its chord by at most `allowed`, px, anywhere in the
   // image. The off of a short chord grows with the square of its length, so one of four pixels tells.
-  double straight_length(double allowed) const {
+  double straight_length(double allowed) const { return 4.0 * std::sqrt(allowed / bend); }
+
+  // It takes as long as some silhouettes of small images, and is the same for all that a camera sees.
+  double largest_bend() const {
     double most = 1e-9;
     const double step = 0.39269908169872415;  // rad, an eighth of half a turn
     for (int row = 0; row <= 16; ++row) {
@@ -55,7 +59,7 @@ struct Camera {
         }
       }
     }
-    return 4.0 * std::sqrt(allowed / most);
+    return most;
   }
 };
 

@@ -149,7 +149,9 @@ Camera make_camera(int width, int height, double fx, double fy, double cx, doubl
   }
   if (!(radius > 0.0)) throw std::invalid_argument("radius: expected a positive number");
   lens.radius = radius;
-  return {width, height, fx, fy, cx, cy, lens};
+  Camera camera{width, height, fx, fy, cx, cy, lens};
+  if (!camera.is_pinhole()) camera.bend = camera.largest_bend();
+  return camera;
 }
 
 Mesh make_mesh(const std::vector<std::tuple<Given<double>, Given<Index>>>& links) {

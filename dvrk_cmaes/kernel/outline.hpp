@@ -231,8 +231,9 @@ class Outline {
     };
     const double dx = to.undistorted[0] - from.undistorted[0], dy = to.undistorted[1] - from.undistorted[1];
     const double across = dx * camera_->fx, down = dy * camera_->fy;
-    const double length = std::sqrt(across * across + down * down);
-    if (length > straight_) {
+    const double square = across * across + down * down;
+    if (square > straight_ * straight_) {
+      const double length = std::sqrt(square);
       // Only the part within the square around the circle in which the model holds is bent.
       double enter = 0.0, leave = 1.0;
       for (int k = 0; k < 2; ++k) {

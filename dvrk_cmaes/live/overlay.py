@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.canvas import Canvas
-from dvrk_cmaes.draw.overlay import SILHOUETTE
+from dvrk_cmaes.draw.panels import SILHOUETTE
 from dvrk_cmaes.live.outputs import StepResult
 from dvrk_cmaes.silhouette import Body, Renderer
 

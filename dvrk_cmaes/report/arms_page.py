@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.draw.arms_overlay import arm_colours
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.io.output import write_bytes
-from dvrk_cmaes.report.page_template import render_template
+from dvrk_cmaes.report.page_template import render_template, write_rendered
 from dvrk_cmaes.report.page_thumbnails import Thumbnail, encoded_thumbnail
 from dvrk_cmaes.results.folder import ResultsFolder
 from dvrk_cmaes.results.paths import overlay_path
@@ -32,12 +31,11 @@ _RULES: Final = (
 
 @dataclass(frozen=True)
 class ArmRow:
-    """An arm: name, numbers of frames by status, figures, each a name, a value and its digits, and its page."""
+    """An arm: name, numbers of frames by status, and figures, each a name, a value and its digits."""
 
     arm: str
     counts: Mapping[str, int]
     figures: tuple[tuple[str, float | None, int], ...]
-    page: str
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ def write_followed_arms_page(
 
 def _write_page(out: Path, arms: Sequence[ArmRow], frames: int, pictures: Sequence[FramePicture]) -> Path:
     """Write the page of arms that have a number of frames together."""
-    colours = [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in arm_colours([page.arm for page in arms]).values()]
+    colours = [f"#{r:02x}{g:02x}{b:02x}" for b, g, r in arm_colours([row.arm for row in arms]).values()]
     page = render_template(
         "arms.html",
         scripts=("tiles.js", "arms.js"),
@@ -79,9 +77,7 @@ def _write_page(out: Path, arms: Sequence[ArmRow], frames: int, pictures: Sequen
         frames=frames,
         pictures=pictures,
     )
-    path = out / PAGE
-    write_bytes(path, page.encode("utf-8", errors="replace"))
-    return path
+    return write_rendered(out / PAGE, page)
 
 
 def _row(arm: str, folder: ResultsFolder) -> ArmRow:
@@ -93,7 +89,6 @@ def _row(arm: str, folder: ResultsFolder) -> ArmRow:
         arm,
         {status: sum(result.status == status for result in results) for status in ("ok", "doubtful", "failed")},
         (("IoU, median", _median(overlaps), 3), ("tips within (90 %), median, mm", _median(errors), 2)),
-        f"{arm}/{PAGE}",
     )
 
 
@@ -105,7 +100,6 @@ def _followed_row(arm: str, rows: Sequence[Mapping[str, Any]]) -> ArmRow:
         arm,
         {status: sum(row["status"] == status for row in rows) for status in ("ok", "doubtful", "lost")},
         (("residual, median, px", _median(residuals), 2), ("std of the tips, median, mm", _median(stds), 2)),
-        f"{arm}/{PAGE}",
     )
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.comparison import QUANTITIES, Comparison, count_statuses, median_of
-from dvrk_cmaes.io.output import write_bytes
-from dvrk_cmaes.report.page_template import render_template
+from dvrk_cmaes.report.page_template import render_template, write_rendered
 from dvrk_cmaes.report.page_thumbnails import Thumbnail, thumbnail
 from dvrk_cmaes.report.plots.axes import name_axis, value_axis
 from dvrk_cmaes.report.plots.panels import SHAPES, Mark, Panel, Plot, Series, mark_size
@@ -22,19 +21,24 @@ _PICTURES: Final = 24  # frames whose overlays are shown
 
 def write_compare_page(out: Path, comparison: Comparison) -> Path:
     """Write OUT/compare.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
+    reference = comparison.labels[comparison.reference]
+    tips = [{frame: found.tip_mm for frame, found in differences.items()} for differences in comparison.differences]
+    overlaps = [{frame: entry.iou for frame, entry in compared.frames.items()} for compared in comparison.sets]
+    plots = (
+        _plot("tips", f"tips from {reference}, mm", comparison, tips, least=0.1, from_zero=True),
+        _plot("overlap", "overlap (IoU)", comparison, overlaps, least=0.02),
+    )
     page = render_template(
         "compare.html",
         comparison=comparison,
         quantities=_headings(comparison),
         spreads={label: comparison.spreads(k) for k, label in enumerate(comparison.labels)},
         statuses=[count_statuses(compared) for compared in comparison.sets],
-        overlaps=[median_of(frame.iou for frame in compared.frames.values()) for compared in comparison.sets],
-        plots=[plot for plot in (tips_plot(comparison), overlap_plot(comparison)) if plot is not None],
+        overlaps=[median_of(iter(of_frames.values())) for of_frames in overlaps],
+        plots=[plot for plot in plots if plot is not None],
         pictures=_pictures(comparison),
     )
-    path = out / PAGE
-    write_bytes(path, page.encode("utf-8", errors="replace"))
-    return path
+    return write_rendered(out / PAGE, page)
 
 
 def _headings(comparison: Comparison) -> dict[str, str]:
@@ -43,47 +47,26 @@ def _headings(comparison: Comparison) -> dict[str, str]:
     return {name: QUANTITIES.get(name, f"{name.removesuffix('_deg')}, deg") for name in names}
 
 
-def tips_plot(comparison: Comparison) -> Plot | None:
-    """Plot the distances of the tips from the reference's, mm, over the frames; None if none is known."""
-    reference = comparison.labels[comparison.reference]
-
-    def tip(index: int, frame: str) -> float | None:
-        difference = comparison.differences[index].get(frame)
-        return None if difference is None else difference.tip_mm
-
-    return _plot("tips", f"tips from {reference}, mm", comparison, tip, least=0.1, from_zero=True)
-
-
-def overlap_plot(comparison: Comparison) -> Plot | None:
-    """Plot the overlap (IoU) of each set over the frames; None if none states it."""
-
-    def overlap(index: int, frame: str) -> float | None:
-        entry = comparison.sets[index].frames.get(frame)
-        return None if entry is None else entry.iou
-
-    return _plot("overlap", "overlap (IoU)", comparison, overlap, least=0.02)
-
-
 def _plot(
     name: str,
     label: str,
     comparison: Comparison,
-    value_of: Callable[[int, str], float | None],
+    of_sets: Sequence[Mapping[str, float | None]],
     *,
     least: float,
     from_zero: bool = False,
 ) -> Plot | None:
-    """Plot a value of each set over the frames; the vertical axis has at least the span ``least``."""
+    """Plot the values by frame of each set; the vertical axis has at least the span ``least``; None without any."""
     frames = comparison.frames
     values = {
-        k: {place: v for place, frame in enumerate(frames) if (v := value_of(k, frame)) is not None}
-        for k in range(len(comparison.sets))
+        k: {place: v for place, frame in enumerate(frames) if (v := by_frame.get(frame)) is not None}
+        for k, by_frame in enumerate(of_sets)
     }
     known = [value for by_place in values.values() for value in by_place.values()]
     if not known:
         return None
     low, high = 0.0 if from_zero else min(known), max(known)
-    across = name_axis("frame", frames, start=72, end=708)
+    across = name_axis(frames, start=72, end=708)
     up = value_axis(label, low, max(high, low + least), start=276, end=14)
     step = min(0.15 * (across.at(1) - across.at(0)), 8.0)  # sets beside each other
     series = tuple(

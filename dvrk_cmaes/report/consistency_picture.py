@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evaluate.agreement import Agreement
-from dvrk_cmaes.geometry import Bool, Float64
+from dvrk_cmaes.geometry import Float64
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Corner = Literal["lower right", "upper right", "lower left", "upper left"]
 
 _AXIS: Final = "#33658a"
 _MEETING: Final = "#c1121f"
@@ -53,8 +51,8 @@ def draw_axes(sets: Sequence[Agreement]) -> Figure:
         _draw_close(close, row)
     _share_limits(panels[:, 0], np.concatenate([row.far for row in rows]))
     _share_limits(panels[:, 1], np.concatenate([row.near for row in rows]))
-    for row, close in zip(rows, panels[:, 1], strict=True):
-        _place_legend(close, row)
+    for close in panels[:, 1]:
+        close.legend(fontsize=7, loc="best")
     figure.draw_without_rendering()  # lays the panels out, so that the places of names are known, ...
     figure.set_layout_engine("none")  # and does not change when the picture is written
     for row, close in zip(rows, panels[:, 1], strict=True):
@@ -156,20 +154,6 @@ def _draw_close(panel: Axes, row: _PictureRow) -> None:
     panel.set_xlabel("mm")
     panel.set_title("nearest points of the axes, seen along them", fontsize=9)
     panel.grid(alpha=0.25)
-
-
-def _place_legend(panel: Axes, row: _PictureRow) -> None:
-    """Put the legend in the corner whose quarter of the panel has the fewest points."""
-    points = row.nearest if row.rcm is None else np.concatenate([row.nearest, row.rcm])
-    left = points[:, 0] < np.mean(panel.get_xlim())
-    lower = points[:, 1] < np.mean(panel.get_ylim())
-    corners: dict[Corner, Bool] = {
-        "lower right": lower & ~left,
-        "upper right": ~lower & ~left,
-        "lower left": lower & left,
-        "upper left": ~lower & left,
-    }
-    panel.legend(fontsize=7, loc=min(corners, key=lambda corner: int(corners[corner].sum())))
 
 
 def _name_points(panel: Axes, row: _PictureRow) -> None:

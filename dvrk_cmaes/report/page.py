@@ -15,8 +15,8 @@ from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
-from dvrk_cmaes.io.output import write_bytes
-from dvrk_cmaes.report.page_calibration import calibration_of, calibration_view, left_out_views
+from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.report.page_calibration import calibration_view, left_out_views
 from dvrk_cmaes.report.page_frames import STATUSES, FrameCard, LeaveOneOut, doubt_key
 from dvrk_cmaes.report.page_layers import EMBEDDED, embedded_layers, embedded_picture
 from dvrk_cmaes.report.page_scene import scene_of
@@ -24,16 +24,16 @@ from dvrk_cmaes.report.page_session import (
     FrameBases,
     Run,
     common_warnings,
+    counted_reasons,
     joint_summaries,
     provenances,
-    reason_counts,
     session_figures,
 )
-from dvrk_cmaes.report.page_template import render_template
+from dvrk_cmaes.report.page_template import render_template, write_rendered
 from dvrk_cmaes.report.page_thumbnails import thumbnail
 from dvrk_cmaes.report.plots.panels import joint_plot, rcm_plot
 from dvrk_cmaes.report.plots.tips import speed_plot, tips_plot
-from dvrk_cmaes.results.folder import ResultsFolder, read_results, result_paths
+from dvrk_cmaes.results.folder import SESSION, ResultsFolder, read_results, result_paths
 from dvrk_cmaes.results.paths import layers_path, left_out_path, overlay_path
 from dvrk_cmaes.results.result import Result
 
@@ -58,17 +58,16 @@ def write_page(out: Path, folder: ResultsFolder | None = None) -> Path:
     InputError
         No results, or one that cannot be read, as in ``read_results``; a folder that cannot be written to.
     """
-    page = render_page(read_results(out) if folder is None else folder).encode("utf-8", errors="replace")
-    path = out / "report.html"
-    write_bytes(path, page)
-    return path
+    return write_rendered(out / "report.html", render_page(read_results(out) if folder is None else folder))
 
 
 def render_page(folder: ResultsFolder) -> str:
     """Render the HTML page of a results folder."""
     results = list(folder.frames.values())
     run = Run.of(folder.summary)
-    calibration = calibration_of(folder)
+    calibration = None
+    if folder.session is not None:
+        calibration = SessionCalibration.from_dict(folder.session, where=str(folder.folder / SESSION))
     left = {} if calibration is None else calibration.left_out
     solved = [result for result in results if result.frame not in left]  # the session's figures are of these
     base = FrameBases.of(solved)
@@ -87,7 +86,7 @@ def render_page(folder: ResultsFolder) -> str:
         together=sum(result.source == "session" for result in results),
         figures=list(session_figures(solved, base, run)),
         joints=list(joint_summaries(solved)),
-        reasons=reason_counts(results),
+        reasons=counted_reasons([result.reasons for result in results]),
         shared_warnings=common_warnings(results),
         joint_plot=joint_plot(results),
         tips_plot=tips_plot(results),

@@ -8,8 +8,8 @@ together does not, since each frame's own mask was used to solve it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -17,14 +17,14 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.geometry import Float64, change_between
-from dvrk_cmaes.report.page_frames import LeaveOneOut, TableRow, axis_angle, fixed, signed
+from dvrk_cmaes.report.page_frames import LeaveOneOut
 from dvrk_cmaes.report.page_layers import embedded_picture
 from dvrk_cmaes.report.page_session import KeyFigure, correction
 from dvrk_cmaes.report.plots.cables import cables_plot
 from dvrk_cmaes.report.plots.lag import lag_plot
 from dvrk_cmaes.report.plots.offsets import offset_estimates, offset_panels
 from dvrk_cmaes.report.plots.shafts import shafts_plot
-from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder
+from dvrk_cmaes.results.folder import ALONE, ResultsFolder
 from dvrk_cmaes.results.paths import left_out_path
 from dvrk_cmaes.results.result import Result
 
@@ -34,29 +34,12 @@ MOST_PICTURES = 12
 _SMALL = 400  # px, width of these pictures
 
 
-@dataclass(frozen=True)
-class FramePrediction:
-    """Leave-one-out prediction of a frame.
-
-    frame, status : name and status of the frame.
-    iou, contour_px : overlap and median contour distance, px, of the predicted silhouette and the mask.
-    own_iou : overlap of the frame's own solution; None without a pose.
-    picture : address of the picture, None if there is none.
-    """
+class Prediction(NamedTuple):
+    """Overlap and median contour distance, px, of the mask of a frame and its silhouette predicted by the others."""
 
     frame: str
-    status: str
     iou: float
     contour_px: float
-    own_iou: float | None
-    picture: str | None
-
-
-def calibration_of(folder: ResultsFolder) -> SessionCalibration | None:
-    """Return the session's calibration of a results folder, None if it has none; InputError if it is invalid."""
-    if folder.session is None:
-        return None
-    return SessionCalibration.from_dict(folder.session, where=str(folder.folder / SESSION))
 
 
 def left_out_views(
@@ -84,18 +67,21 @@ def calibration_view(
 ) -> SimpleNamespace:
     """Return what the template says of a calibration; ``left_out`` is that of `left_out_views`.
 
-    figures : key figures. words : what the frames tell of lag, cameras and masks. base, offsets : rows of tables.
+    figures : key figures. words : what the frames tell of lag, cameras and masks. base_std : standard deviations
+    (3,) of the base, mm and deg. endoscope : poses that it tells. offsets : in deg and mm.
     matrix : camera_from_base as text, m. beyond : whether a frame lies outside the plot of offsets.
-    predictions : the worst first. pictures : predictions whose pictures are shown.
+    results : by frame. predictions : the worst first. pictures : those of which a picture is shown, with its address.
     left_out : frames left out of the calibration: name, reason, and whether the page has the frame.
     alone : address of the page of the same frames solved one by one, None if it does not exist.
     """
     results = list(folder.frames.values())
     used = frozenset(place for place, name in enumerate(folder.frames) if name in calibration.frames)
     unsure = frozenset(place for place, result in enumerate(results) if result.status != "ok")
-    predictions = sorted(
-        _predictions(folder.frames, calibration, left_out), key=lambda prediction: (prediction.iou, prediction.frame)
-    )
+    std = np.sqrt(np.diag(calibration.covariance))
+    predicted = calibration.leave_one_out.items()
+    predictions = [Prediction(name, *measured) for name, measured in predicted if name in folder.frames]
+    predictions.sort(key=lambda prediction: (prediction.iou, prediction.frame))
+    pictured = [one for one in predictions if left_out[one.frame].picture][:MOST_PICTURES]
     poses = {place: r.camera_from_root for place, r in enumerate(results) if r.camera_from_root is not None}
     posed = {place: pose for place, pose in poses.items() if place in used or results[place].frame in left_out}
     panels = offset_panels(calibration, _corrections(results, calibration, used), unsure)
@@ -103,16 +89,19 @@ def calibration_view(
         calibration=calibration,
         figures=tuple(_figures(calibration, predictions)),
         words=tuple(calibration.in_words()),
-        base=tuple(_base(calibration)),
+        base_std=(1e3 * std[:3], np.degrees(std[3:6])),
+        endoscope=tuple(_endoscope(calibration)),
         matrix="\n".join("  ".join(f"{value:12.9f}" for value in row) for row in calibration.camera_from_base),
-        offsets=tuple(_offsets(calibration)),
+        offsets=tuple(offset_estimates(calibration)),
         offset_panels=panels,
         beyond=any(mark.beyond for panel in panels for row in panel.rows for mark in row.marks),
         shafts=shafts_plot(calibration, posed, used),
-        predictions=tuple(predictions),
-        pictures=_with_pictures(
-            folder, [prediction for prediction in predictions if prediction.picture][:MOST_PICTURES]
-        ),
+        results=folder.frames,
+        predictions=predictions,
+        pictures=[
+            (one, embedded_picture(left_out_path(folder.folder, one.frame), _SMALL) or left_out[one.frame].picture)
+            for one in pictured
+        ],
         left_out=tuple((name, reason, name in folder.frames) for name, reason in calibration.left_out.items()),
         cables=() if calibration.cables is None else tuple(calibration.cables.in_words()),
         cables_plot=cables_plot(results, calibration, used),
@@ -121,26 +110,7 @@ def calibration_view(
     )
 
 
-def _predictions(
-    results: Mapping[str, Result], calibration: SessionCalibration, left_out: Mapping[str, LeaveOneOut]
-) -> Iterator[FramePrediction]:
-    for name, (iou, contour_px) in calibration.leave_one_out.items():
-        if name in results:
-            quality = results[name].quality
-            own = None if quality is None else quality.iou
-            yield FramePrediction(name, results[name].status, iou, contour_px, own, left_out[name].picture)
-
-
-def _with_pictures(folder: ResultsFolder, predictions: Sequence[FramePrediction]) -> tuple[FramePrediction, ...]:
-    """Return predictions with small pictures within the page; the address of one that cannot be read stays."""
-    small = (embedded_picture(left_out_path(folder.folder, prediction.frame), _SMALL) for prediction in predictions)
-    return tuple(
-        replace(prediction, picture=own or prediction.picture)
-        for prediction, own in zip(predictions, small, strict=True)
-    )
-
-
-def _figures(calibration: SessionCalibration, predictions: Sequence[FramePrediction]) -> Iterator[KeyFigure]:
+def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction]) -> Iterator[KeyFigure]:
     """Yield the key figures of the calibration."""
     total = len(calibration.frames) + len(calibration.left_out)
     left = len(calibration.left_out)
@@ -169,42 +139,17 @@ def _figures(calibration: SessionCalibration, predictions: Sequence[FramePredict
     )
 
 
-def _base(calibration: SessionCalibration) -> Iterator[TableRow]:
-    """Yield rows of the position and rotation of the arm's base in the camera, with standard deviations."""
-    std = np.sqrt(np.diag(calibration.covariance))
-
-    def cells(values: Float64) -> tuple[str, ...]:
-        return tuple(fixed(float(value), 2) for value in values)
-
-    yield TableRow("position (RCM), mm", cells(1e3 * calibration.rcm))
-    yield TableRow("standard deviation along its own axes, mm", cells(1e3 * std[:3]), minor=True)
-    yield TableRow("axis-angle, deg", cells(axis_angle(calibration.camera_from_base)))
-    yield TableRow("standard deviation about its own axes, deg", cells(np.degrees(std[3:6])), minor=True)
-    if (moves := calibration.endoscope) is None:
+def _endoscope(calibration: SessionCalibration) -> Iterator[tuple[str, Float64, Float64, Float64]]:
+    """Yield the poses (4, 4) that a moving endoscope tells: name, pose, and standard deviations (3,) in mm and deg."""
+    moves = calibration.endoscope
+    if moves is None or moves.tip_from_camera is None or moves.ecm_from_base is None:
         return
-    for stand in moves.bases:
-        yield TableRow(
-            f"frames {stand.first} to {stand.last}: position, mm", cells(1e3 * stand.camera_from_base[:3, 3])
-        )
-        yield TableRow("axis-angle, deg", cells(axis_angle(stand.camera_from_base)))
-    if moves.tip_from_camera is not None and moves.ecm_from_base is not None:
-        for name, pose, deviations in (
-            ("camera in the endoscope's tip", moves.tip_from_camera, moves.std_tip_from_camera),
-            ("arm's base in that of the endoscope's arm", moves.ecm_from_base, moves.std_ecm_from_base),
-        ):
-            own = np.array(deviations)
-            yield TableRow(f"{name}: position, mm", cells(1e3 * pose[:3, 3]))
-            yield TableRow("standard deviation, mm", cells(1e3 * own[:3]), minor=True)
-            yield TableRow("axis-angle, deg", cells(axis_angle(pose)))
-            yield TableRow("standard deviation, deg", cells(np.degrees(own[3:])), minor=True)
-
-
-def _offsets(calibration: SessionCalibration) -> Iterator[TableRow]:
-    """Yield a row for each joint: its offset, the offset's standard deviation, and that from frame to frame."""
-    for name, unit, _, estimate in offset_estimates(calibration):
-        yield TableRow(
-            f"{name}, {unit}", (signed(estimate.offset, 2), fixed(estimate.std, 2), f"± {fixed(estimate.frame_std, 2)}")
-        )
+    for name, pose, deviations in (
+        ("camera in the endoscope's tip", moves.tip_from_camera, moves.std_tip_from_camera),
+        ("arm's base in that of the endoscope's arm", moves.ecm_from_base, moves.std_ecm_from_base),
+    ):
+        own = np.array(deviations)
+        yield name, pose, 1e3 * own[:3], np.degrees(own[3:])
 
 
 def _corrections(

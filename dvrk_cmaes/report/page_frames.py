@@ -1,11 +1,10 @@
-"""The page's entry for one frame: texts and table rows, in millimetres and degrees."""
+"""The page's entry for one frame, and its numbers as text, in millimetres and degrees."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 from urllib.parse import quote
 
@@ -15,22 +14,13 @@ from dvrk_cmaes.geometry import Float64, log_rotation, rotation_angle
 from dvrk_cmaes.report.page_layers import DrawnLayers
 from dvrk_cmaes.report.page_session import correction
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
-from dvrk_cmaes.results.result import Alternative, Result
+from dvrk_cmaes.results.result import Result
 
 NOTHING = "-"
 """Text shown for a missing number."""
 
 STATUSES = ("failed", "doubtful", "ok")
 """Statuses of results in the order of the page, the most doubtful first."""
-
-
-@dataclass(frozen=True)
-class TableRow:
-    """A row of a table: its heading, its cells, and whether it is a detail of the row above."""
-
-    heading: str
-    cells: tuple[str, ...]
-    minor: bool = False
 
 
 @dataclass(frozen=True)
@@ -72,41 +62,6 @@ class FrameCard:
     full: str | None = None
     layers: DrawnLayers | None = None
 
-    @property
-    def anchor(self) -> str:
-        """Identifier of the card on the page."""
-        return anchor(self.result.frame)
-
-    @property
-    def keys(self) -> dict[str, float]:
-        """Numbers that frames can be sorted by, by name."""
-        return _keys(self.result, self.from_median, self.left_out)
-
-    @cached_property
-    def pose(self) -> tuple[TableRow, ...]:
-        """Rows of the table of poses."""
-        return tuple(_pose(self.result, self.from_median))
-
-    @cached_property
-    def joints(self) -> tuple[TableRow, ...]:
-        """Rows of the table of joints."""
-        return tuple(_joints(self.result))
-
-    @property
-    def fit(self) -> tuple[tuple[str, str], ...]:
-        """Names and values of the quality of fit."""
-        return tuple(_fit(self.result))
-
-    @cached_property
-    def alternatives(self) -> tuple[TableRow, ...]:
-        """Rows of the table of other poses."""
-        return tuple(row for other in self.result.alternatives for row in _alternative(self.result, other))
-
-    @cached_property
-    def change(self) -> str:
-        """What the session's calibration changed, in words."""
-        return _in_words(self.result.change)
-
 
 def doubt_key(result: Result) -> tuple[int, int, float, float]:
     """Return a sort key that puts the most doubtful first: by status, number of reasons, then least overlap."""
@@ -134,8 +89,9 @@ def signed(value: float | None, digits: int) -> str:
     return text if text == NOTHING or text.startswith("-") or not text.strip("0.") else f"+{text}"
 
 
-def _keys(result: Result, from_median: Float64 | None, left_out: LeaveOneOut | None) -> dict[str, float]:
+def sort_keys(card: FrameCard) -> dict[str, float]:
     """Return the known numbers that frames can be sorted by, by name."""
+    result, from_median, left_out = card.result, card.from_median, card.left_out
     keys = {"seconds": result.seconds} if result.seconds else {}
     if result.time is not None:
         keys["time"] = result.time
@@ -155,104 +111,35 @@ def _keys(result: Result, from_median: Float64 | None, left_out: LeaveOneOut | N
     return {name: round(value, 4) for name, value in keys.items() if math.isfinite(value)}
 
 
-def _cells(values: Iterable[float], digits: int) -> tuple[str, ...]:
-    return tuple(fixed(float(value), digits) for value in values)
+def degrees(value: float | None) -> float | None:
+    """Convert an angle in rad; None of an unknown one."""
+    return None if value is None else math.degrees(value)
 
 
-def _pose(result: Result, from_median: Float64 | None) -> Iterable[TableRow]:
-    """Yield rows of the position and rotation of the root and of the arm's base, with standard deviations if known."""
-    pose = result.camera_from_root
-    if pose is not None:
-        yield TableRow(f"{result.root_link}: position, mm", _cells(1e3 * pose[:3, 3], 2))
-        if result.std_translation_mm is not None:
-            yield TableRow(
-                "standard deviation along its own axes, mm", _cells(result.std_translation_mm, 2), minor=True
-            )
-        yield TableRow(f"{result.root_link}: axis-angle, deg", _cells(axis_angle(pose), 2))
-        if result.std_rotation_deg is not None:
-            yield TableRow("standard deviation about its own axes, deg", _cells(result.std_rotation_deg, 2), minor=True)
-    for k, tip in enumerate(result.tips, start=1):
-        name = "tip" if len(result.tips) == 1 else f"jaw_{k}"
-        yield TableRow(f"{name if name == 'tip' else name + ', tip'}: position, mm", _cells(1e3 * tip, 2))
-        if result.expected_error is not None and name in result.expected_error.tip_axes_mm:
-            axes = _cells(result.expected_error.tip_axes_mm[name], 2)
-            yield TableRow("standard deviation along the camera's axes, mm", axes, minor=True)
-    if result.camera_from_base is not None:
-        yield TableRow("arm's base (RCM): position, mm", _cells(1e3 * result.camera_from_base[:3, 3], 2))
-        if from_median is not None:
-            away = tuple(signed(float(value), 2) for value in 1e3 * from_median)
-            yield TableRow("from the median of all frames, mm", away, minor=True)
-        yield TableRow("arm's base: axis-angle, deg", _cells(axis_angle(result.camera_from_base), 2))
+def cells(values: Float64) -> list[str]:
+    """Format numbers (N,) with two decimals, as `fixed`."""
+    return [fixed(float(value), 2) for value in values]
 
 
-def axis_angle(pose: Float64) -> Float64:
+def position_mm(pose: Float64) -> Float64:
+    """Return the position of a pose (4, 4), (3,) mm."""
+    return 1e3 * pose[:3, 3]
+
+
+def axis_angle_deg(pose: Float64) -> Float64:
     """Return the rotation of a pose (4, 4) as axis times angle, (3,) deg."""
-    return np.asarray(np.degrees(log_rotation(pose[:3, :3])))
+    return np.degrees(log_rotation(pose[:3, :3]))
 
 
-def _joints(result: Result) -> Iterable[TableRow]:
-    """Yield rows of found, standard deviation, read, found less read; then the readings of the arm's joints."""
-    std = result.std_joints_deg or {}
-    for name, value in result.joints.items():
-        change, read = correction(result, name), result.readings.get(name)
-        cells = (
-            fixed(math.degrees(value), 2),
-            fixed(std.get(name), 2),
-            fixed(None if read is None else math.degrees(read), 2),
-            signed(None if change is None else math.degrees(change), 2),
-        )
-        yield TableRow(f"{name}, deg", cells)
-    for name, read in result.readings.items():
-        if name not in result.joints:
-            unit, shown = ("mm", 1e3 * read) if name.endswith("insertion") else ("deg", math.degrees(read))
-            yield TableRow(f"{name}, {unit}", ("", "", fixed(shown, 2), ""), minor=True)
+def apart_from(pose: Float64, other: Float64 | None) -> tuple[float | None, float | None]:
+    """Return the distance, mm, and the angle, deg, between two poses (4, 4); None without the other one."""
+    if other is None:
+        return None, None
+    apart = float(np.linalg.norm(pose[:3, 3] - other[:3, 3]))
+    return 1e3 * apart, math.degrees(float(rotation_angle(pose, other)))
 
 
-def _fit(result: Result) -> Iterable[tuple[str, str]]:
-    """Yield names and values: expected errors, agreement with the mask, loss, time, and how the frame was solved."""
-    if result.expected_error is not None:
-        yield "expected error of the tips, rms", f"{fixed(result.expected_error.of_tips_mm, 2)} mm"
-        yield "expected error of the shaft's direction, rms", f"{fixed(result.expected_error.shaft_deg, 2)} deg"
-    if result.mode_probability is not None:
-        yield "probability of the right mode", fixed(result.mode_probability, 2)
-    if result.tip_probability is not None:
-        yield "probability of tips within the limit", fixed(result.tip_probability, 2)
-    q = result.quality
-    if q is not None:
-        yield "overlap (IoU)", fixed(q.iou, 4)
-        yield "outline to mask, median", f"{fixed(q.contour_px_median, 2)} px"
-        yield "outline to mask, 95 %", f"{fixed(q.contour_px_95, 2)} px"
-        yield "contour off in stretches", f"{fixed(100 * q.steady_share, 0)} %"
-        yield "contour beyond the shaft, rms", f"{fixed(q.distal_px, 2)} px"
-        terms = ", ".join(f"{name} {value:.3g}" for name, value in q.terms.items())
-        yield "loss", f"{q.loss:.4g}" + (f" ({terms})" if terms else "")
-    if result.time is not None:
-        yield "image at", f"{result.time:.3f} s"
-    if result.seconds:
-        yield "time", f"{fixed(result.seconds, 2)} s, {result.evaluations:,} silhouettes, {result.rays:,} rays"
-    yield "solved", "with the session's frames" if result.source == "session" else "by itself"
-
-
-def _alternative(result: Result, other: Alternative) -> Iterable[TableRow]:
-    """Yield rows of an alternative pose: overlap, loss, distances from the readings and the result; its joints."""
-    apart, turned = None, None
-    if result.camera_from_root is not None:
-        apart = 1e3 * float(np.linalg.norm(other.camera_from_root[:3, 3] - result.camera_from_root[:3, 3]))
-        turned = math.degrees(float(rotation_angle(other.camera_from_root, result.camera_from_root)))
-    cells = (
-        fixed(other.iou, 4),
-        f"{other.loss:.4g}",
-        fixed(other.reading_distance_deg, 1),
-        fixed(apart, 1),
-        fixed(turned, 1),
-    )
-    yield TableRow(other.relation, cells)
-    joints = ", ".join(f"{name} {fixed(math.degrees(value), 1)}" for name, value in other.joints.items())
-    if joints:
-        yield TableRow(f"{joints} deg", (), minor=True)
-
-
-def _in_words(change: Mapping[str, Any] | None) -> str:
+def change_in_words(change: Mapping[str, Any] | None) -> str:
     """Return the changes by a session's calibration as text: names and values; lists and mappings are flattened."""
 
     def value(thing: Any) -> str:

@@ -227,11 +227,6 @@ def reason_kind(reason: str) -> str:
     return kind if " " in kind or plain == reason else re.split(r",? got |[,;(]| [-+\d]", plain, maxsplit=1)[0]
 
 
-def reason_counts(results: Sequence[Result]) -> list[tuple[str, int]]:
-    """Return the kinds of reasons and their numbers of frames, most frequent first."""
-    return counted_reasons([result.reasons for result in results])
-
-
 def counted_reasons(reasons: Iterable[Sequence[str]]) -> list[tuple[str, int]]:
     """Return the kinds of the reasons of frames and their numbers of frames, most frequent first."""
     return [(kind, len(frames)) for kind, frames in frames_by_reason(reasons)]

@@ -14,7 +14,20 @@ import jinja2
 import jinja2.bccache
 
 from dvrk_cmaes.io.bundled import cache_folder
-from dvrk_cmaes.report.page_frames import NOTHING, anchor, fixed, signed
+from dvrk_cmaes.io.output import write_bytes
+from dvrk_cmaes.report.page_frames import (
+    NOTHING,
+    anchor,
+    apart_from,
+    axis_angle_deg,
+    cells,
+    change_in_words,
+    degrees,
+    fixed,
+    position_mm,
+    signed,
+    sort_keys,
+)
 from dvrk_cmaes.report.page_session import reason_kind
 from dvrk_cmaes.report.plots.panels import mark_path, short
 
@@ -32,6 +45,12 @@ def render_template(
         .get_template(name)
         .render(script=code, style=style, script_hash=_hash(code), style_hash=_hash(style), nothing=NOTHING, **values)
     )
+
+
+def write_rendered(path: Path, page: str) -> Path:
+    """Write a page and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
+    write_bytes(path, page.encode("utf-8", errors="replace"))
+    return path
 
 
 @cache
@@ -52,6 +71,13 @@ def environment() -> jinja2.Environment:
         "anchor": anchor,
         "short": short,
         "mark": mark_path,
+        "degrees": degrees,
+        "cells": cells,
+        "position_mm": position_mm,
+        "axis_angle_deg": axis_angle_deg,
+        "apart_from": apart_from,
+        "sort_keys": sort_keys,
+        "change_in_words": change_in_words,
     }
     return made
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.draw.overlay import MASK, SILHOUETTE, strip_heights
+from dvrk_cmaes.draw.panels import MASK, SILHOUETTE, heights
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.results.result import Result
@@ -72,7 +72,7 @@ def thumbnail(overlay: Path | None, result: Result) -> Thumbnail | None:
     except InputError:
         return None
     height, width = (2 * size for size in picture.shape[:2])
-    above, below = strip_heights(result, width, width / 1280)
+    above, below = heights(result, width, width / 1280)
     crop = None
     if above + below < height / 2:  # otherwise it is another picture than this result's overlay
         crop = Crop(above / width, (height - above - below) / width)

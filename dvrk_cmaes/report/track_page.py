@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.report.page_session import KeyFigure, counted_reasons
-from dvrk_cmaes.report.page_template import render_template
+from dvrk_cmaes.report.page_template import render_template, write_rendered
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
 from dvrk_cmaes.report.plots.track import Chart, track_charts
 from dvrk_cmaes.report.track_events import DOUBTFUL, STATUSES, SWITCHED, TrackEvent, track_events
@@ -60,9 +59,7 @@ class FollowedRecording:
 
 def write_track_page(out: Path, recording: FollowedRecording) -> Path:
     """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
-    path = out / PAGE
-    write_bytes(path, render_track_page(recording).encode("utf-8", errors="replace"))
-    return path
+    return write_rendered(out / PAGE, render_track_page(recording))
 
 
 def render_track_page(recording: FollowedRecording) -> str:
@@ -77,8 +74,7 @@ def render_track_page(recording: FollowedRecording) -> str:
         styles=("track.css",),
         rows=rows,
         times=times,
-        session=recording.session,
-        instrument=recording.instrument,
+        recording=recording,
         version=__version__,
         statuses=[status for status in STATUSES if status in ("ok", "doubtful", "lost") or counts[status]],
         counts=counts,
@@ -87,10 +83,8 @@ def render_track_page(recording: FollowedRecording) -> str:
         events=events[:_MOST_EVENTS],
         more_events=max(len(events) - _MOST_EVENTS, 0),
         switched=SWITCHED,
-        pictures=recording.pictures,
         warnings=() if recording.calibration is None else recording.calibration.warnings,
         reasons=counted_reasons([row["reasons"] for row in rows]),
-        video=recording.video,
         data=_data(recording, charts, events),
     )
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document
+from dvrk_cmaes.io.rounding import rounded_array, rounded_values
 from dvrk_cmaes.io.typed_document import Number, Point, SquareOfThree, Transform
 
 Relation = Literal["mirror twin", "other mode"]
@@ -52,6 +53,16 @@ class Quality(Document):
     bend_px: Number = 0.0
     steady_share: Number = 0.0
     distal_px: Number = 0.0
+
+
+def std_document(covariance: Float64, joints: Sequence[str]) -> dict[str, Any]:
+    """Return the standard deviations of a covariance (6 + J, 6 + J), m and rad, in mm and degrees, ready for JSON."""
+    sigma = np.sqrt(np.diag(covariance))
+    return {
+        "translation_mm": rounded_array(sigma[:3] * 1e3),
+        "rotation_deg": rounded_array(np.degrees(sigma[3:6])),
+        "joints_deg": rounded_values(dict(zip(joints, np.degrees(sigma[6:]).tolist(), strict=True))),
+    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,6 @@ def pose_rows(results: Iterable[Result]) -> list[dict[str, Any]]:
 
 def _row(result: Result, joints: Sequence[str], readings: Sequence[str], tips: int) -> Iterator[tuple[str, Any]]:
     """Yield the columns and values of one result; ``tips`` is the largest number of tips of all results."""
-    quality = result.quality
     yield "frame", result.frame
     yield "time", result.time
     yield "status", result.status
@@ -55,12 +54,8 @@ def _row(result: Result, joints: Sequence[str], readings: Sequence[str], tips: i
     yield "std_shaft_deg", None if expected is None else round(expected.shaft_deg, _DIGITS)
     yield "mode_probability", result.mode_probability
     yield "tip_probability", result.tip_probability
-    yield "iou", None if quality is None else quality.iou
-    yield "loss", None if quality is None else quality.loss
-    yield "contour_px_median", None if quality is None else quality.contour_px_median
-    yield "contour_px_95", None if quality is None else quality.contour_px_95
-    yield "steady_share", None if quality is None else quality.steady_share
-    yield "distal_px", None if quality is None else quality.distal_px
+    for name in ("iou", "loss", "contour_px_median", "contour_px_95", "steady_share", "distal_px"):
+        yield name, getattr(result.quality, name, None)
     yield from _pose("camera_from_base", result.camera_from_base)
     yield "source", result.source
     yield "alternatives", len(result.alternatives)
@@ -101,12 +96,8 @@ def _scaled(name: str, suffix: str, value: float | None) -> tuple[str, float | N
 def _deviations(result: Result, joints: Sequence[str]) -> Iterator[tuple[str, float | None]]:
     """Yield the columns and values of the standard deviations."""
     translation, rotation, joint = result.std_translation_mm, result.std_rotation_deg, result.std_joints_deg or {}
-    blank = [None] * 3
-    values = [
-        *(blank if translation is None else np.round(translation, _DIGITS).tolist()),
-        *(blank if rotation is None else np.round(rotation, _DIGITS).tolist()),
-    ]
-    for axis, value in zip(POSE_AXES, values, strict=True):
-        yield f"std_{axis}_{'mm' if axis.startswith('t') else 'deg'}", value
+    for axes, unit, values in ((POSE_AXES[:3], "mm", translation), (POSE_AXES[3:], "deg", rotation)):
+        for axis, value in zip(axes, [None] * 3 if values is None else np.round(values, _DIGITS).tolist(), strict=True):
+            yield f"std_{axis}_{unit}", value
     for name in joints:
         yield f"std_{name}_deg", round(joint[name], _DIGITS) if name in joint else None

@@ -11,7 +11,7 @@ import numpy as np
 from dvrk_cmaes.config import __version__
 from dvrk_cmaes.geometry import Float64, Image
 from dvrk_cmaes.io.encode import encoded, encoded_fields
-from dvrk_cmaes.io.rounding import rounded_array, rounded_matrix, rounded_values
+from dvrk_cmaes.io.rounding import rounded_matrix
 from dvrk_cmaes.io.typed_document import (
     Count,
     Number,
@@ -28,7 +28,7 @@ from dvrk_cmaes.io.typed_document import (
 from dvrk_cmaes.results.data_frame import data_frame
 from dvrk_cmaes.results.drawn_over import drawn_over
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
-from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck
+from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck, std_document
 
 __all__ = [
     "POSE_AXES",
@@ -283,18 +283,10 @@ class Result:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result in the documented schema, ready for JSON."""
-        std = None
-        if self.std_translation_mm is not None and self.std_rotation_deg is not None:
-            std = {
-                "translation_mm": rounded_array(self.std_translation_mm),
-                "rotation_deg": rounded_array(self.std_rotation_deg),
-                "joints_deg": rounded_values(self.std_joints_deg or {}),
-                **(encoded(self.expected_error) or {}),
-            }
-        covariance = None
+        std, covariance = None, None
         if self.covariance is not None:
-            axes = [*POSE_AXES, *self.joints]
-            covariance = {"axes": axes, "matrix": rounded_matrix(self.covariance)}
+            std = std_document(self.covariance, tuple(self.joints)) | (encoded(self.expected_error) or {})
+            covariance = {"axes": list(self.axes), "matrix": rounded_matrix(self.covariance)}
         of_rig = ("views", "view_fits") if self.views else ()
         return {
             "schema": SCHEMA,

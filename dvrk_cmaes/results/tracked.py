@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import numpy as np
-
 from dvrk_cmaes.geometry import Float64, Image
 from dvrk_cmaes.io.encode import encoded, encoded_fields
-from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_values
+from dvrk_cmaes.io.rounding import rounded
 from dvrk_cmaes.results.data_frame import data_frame
 from dvrk_cmaes.results.drawn_over import drawn_over
+from dvrk_cmaes.results.parts import std_document
 from dvrk_cmaes.results.result import POSE_AXES
 
 TrackStatus = Literal["ok", "doubtful", "lost"]
@@ -134,13 +133,7 @@ class TrackResult:
         """
         std = None
         if self.covariance is not None:
-            sigma = np.sqrt(np.diag(self.covariance))
-            std = {
-                "translation_mm": rounded_array(sigma[:3] * 1e3),
-                "rotation_deg": rounded_array(np.degrees(sigma[3:6])),
-                "joints_deg": rounded_values(dict(zip(self.joints, np.degrees(sigma[6:]).tolist(), strict=True))),
-                "tip_mm": encoded(self.tip_std_mm),
-            }
+            std = std_document(self.covariance, tuple(self.joints)) | {"tip_mm": encoded(self.tip_std_mm)}
         return {
             "frame": frame,
             "time": rounded(self.time) if timed else None,

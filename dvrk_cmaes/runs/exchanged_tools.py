@@ -122,16 +122,16 @@ def _losses(
             return None
         mine = replace(mine, readings=frame.readings)
         known = frame.loss if frame.loss is not None else _loss(mine, arms[arm], config)
-        tried = _loss(_with_masks(mine, masks), arms[arm], config)
+        tried = _loss(with_masks_of(masks, mine), arms[arm], config)
         if known is None or tried is None:
             return None
         own, exchanged = own + known, exchanged + tried
     return own, exchanged
 
 
-def _with_masks(files: FrameFiles, other: FrameFiles) -> FrameFiles:
+def with_masks_of(other: FrameFiles, files: FrameFiles) -> FrameFiles:
     """Return the files of a frame with the masks of another tool, in all views."""
-    views = {view: _with_masks(each, other.others[view]) for view, each in files.others.items()}
+    views = {view: with_masks_of(other.others[view], each) for view, each in files.others.items()}
     return replace(files, mask=other.mask, label=other.label, other_tools=other.other_tools, others=views)
 
 

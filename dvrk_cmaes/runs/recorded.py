@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, Final
 
@@ -107,11 +107,15 @@ def _sparseness(recorded: RecordedFrames, session: SessionCalibration) -> list[S
 
 @dataclass(frozen=True, eq=False)
 class RecordedSolution:
-    """A recording's frames and their calibration; with ``colours`` by view, masks are found in the images."""
+    """A recording's frames and their calibration; with ``colours`` by view, masks are found in the images.
+
+    ``remarks`` are on single frames, by name.
+    """
 
     recorded: RecordedFrames
     calibration: SessionCalibration
     colours: Mapping[str, ColourModel] | None = None
+    remarks: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def rig(self) -> Rig:
@@ -165,9 +169,10 @@ def follow_window(solution: RecordedSolution, work: RecordedWork) -> list[TrackR
     found = solve_window(images, session, camera, instrument)
     shown = [(fitted, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
     judged = iter(run(judge_frame, [JudgeTask(fitted.stored, *own) for fitted, own in shown]))
-    frozen = describe_frozen(recorded.frozen, [own.name for own in recorded.files])
+    names = [own.name for own in recorded.files]
+    frozen = describe_frozen(recorded.frozen, names)
     results = []
-    for i, (fitted, image) in enumerate(zip(fits, images, strict=True)):
+    for i, (name, fitted, image) in enumerate(zip(names, fits, images, strict=True)):
         quality = None if fitted is None else next(judged)
         status, reasons = status_of(quality, image.told.misfit, session, config, source)
         told_by_readings = "" if predicted.told[i] else NO_READINGS
@@ -188,7 +193,7 @@ def follow_window(solution: RecordedSolution, work: RecordedWork) -> list[TrackR
                 config.trust.tip_mm,
                 seconds=0.0 if fitted is None else fitted.seconds,
                 residual_px=None if quality is None else quality.residual_px,
-                remarks=recorded.rig.remarks,
+                remarks=(*recorded.rig.remarks, *((noted,) if (noted := solution.remarks.get(name)) else ())),
             )
         )
     return results

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.endoscope import Place
+from dvrk_cmaes.calibration.together import Solving
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -28,7 +30,7 @@ from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.recorded import RecordedSolution, predict, read_seen
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, RecordedWork, solve_together
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, RecordedWork, solving_chosen
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
@@ -149,14 +151,19 @@ def _moving_colours(recorded: RecordedFrames, chosen: Sequence[int]) -> dict[str
     return {name: colours for name, colours in found.items() if colours is not None}
 
 
-def solve_images(
-    recorded: RecordedFrames, given: SessionCalibration | None, hints: Hints, work: RecordedWork
-) -> tuple[RecordedFrames, RecordedSolution | str]:
+def solving_images(
+    recorded: RecordedFrames,
+    given: SessionCalibration | None,
+    hints: Hints,
+    work: RecordedWork,
+    places: Sequence[Place] = (),
+) -> Solving[tuple[RecordedFrames, RecordedSolution | str]]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
 
     With a calibration that is ``given``, the masks only tell the colours. Where few keyframes agree, masks are found in
-    the other images around what they expect, and all are solved again. ``hints`` hold for the first frame. Also returns
-    the frames with what was measured of the masks. Raises InputError for a file that is wrong.
+    the other images around what they expect, and all are solved again. ``hints`` hold for the first frame, ``places``
+    are as in `solving_arm`. Also returns the frames with what was measured of the masks. Raises InputError for a file
+    that is wrong.
     """
     files, times, names, readings = recorded.files, recorded.times, recorded.names, recorded.readings
     there = np.array([own.has_image or own.has_mask for own in files]) & recorded.trusted
@@ -172,7 +179,7 @@ def solve_images(
     recorded = _measured(recorded, found)
     if given is not None:
         return recorded, _with_colours(RecordedSolution(recorded, given, {}), work, found=found)
-    solved = solve_together(recorded, _keyframes(recorded, found), work, _FEWEST)
+    solved = yield from solving_chosen(recorded, _keyframes(recorded, found), work, _FEWEST, places)
     if isinstance(solved, str):
         return recorded, solved
     solution = _with_colours(RecordedSolution(recorded, solved.calibration, {}), work, results=solved.results)
@@ -182,7 +189,7 @@ def solve_images(
         more_measured = _measured(recorded, more)
         keyframes = _keyframes(more_measured, more)
         if len(keyframes) > _MORE * len(solved.calibration.frames):
-            again = solve_together(more_measured, keyframes, work, _FEWEST)
+            again = yield from solving_chosen(more_measured, keyframes, work, _FEWEST, places)
             if not isinstance(again, str) and len(again.calibration.frames) > len(solved.calibration.frames):
                 better = RecordedSolution(more_measured, again.calibration, {})
                 return more_measured, _with_colours(better, work, results=again.results)

@@ -12,12 +12,13 @@ import numpy as np
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, solving_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.first_frames import predict_from_first
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
 from dvrk_cmaes.calibration.session_state import SessionProblem
-from dvrk_cmaes.calibration.together import solved_alone
+from dvrk_cmaes.calibration.together import Solving
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -61,7 +62,8 @@ class RecordedFrames:
     """The frames of a recording that are followed, with what is measured once.
 
     ``shapes`` are those of the masks, ``times`` (N,) s, ``names`` the K joints that are read, ``readings`` (N, K), NaN
-    without one; ``frozen`` (N,) tells where the outer joints' readings stand still while the mask moves.
+    without one; ``frozen`` (N,) tells where the outer joints' readings stand still while the mask moves. ``centres``
+    (N, 2) are those of the masks, px, NaN without one.
     """
 
     files: tuple[FrameFiles, ...]
@@ -72,6 +74,7 @@ class RecordedFrames:
     names: tuple[str, ...]
     readings: Float64
     frozen: Bool
+    centres: Float64
 
     @classmethod
     def of(
@@ -90,7 +93,7 @@ class RecordedFrames:
         names = tuple(dict.fromkeys(name for own in files for name in own.readings))
         readings = np.array([[own.readings.get(name, np.nan) for name in names] for own in files])
         shapes, still = [MaskShape(0.0, 1.0)] * len(files), np.zeros(len(files), np.bool_)
-        return cls(files, rig, series, times, shapes, names, readings, still)
+        return cls(files, rig, series, times, shapes, names, readings, still, np.full((len(files), 2), np.nan))
 
     def measured(self, masks: Iterable[tuple[int, Bool | None]]) -> RecordedFrames:
         """Return the frames with the shapes of masks, which are given with the numbers of their frames."""
@@ -101,7 +104,7 @@ class RecordedFrames:
                 centres[i] = columns.mean(), rows.mean()
         outer = outer_readings([own.readings for own in self.files])
         frozen = frozen_frames(outer, centres, self.rig.views[0].camera.width)
-        return replace(self, shapes=shapes, frozen=frozen)
+        return replace(self, shapes=shapes, frozen=frozen, centres=centres)
 
     @property
     def trusted(self) -> Bool:
@@ -214,20 +217,29 @@ def _as_result(at: Posed, body: Body, name: str) -> Result:
     )
 
 
-def solve_keyframes(recorded: RecordedFrames, work: RecordedWork) -> SessionCalibration | str:
-    """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible."""
+def solving_keyframes(
+    recorded: RecordedFrames, work: RecordedWork, places: Sequence[Place] = ()
+) -> Solving[SessionCalibration | str]:
+    """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
+
+    Run it by `solved_together` or `solved_alone`; ``places`` are as in `solving_arm`.
+    """
     chosen = {i: recorded.files[i] for i in recorded.keyframes()}
     keyframes = [RecordedKeyframe(i, own, partial(read_frame, own, recorded.rig)) for i, own in chosen.items()]
-    solved = solve_together(recorded, keyframes, work)
+    solved = yield from solving_chosen(recorded, keyframes, work, places=places)
     return solved if isinstance(solved, str) else solved.calibration
 
 
-def solve_together(
-    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], work: RecordedWork, least: int = LEAST_KEYFRAMES
-) -> SolvedSession | str:
+def solving_chosen(
+    recorded: RecordedFrames,
+    keyframes: Sequence[RecordedKeyframe],
+    work: RecordedWork,
+    least: int = LEAST_KEYFRAMES,
+    places: Sequence[Place] = (),
+) -> Solving[SolvedSession | str]:
     """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used.
 
-    ``least`` is the number of keyframes that are needed.
+    ``least`` is the number of keyframes that are needed, ``places`` are as in `solving_arm`.
     """
     if len(keyframes) < least:
         since = recorded.files[int(recorded.frozen.argmax())].name
@@ -237,7 +249,7 @@ def solve_together(
     frames = _estimated(recorded, keyframes, work)
     problem = replace(work, config=solved_with(work.config)).problem(recorded.series)
     try:
-        solved, _ = solved_alone(solving_arm(frames, problem))
+        solved, _ = yield from solving_arm(frames, problem, places=places)
     except InputError as error:
         if not str(error).startswith(_REFUSED):
             raise  # a file that is missing or damaged

@@ -10,12 +10,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
+from dvrk_cmaes.calibration.together import Solving, solved_alone
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json, write_text
@@ -36,17 +38,20 @@ from dvrk_cmaes.runs.manifest import (
     read_manifest,
     write_manifest,
 )
+from dvrk_cmaes.runs.mask_owners import AmongArms
 from dvrk_cmaes.runs.processes import usable_cores
 from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES, KEYFRAMES_BY_IMAGES
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackRun, TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import write_outputs
-from dvrk_cmaes.runs.track_recorded import follow_recorded, with_lag
+from dvrk_cmaes.runs.track_recorded import following_recorded, with_lag
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
+
+P = ParamSpec("P")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +73,7 @@ class TrackSummary:
         return dict(Counter(row["status"] for row in self.rows))
 
 
-def track_folder(
+def tracking_folder(
     session: Session,
     out: Path,
     body: Body,
@@ -81,8 +86,11 @@ def track_folder(
     stop: threading.Event | None = None,
     progress: Callable[[int, int, TrackResult | None], None] = lambda done, total, result: None,
     notice: Callable[[str], None] = lambda text: None,
-) -> TrackSummary:
+    among: AmongArms | None = None,
+) -> Solving[TrackSummary]:
     """Follow an instrument through the frames of a session, and write everything to a folder.
+
+    Run it by `solved_together` with those of the other arms of a recording; `track_folder` does it for one arm.
 
     Parameters
     ----------
@@ -103,6 +111,8 @@ def track_folder(
         the number of frames that are there already and None.
     notice
         Called with a line about each stage of a recording that is solved by its keyframes, or why it is not.
+    among
+        The other arms of the recording, with which it is solved.
 
     Raises
     ------
@@ -124,7 +134,7 @@ def track_folder(
     check_writable(out)
     with base(out), output(out, "track", replaces=not resume) as own:
         own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION))
-        run = TrackRun(session, out, body, settings, frames, clock, stop, progress, notice)
+        run = TrackRun(session, out, body, settings, frames, clock, stop, progress, notice, among or AmongArms())
         manifest = _manifest(run)
         old = read_manifest(out)
         if old is not None and resume:
@@ -139,7 +149,8 @@ def track_folder(
         for name in (SESSION, TABLE):
             remove(out / name)
         write_manifest(out, manifest)
-        followed = followed or _by_keyframes(run)
+        if followed is None:
+            followed = yield from _by_keyframes(run)
         if followed is None:
             tracker = settings.tracker(session.rig, body)
             rows = _forwards(run, tracker)
@@ -160,6 +171,19 @@ def track_folder(
             if rows and (video or page or rerun is not None):
                 write_outputs(run, rows, readings, calibration, video=video, page=page, rerun=rerun)
     return TrackSummary(rows, interrupted, calibration, run.frames_a_second, readings)
+
+
+def _of_one_arm(solving: Callable[P, Solving[TrackSummary]]) -> Callable[P, TrackSummary]:
+    """Return a function that follows the only arm of a recording."""
+
+    @wraps(solving)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> TrackSummary:
+        return solved_alone(solving(*args, **kwargs))
+
+    return alone
+
+
+track_folder = _of_one_arm(tracking_folder)
 
 
 def _forwards(run: TrackRun, tracker: Tracker) -> list[dict[str, Any]]:
@@ -197,7 +221,7 @@ def _finished(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration |
     return rows, read_calibration(session) if session.exists() else None
 
 
-def _by_keyframes(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
+def _by_keyframes(run: TrackRun) -> Solving[tuple[list[dict[str, Any]], SessionCalibration | None] | None]:
     """Follow a recording with the calibration of its keyframes, and write the rows, which are none if it is stopped.
 
     Returns None, after a line that says why, if every frame is to be followed from those before it only.
@@ -206,7 +230,7 @@ def _by_keyframes(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibrati
         return None
     because = "without readings"
     if run.settings.use_joints:
-        done = follow_recorded(run)
+        done = yield from following_recorded(run)
         if done is None:
             return [], None
         if not isinstance(done, str):

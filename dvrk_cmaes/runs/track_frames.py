@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -22,6 +22,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.runs.mask_owners import AmongArms
 from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
@@ -84,6 +85,7 @@ class TrackRun:
 
     Its inputs, of which ``frames`` are those that are followed, its folder, and where its progress goes: ``progress``
     is called with the frames done, all frames, and the last result, ``notice`` with lines. ``stop`` ends it soon.
+    ``among`` tells of the other arms of the recording.
     """
 
     session: Session
@@ -95,6 +97,7 @@ class TrackRun:
     stop: threading.Event | None
     progress: Callable[[int, int, TrackResult | None], None]
     notice: Callable[[str], None]
+    among: AmongArms = field(default_factory=AmongArms)
 
     @property
     def frames_a_second(self) -> float:

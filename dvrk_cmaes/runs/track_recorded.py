@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.together import Solving
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.lag import Lag
@@ -21,7 +22,7 @@ from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.processes import usable_cores
 from dvrk_cmaes.runs.recorded import RecordedSolution, follow_window
-from dvrk_cmaes.runs.recorded_images import solve_images
+from dvrk_cmaes.runs.recorded_images import solving_images
 from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
     KEYFRAMES_BY_IMAGES,
@@ -29,12 +30,12 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     RecordedWork,
     read_kept_colours,
     read_keyframes,
-    solve_keyframes,
     write_keyframes,
 )
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackRun
 from dvrk_cmaes.segment.segmentation import Hints
+from dvrk_cmaes.track.histogram_ratio import ColourModel
 
 _GROUP: Final = 24  # tasks after which a run looks whether it is to stop
 
@@ -51,10 +52,10 @@ class RecordedTracks:
     calibration: SessionCalibration
 
 
-def follow_recorded(run: TrackRun) -> RecordedTracks | str | None:
+def following_recorded(run: TrackRun) -> Solving[RecordedTracks | str | None]:
     """Follow an instrument through a recording, each frame with all others; OUT/keyframes.json keeps the calibration.
 
-    What an interrupted run has left there is used.
+    What an interrupted run has left there is used. Run it by `solved_together` or `solved_alone`.
 
     Returns
     -------
@@ -80,9 +81,11 @@ def follow_recorded(run: TrackRun) -> RecordedTracks | str | None:
         work = RecordedWork(body, settings.arm, config, in_groups, lambda stage, n: run.notice(f"{stage}: {n} frames"))
         of = _Recording(run, frames, series, times, work)
         try:
-            solved = of.by_masks() if settings.evidence == "masks" else of.by_images()
+            solved = yield from of.by_masks() if settings.evidence == "masks" else of.by_images()
             if isinstance(solved, str):
                 return solved
+            if settings.evidence == "masks":
+                solved = yield from run.among.decided(solved, work)
             run.notice(f"fitting {len(frames)} frames")
             results = follow_window(solved, work)
         except _StoppedError:
@@ -100,19 +103,22 @@ class _Recording:
     times: Float64
     work: RecordedWork
 
-    def by_masks(self) -> RecordedSolution | str:
+    def by_masks(self) -> Solving[RecordedSolution | str]:
         """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
 
         A text says why that is not possible.
         """
+        if self.run.stop is not None and self.run.stop.is_set():
+            raise _StoppedError
         recorded = RecordedFrames.of(self.frames, self.run.session.rig, self.series, self.times)
         path = self.run.out / KEYFRAMES
         found = self._given(recorded) or self._kept(path)
         if found is None:
-            found = write_keyframes(path, solve_keyframes(recorded, self.work))
+            found = yield from self.run.among.solving(recorded, self.work)
+            found = yield from _written(path, found)
         return found if isinstance(found, str) else RecordedSolution(recorded, found)
 
-    def by_images(self) -> RecordedSolution | str:
+    def by_images(self) -> Solving[RecordedSolution | str]:
         """Return the same of frames without masks, with the colours of instrument and surroundings."""
         recorded = RecordedFrames.of_readings(self.frames, self.run.session.rig, self.series, self.times)
         path = self.run.out / KEYFRAMES_BY_IMAGES
@@ -121,11 +127,12 @@ class _Recording:
             return given
         kept = self._kept(path)
         if kept is None:
-            recorded, found = solve_images(recorded, given, self.run.settings.hints or Hints(), self.work)
+            hints = self.run.settings.hints or Hints()
+            recorded, found = yield from solving_images(recorded, given, hints, self.work, self.run.among.places)
             if isinstance(found, str):
-                kept = write_keyframes(path, found)
+                kept = yield from _written(path, found)
             else:
-                kept = write_keyframes(path, found.calibration, found.colours)
+                kept = yield from _written(path, found.calibration, found.colours)
         if isinstance(kept, str):
             return kept
         return RecordedSolution(recorded, kept if given is None else given, read_kept_colours(path))
@@ -145,6 +152,19 @@ class _Recording:
         if kept is not None:
             self.run.notice(f"keyframes: solved by an interrupted run ({path})")
         return kept
+
+
+def _written(
+    path: Path, found: SessionCalibration | str, colours: Mapping[str, ColourModel] | None = None
+) -> Solving[SessionCalibration | str]:
+    """Do what `write_keyframes` does once all arms are solved, and wait until it is done of all.
+
+    An interrupted run thus leaves the solutions of all arms, or none.
+    """
+    yield None
+    kept = write_keyframes(path, found, colours)
+    yield None
+    return kept
 
 
 def _in_groups(

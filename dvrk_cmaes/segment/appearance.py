@@ -17,15 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Posed
 from dvrk_cmaes.instrument import Instrument, Link
 from dvrk_cmaes.segment.colours import measure_colours
 from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
-Float64 = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _BINS: Final = 24
 _SCALES: Final = np.array([0.12, 0.12, 0.35, 0.12], np.float32)  # of the features, that differ by one bin or so
@@ -33,7 +28,11 @@ _LEARNED: Final = 4000  # pixels from which bins are learned
 _BAND: Final = 0.0030  # m, width of the band around the silhouette
 _THIN: Final = 0.0004  # m, to either side of the outline, where edges are
 _USUAL: Final = 0.05  # of the image's longer side, width of a shaft, below which an instrument is less likely
-_WEIGHTS: Final = 2.0, 0.25, 0.3, 1.5  # of separation, edges, rarity, and of the logarithm of a width that is not usual
+_WEIGHTS: Final = 2.5, 1.0, 0.25, 0.7, 1.0, 1.5, 1.5
+"""Of separation, edges of all and of wrist and jaws, ending, unlikeness, entry, and of a width that is not usual."""
+_CLEAR: Final = 2.0  # mean edge, from which on a sharper one is no surer: blur differs between cameras
+_UNLIKE: Final = 0.3  # separation of wrist and jaws from the shaft, from which on more says nothing
+_BEYOND: Final = 0.008  # m along the shaft, by which the instrument is moved to see what is beyond its tip
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
 _LEAST: Final = 1.5, 0.8, 6.0, 4.0
 """Pixels whose histograms count fully, of the shaft and of wrist and jaws, in squared widths of the shaft; and pixels
@@ -44,9 +43,11 @@ along the outline of all and of wrist and jaws, whose edges count fully, in widt
 class Scores:
     """Measures of C candidates, (C,) each.
 
-    shaft, distal : separation from the band around, 0 to 1, of the shaft, and of wrist and jaws.
+    shaft, distal : separation from the band beside, 0 to 1, of the shaft, and of wrist and jaws.
     edges, distal_edges : mean edge along the outline of all, and of wrist and jaws.
-    rarity : by how much the colours of wrist and jaws are rarer in the picture than those beside them.
+    ending : separation, 0 to 1, of wrist and jaws from what is beyond their tip.
+    unlike : separation of wrist and jaws from the shaft, as a share of what is enough, 0 to 1.
+    entry : share of the shaft's width with which the instrument is at the picture's border, at most 1.
     narrow : logarithm of the usual width of a shaft over this one's, at least 0.
     """
 
@@ -54,20 +55,23 @@ class Scores:
     distal: Float64
     edges: Float64
     distal_edges: Float64
-    rarity: Float64
+    ending: Float64
+    unlike: Float64
+    entry: Float64
     narrow: Float64
 
     @property
     def total(self) -> Float64:
         """Return the sum that ranks candidates, (C,)."""
-        separation, edges, rarity, narrow = _WEIGHTS
-        found = separation * np.sqrt(self.shaft * self.distal) + edges * (self.edges + self.distal_edges)
-        return np.asarray(found + rarity * self.rarity - narrow * self.narrow)
+        separation, edges, distal, ending, unlike, entry, narrow = _WEIGHTS
+        found = separation * np.sqrt(self.shaft * self.distal) + edges * self.edges + distal * self.distal_edges
+        found = found + ending * self.ending + unlike * self.unlike
+        return np.asarray(found + entry * self.entry - narrow * self.narrow)
 
-    def of(self, number: int) -> tuple[float, ...]:
-        """Return the measures of one candidate."""
-        each = (self.shaft, self.distal, self.edges, self.distal_edges, self.rarity, self.narrow)
-        return tuple(float(values[number]) for values in each)
+    @property
+    def measures(self) -> Float64:
+        """Return those measures by which a candidate is believed, (C, 4): both separations, edges, and the ending."""
+        return np.stack([self.shaft, self.distal, np.minimum(self.edges, _CLEAR), self.ending], axis=1)
 
 
 class Appearance:
@@ -82,46 +86,51 @@ class Appearance:
         channels = np.zeros((_BINS, *counts.shape), np.float32)
         np.put_along_axis(channels, self.labels[None], counts[None].astype(np.float32), axis=0)
         edges = edge_scores(image, counts)
-        self._bins = PixelSums.of(channels)
+        within = cv2.erode(counts.astype(np.uint8), np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        self._bins = PixelSums.of(np.concatenate([channels, (counts & (within == 0))[None]]))
         self._edges = PixelSums.of(np.stack([edges, counts.astype(np.float32)]))
         self._whole = channels.sum(axis=(1, 2)) / max(float(counts.sum()), 1.0)
         self._longer = max(counts.shape)
-        self._rarity = -np.log(self._whole + 1e-3)
-        self._common = float(self._whole @ self._rarity)
         drawn, outlined = (tuple(Renderer(each, camera, threads=1) for each in kind) for kind in _bodies(body))
         self._wide, self._wide_shaft, self._all, self._shaft = drawn
         self._bounds = outlined
 
     def scores(self, at: Posed) -> Scores:
         """Measure C candidates."""
-        shaft, whole, wide, wide_shaft = (
-            renderer.sums(at.pose, at.joints, self._bins, to_pixel=True)
-            for renderer in (self._shaft, self._all, self._wide, self._wide_shaft)
+        drawn = self._all.sums(at.pose, at.joints, self._bins, to_pixel=True)
+        whole, at_border = drawn[:, :-1], drawn[:, -1]
+        shaft, wide, wide_shaft = (
+            renderer.sums(at.pose, at.joints, self._bins, to_pixel=True)[:, :-1]
+            for renderer in (self._shaft, self._wide, self._wide_shaft)
         )
-        distal, band = np.maximum(whole - shaft, 0), np.maximum(wide - whole, 0)
+        distal = np.maximum(whole - shaft, 0)
+        beside_shaft = np.maximum(wide_shaft - shaft - distal, 0)
         beside_distal = np.maximum(wide - wide_shaft - distal, 0)
+        moved = at.pose.copy()
+        moved[:, :3, 3] += _BEYOND * moved[:, :3, 2]
+        beyond = np.maximum(self._all.sums(moved, at.joints, self._bins, to_pixel=True)[:, :-1] - whole, 0)
         outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in self._bounds]
         width = 2 * self._radius * self._focal / np.maximum(at.pose[:, 2, 3], 1e-3)
         return Scores(
-            self._separation(shaft, band, _LEAST[0] * width**2),
-            self._separation(distal, band, _LEAST[1] * width**2),
+            self._separation(shaft, beside_shaft, _LEAST[0] * width**2),
+            self._separation(distal, beside_distal, np.minimum(_LEAST[1] * width**2, beside_distal.sum(axis=1))),
             _mean(outlines[0] - outlines[1], _LEAST[2] * width),
             _mean(outlines[2] - outlines[3], _LEAST[3] * width),
-            self._mean_rarity(distal) - self._mean_rarity(beside_distal),
+            self._separation(distal, beyond, np.minimum(_LEAST[1] * width**2, beyond.sum(axis=1))),
+            np.minimum(self._separation(distal, shaft, _LEAST[1] * width**2) / _UNLIKE, 1),
+            np.minimum(at_border / np.maximum(width, 1), 1),
             np.maximum(np.log(_USUAL * self._longer / width), 0),
         )
 
-    def _mean_rarity(self, counts: Float64) -> Float64:
-        """Return how rare the colours of histograms (C, K) are in the picture, (C,); of few pixels as usual."""
-        return np.asarray((counts @ self._rarity + 20 * self._common) / (counts.sum(axis=1) + 20))
-
     def _separation(self, inside: Float64, band: Float64, least: Float64) -> Float64:
         """Return the Jensen-Shannon divergence (C,), 0 to 1, of histograms (C, K), less for few pixels."""
-        count = inside.sum(axis=1)
+        full = np.maximum(least, 1)
         a, b = (_smoothed(each, self._whole) for each in (inside, band))
         middle = (a + b) / 2
         divergence = 0.5 * ((a * np.log2(a / middle)).sum(axis=1) + (b * np.log2(b / middle)).sum(axis=1))
-        return np.asarray(divergence * np.minimum(count / least, 1) * np.minimum(band.sum(axis=1) / least, 1))
+        return np.asarray(
+            divergence * np.minimum(inside.sum(axis=1) / full, 1) * np.minimum(band.sum(axis=1) / full, 1)
+        )
 
 
 def _mean(sums: Float64, least: Float64) -> Float64:

@@ -17,19 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
+from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.geometry import Bool, Float32, Image
+from dvrk_cmaes.segment.around import log_odds_beyond
 from dvrk_cmaes.segment.colours import measure_colours
-from dvrk_cmaes.segment.confidence import GUESS, assess_mask
+from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
-from dvrk_cmaes.segment.segmentation import Segmentation
+from dvrk_cmaes.segment.segmentation import Segmentation, noted
 from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
 from dvrk_cmaes.segment.sizes import shrunk
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
-Image = NDArray[np.uint8]
 
 FEWEST: Final = 8
 """Images from which a background is learned, at least."""
@@ -109,7 +108,7 @@ def smooth_background(image: Image) -> Image | None:
     return np.asarray(np.clip(surface + 0.5, 0, 255), np.uint8)
 
 
-def segment_before(image: Image, background: Image, prompts: Prompts, odds: Float32 | None = None) -> Segmentation:
+def segment_before(image: Image, background: Image, prompts: Prompts, silhouette: Bool | None = None) -> Segmentation:
     """Segment what is before a background.
 
     Parameters
@@ -120,8 +119,8 @@ def segment_before(image: Image, background: Image, prompts: Prompts, odds: Floa
         (h, w, 3), of any size.
     prompts
         Prompts in pixels of the image.
-    odds
-        (H, W), additional log-odds of instrument, as those of a silhouette; by default those of the shaft's sides.
+    silhouette
+        (H, W), neither empty nor full, around which the instrument is; by default the shaft's sides tell where.
     """
     height, width = image.shape[:2]
     longer = max(height, width)
@@ -140,6 +139,7 @@ def segment_before(image: Image, background: Image, prompts: Prompts, odds: Floa
     smooth = cv2.GaussianBlur(np.stack([np.log(image.mean(axis=2) + _DARK), ratio], axis=-1)[near], (0, 0), 1.0)
     guide = np.asarray(smooth, np.float32)
     inside = prompts.within(near)
+    odds = None if silhouette is None else log_odds_beyond(signed_distance(silhouette))
     for _ in range(_CUTS):
         known = shaft_log_odds(mask) if odds is None else odds
         total = by_ratio if known is None else by_ratio + np.clip(known, -_LARGEST_PRIOR, _LARGEST_PRIOR)
@@ -160,8 +160,8 @@ def segment_before(image: Image, background: Image, prompts: Prompts, odds: Floa
     window = _window(mask, max(round(_WINDOW * longer), 2))
     colours = measure_colours(np.ascontiguousarray(image[window]))
     verdict = assess_mask(mask, window, by_ratio[window], colours, prompts=prompts)
-    notes = verdict.notes if verdict.confidence >= GUESS else ("a guess", *verdict.notes)
-    return Segmentation(mask, np.asarray(1 / (1 + np.exp(-total)), np.float32), verdict.confidence, notes)
+    score = np.asarray(1 / (1 + np.exp(-total)), np.float32)
+    return noted(Segmentation(mask, score, verdict.confidence, verdict.notes))
 
 
 def _closest_values(stack: Image) -> tuple[Image, Float32]:

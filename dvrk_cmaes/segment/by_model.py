@@ -1,8 +1,9 @@
 """Search of an image for instruments by their model: poses whose silhouettes the picture itself bears out.
 
-Pairs of straight edges give axes of the shaft. Along each axis the instrument is tried at steps, straight, from both
-ends; the best places are tried at all rolls and at some angles of the wrist, or at those that are read; the best of
-these are optimised. What a picture tells of a candidate is in `appearance`.
+Pairs of straight edges give axes of the shaft. Along each axis the instrument is tried at steps, from both ends, and
+the best places with the wrist bent; the best places of each instrument are tried at all rolls and at some angles of the
+wrist, or at those that are read; the best of these at other distances and tilts, and then improved step by step.
+Nothing is drawn by chance. What a picture tells of a candidate is in `appearance`.
 """
 
 from __future__ import annotations
@@ -12,57 +13,72 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z, transform
-from dvrk_cmaes.pose.search import minimise_each
+from dvrk_cmaes.geometry import Bool, Float64, Image, Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment.appearance import Appearance
+from dvrk_cmaes.segment.segmentation import GUESS
 from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs
 from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import decimated_body
 
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
-Image = NDArray[np.uint8]
-
 _REDUCED: Final = 320  # px, longer side at which candidates are compared
 _LINES: Final = 800  # px, longer side at which edges are looked for
-_DETAIL: Final = 0.0015  # m, cells of the meshes
+_DETAILS: Final = 0.0015, 0.002, 0.003, 0.004, 0.006  # m, cells of the meshes
+_FACES: Final = 520  # of the meshes that are compared, at most
 _PAIRS: Final = 28
-_STEP: Final = 5.0  # px along an axis
-_MOST_STEPS: Final = 40
-_GROUPED: Final = 240  # best places along axes
+_STEP: Final = 8.0  # px along an axis
+_MOST_STEPS: Final = 24
+_OF_AXIS: Final = 3  # best places along an axis, each way, that are turned and bent; others are two steps away or more
+_FIRST_BENDS: Final = np.deg2rad([(0, 0), (50, 0)])  # there, without readings
+_FIRST_ROLLS: Final = 4, 8  # there, without and with readings of the wrist
+_GROUPED: Final = 240  # best places of all axes
 _GROUPS: Final = 5  # of places, each an instrument
-_PLACES: Final = 6  # of a group, that are tried at all rolls and wrists
-_ROLLS: Final = 8
+_TURNED: Final = 288  # of a group: places, rolls and wrists that are tried
+_ROLLS: Final = 8, 16  # without, and with readings of the wrist
 _JAW: Final = 0.5  # rad, where none is read
 _BENDS: Final = np.deg2rad([(0, 0), (45, 0), (-45, 0), (0, 45), (0, -45), (35, 35), (-35, 35), (0, 75), (0, -75)])
 """Wrist pitch and yaw that are tried without readings."""
-_JAWS: Final = (0.4,)
-_STARTS: Final = 2  # of a group
-_EVALUATIONS: Final = 160
-_SCALE: Final = np.array([1e-3, 1e-3, 4e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
-_SEED: Final = 0
+_STARTS: Final = 4, 2  # places of a group, and turns of each, at most
+_INSTRUMENTS: Final = 3  # that are looked at further
+_ENDS: Final = 4, 2  # of each, that are optimised further, twice
+_PASSES: Final = 2, 4, 6  # of the first, second and last optimisation
+_ALIKE: Final = 0.85  # overlap of silhouettes of which the worse one is no further end
+_SHARES: Final = np.array([0.4, 0.7, 1.0])  # of the way to the peak of the parabolas
+_SCALE: Final = np.array([7e-4, 4e-3, 4e-3, np.deg2rad(10), np.deg2rad(2), np.deg2rad(15)])
+"""Usual changes of a pose, m and rad: to the side in the image, in depth, along the shaft; tilt in depth, turn in the
+image, roll."""
+_DISTANCES: Final = 0.9, 1.0, 1.1  # of that of a start, that are tried, as edges tell a shaft's width roughly
+_TILTS: Final = np.deg2rad([-16.0, -8.0, 0.0, 8.0, 16.0])  # and tilts in depth, which they tell by small differences
+_SLIDES: Final = np.arange(-0.012, 0.031, 0.003)  # m along the shaft, by which finalists are moved
 _STRAIN: Final = 0.01  # of the score, for each squared unit of change
-_EVEN, _STEEPNESS = 1.6, 3.0  # score at which right and wrong are as likely, and slope of the log-odds there
+_USUAL: Final = 95  # percentile of the scores along all axes, over which a candidate's margin is measured
+_LOG_ODDS: Final = np.array([2.43, 2.5, -0.62, 0.67, 1.23, -5.28])
+"""Of a candidate that is an instrument, for each of its measures and its margin, and in all.
+
+Fitted to 119 candidates in 44 drawn pictures, as by ``scripts/segmentation.py fit``.
+"""
 _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of different instruments may share
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An instrument found in a picture: where it is, how well the picture bears it out, and its silhouette (h, w)."""
+    """An instrument found in a picture: where it is, and its silhouette (h, w).
+
+    score : what the search makes large. measures : those of `appearance.Scores.measures`, (4,), and the margin of the
+    score over that of most places, from which its confidence follows.
+    """
 
     at: Posed
     score: float
-    parts: tuple[float, ...]
+    measures: Float64
     silhouette: Bool
 
     @property
     def confidence(self) -> float:
-        """Probability that it is an instrument, by its score."""
-        return float(1 / (1 + np.exp(-_STEEPNESS * (self.score - _EVEN))))
+        """Probability that it is an instrument, and this its silhouette."""
+        return float(1 / (1 + np.exp(-(self.measures @ _LOG_ODDS[:-1] + _LOG_ODDS[-1]))))
 
 
 def assumed_camera(width: int, height: int) -> Camera:
@@ -74,7 +90,9 @@ def assumed_camera(width: int, height: int) -> Camera:
 def find_instruments(
     image: Image, outside: Bool, body: Body, camera: Camera, joints: Mapping[str, float] | None = None, most: int = 4
 ) -> list[Candidate]:
-    """Find the instruments in an image (H, W, 3) uint8 BGR, the best first; their silhouettes do not share pixels.
+    """Find the instruments in an image (H, W, 3) uint8 BGR; their silhouettes do not share pixels.
+
+    Those that are no guess are first, and of these the one with the largest score.
 
     ``outside`` (H, W) are pixels outside the picture; ``joints`` are the readings, rad, by name.
     """
@@ -87,37 +105,122 @@ def find_instruments(
     if not pairs:
         return []
     coarse = camera.scaled(*size)
-    decimated = decimated_body(body, _DETAIL)
-    appearance = Appearance(small, coarse, decimated, resized(outside, size))
+    reduced = _with_few_faces(body)
+    appearance = Appearance(small, coarse, reduced, resized(outside, size))
     read = np.array([np.nan if joints is None else joints.get(name, np.nan) for name in instrument.joint_names])
     jaw = np.array([name == "jaw" for name in instrument.joint_names])
     straight = np.where(np.isnan(read), np.where(jaw, _JAW, 0.0), read)
-    places = _along(pairs, coarse)
+    axes = _along(pairs, coarse)
+    places = np.concatenate(axes)
     tried = Posed(places, np.tile(straight, (len(places), 1)))
-    renderer = Renderer(decimated, coarse, threads=1)
-    groups = _grouped(tried, appearance.scores(tried).total, renderer)
-    turned = [_turned(tried[group], read, jaw, instrument.joint_names) for group in groups]
-    scores = [appearance.scores(each).total for each in turned]
-    starts = [_distinct(each, own, coarse, _STARTS, near=4.0) for each, own in zip(turned, scores, strict=True)]
-    begin = Posed.stacked([each[k] for each, own in zip(turned, starts, strict=True) for k in own])
-    known = [-float(own[k]) for own, each in zip(scores, starts, strict=True) for k in each]
+    scored = appearance.scores(tried).total
+    usual = float(np.percentile(scored, _USUAL))
+    bent = np.isnan(read[~jaw]).any()
+
+    def turns(counts: tuple[int, int], bends: Float64) -> Posed:
+        return _turns(counts[not bent], read, jaw, instrument.joint_names, bends if bent else np.zeros((1, 2)))
+
+    def turned(at: Posed, by: Posed) -> tuple[Posed, Float64]:
+        found = _turned(at, by)
+        return found, appearance.scores(found).total
+
+    best = _best_along(axes, scored)
+    scored[best] = turned(tried[best], turns(_FIRST_ROLLS, _FIRST_BENDS))[1].reshape(len(best), -1).max(axis=1)
+    tried, scored = tried[best], scored[best]
+    renderer = Renderer(reduced, coarse, threads=1)
+    every = turns(_ROLLS, _BENDS)
+    groups = _grouped(tried, scored, renderer, _TURNED // len(every.pose))
+    if not groups:
+        return []
+    tries = [turned(tried[group], every) for group in groups]
+    begin = Posed.stacked([each[k] for each, own in tries for k in _starts(each, own, len(every), coarse)])
     scale = np.concatenate([_SCALE, np.where(np.isnan(read), 0.35, 0.08)])
 
-    def loss(index: NDArray[np.intp], change: Float64) -> Float64:
-        strain = _STRAIN * (change**2).sum(axis=1)
-        return np.asarray(strain - appearance.scores(begin[index].moved(change * scale)).total)
+    def best_of_each(at: Posed, most: int, ends: int) -> list[list[Candidate]]:
+        scores, masks = appearance.scores(at), renderer.masks(at.pose, at.joints)
+        measures = np.c_[scores.measures, scores.total - usual]
+        kept: list[list[Candidate]] = []
+        for k in np.argsort(-scores.total, kind="stable").tolist():
+            found = Candidate(at[k], float(scores.total[k]), measures[k], masks[k])
+            own = next((each for each in kept if _share(masks[k], each[0].silhouette)), None)
+            if own is None and len(kept) < most and masks[k].any():
+                kept.append([found])
+            elif own is not None and len(own) < ends and not any(_are_alike(found, each) for each in own):
+                own.append(found)
+        return kept
 
-    found = minimise_each("cmaes", loss, known, len(scale), _EVALUATIONS, _SEED)
-    ends = Posed.stacked([begin[k].moved(each.best * scale) for k, each in enumerate(found)])
-    measured = appearance.scores(ends)
-    masks = renderer.masks(ends.pose, ends.joints)
-    kept: list[Candidate] = []
-    for k in np.argsort(-measured.total, kind="stable").tolist():
-        if len(kept) == most:
+    varied = [_varied(begin[[k]]) for k in range(len(begin))]
+    begin = Posed.stacked([each[int(appearance.scores(each).total.argmax())] for each in varied])
+    for passes, ends in zip(_PASSES[:2], _ENDS, strict=True):
+        kept = best_of_each(_optimised(appearance, begin, scale, passes), _INSTRUMENTS, ends)
+        if not kept:
+            return []
+        first = [found for own in kept for found in own]
+        begin = Posed.stacked([each.at for each in first])
+    slid = [_slid(each.at, _ROLLS[0]) for each in first]
+    begin = Posed.stacked([each[int(appearance.scores(each).total.argmax())] for each in slid])
+    last = best_of_each(_optimised(appearance, begin, scale, _PASSES[2]), most, 1)
+    return sorted((own[0] for own in last), key=lambda each: (each.confidence < GUESS, -each.score))
+
+
+def _optimised(by: Appearance, begin: Posed, scale: Float64, passes: int) -> Posed:
+    """Improve the scores of N poses by changes whose usual sizes are ``scale`` (D,), those of `_SCALE` and of joints.
+
+    In each pass of a pose, each change is tried both ways, and the peak of the parabolas through these. The best of all
+    is taken; where none is better, later steps are half as long.
+    """
+    count, dimension = len(begin.pose), len(scale)
+    change, step, known = np.zeros((count, dimension)), np.ones((count, 1, 1)), by.scores(begin).total
+    both, ways = np.concatenate([np.eye(dimension), -np.eye(dimension)]), _ways(begin, scale)
+
+    def scores(tried: Float64) -> Float64:
+        at = begin[np.repeat(np.arange(count), tried.shape[1])].moved((tried @ ways).reshape(-1, dimension))
+        return np.asarray(by.scores(at).total.reshape(count, -1) - _STRAIN * (tried**2).sum(axis=2))
+
+    for _ in range(passes):
+        tried = change[:, None] + step * both
+        found = scores(tried)
+        more, less = found[:, :dimension], found[:, dimension:]
+        slope, bend = (more - less) / 2, 2 * known[:, None] - more - less
+        peak = np.clip(np.where(bend > 0, slope / np.maximum(bend, 1e-9), 2 * np.sign(slope)), -2, 2)
+        further = change[:, None] + step * _SHARES[:, None] * peak[:, None]
+        tried, found = np.concatenate([tried, further], axis=1), np.concatenate([found, scores(further)], axis=1)
+        best = np.arange(count), found.argmax(axis=1)
+        better = found[best] > known
+        change[better], known[better] = tried[best][better], found[best][better]
+        step[~better] /= 2
+    return begin.moved((change[:, None] @ ways)[:, 0])
+
+
+def _ways(at: Posed, scale: Float64) -> Float64:
+    """Return the changes (N, D, D) of N poses in their own axes, natural in images, of sizes ``scale`` (D,)."""
+    seen = (at.pose[:, :3, 3][:, None] @ at.pose[:, :3, :3])[:, 0, :2]
+    away = seen / np.maximum(np.linalg.norm(seen, axis=1, keepdims=True), 1e-9)
+    across = away[:, ::-1] * (-1, 1)
+    ways = np.tile(np.diag(scale), (len(at), 1, 1))
+    for first in (0, 3):
+        ways[:, first, first : first + 2] = scale[first] * across
+        ways[:, first + 1, first : first + 2] = scale[first + 1] * away
+    return ways
+
+
+def _varied(at: Posed) -> Posed:
+    """Return one pose at several distances from the camera, and tilted there."""
+    near = [np.concatenate([at.pose[0, :, :3], factor * at.pose[0, :, 3:]], axis=1) for factor in _DISTANCES]
+    poses = Posed(np.stack(near), np.tile(at.joints, (len(near), 1)))
+    poses.pose[:, 3, 3] = 1.0
+    tilt = _ways(poses, np.ones(6 + at.joints.shape[1]))[:, 3]
+    tilted = [poses.moved(angle * tilt) for angle in _TILTS]
+    return Posed(np.concatenate([each.pose for each in tilted]), np.concatenate([each.joints for each in tilted]))
+
+
+def _with_few_faces(body: Body) -> Body:
+    """Return a body with few faces, or as few as the coarsest meshes have."""
+    for cell in _DETAILS:
+        found = decimated_body(body, cell)
+        if sum(len(link.faces) for link in found.instrument.links) <= _FACES:
             break
-        if masks[k].any() and not any(_share(masks[k], each.silhouette) for each in kept):
-            kept.append(Candidate(ends[k], float(measured.total[k]), measured.of(k), masks[k]))
-    return kept
+    return found
 
 
 def _share(first: Bool, second: Bool) -> bool:
@@ -125,7 +228,13 @@ def _share(first: Bool, second: Bool) -> bool:
     return int((first & second).sum()) > _SHARED * min(int(first.sum()), int(second.sum()))
 
 
-def _grouped(at: Posed, scores: Float64, renderer: Renderer) -> list[list[int]]:
+def _are_alike(first: Candidate, second: Candidate) -> bool:
+    """Whether two candidates have nearly the same silhouette."""
+    both = int((first.silhouette | second.silhouette).sum())
+    return int((first.silhouette & second.silhouette).sum()) > _ALIKE * both
+
+
+def _grouped(at: Posed, scores: Float64, renderer: Renderer, places: int) -> list[list[int]]:
     """Return the best places in groups, of which each is one instrument: those that share pixels with its first one."""
     best = np.argsort(-scores, kind="stable")[:_GROUPED]
     masks = renderer.masks(at.pose[best], at.joints[best])
@@ -139,12 +248,12 @@ def _grouped(at: Posed, scores: Float64, renderer: Renderer) -> list[list[int]]:
         elif own is not None:
             own.append(k)
     parts = [np.array(members) for _, members in groups]
-    chosen = [_distinct(at[part], scores[part], renderer.camera, _PLACES) for part in parts]
+    chosen = [_distinct(at[part], scores[part], renderer.camera, places, near=5.0) for part in parts]
     return [part[own].tolist() for part, own in zip(parts, chosen, strict=True)]
 
 
-def _along(pairs: list[Pair], camera: Camera) -> Float64:
-    """Return poses (N, 4, 4) along the axes of pairs, both ways."""
+def _along(pairs: list[Pair], camera: Camera) -> list[Float64]:
+    """Return poses (N, 4, 4) along the axis of each pair, one way and then the other."""
     poses = []
     focal = float(np.sqrt(camera.fx * camera.fy))
     for pair in pairs:
@@ -160,25 +269,59 @@ def _along(pairs: list[Pair], camera: Camera) -> Float64:
             rotation = frame_along(sign * pair.direction)
             origins = pair.point + at[:, None] * pair.direction
             poses.append(transform(np.tile(rotation, (steps, 1, 1)), origins))
-    return np.concatenate(poses)
+    return poses
 
 
-def _turned(places: Posed, read: Float64, jaw: Bool, names: tuple[str, ...]) -> Posed:
-    """Return places at all rolls, a little before and behind, at the joints that are read or at some angles."""
-    rolls = transform(rotation_about_z(np.arange(_ROLLS) * 2 * np.pi / _ROLLS), np.zeros((_ROLLS, 3)))
-    bends = _BENDS if np.isnan(read[~jaw]).any() else np.zeros((1, 2))
+def _best_along(axes: list[Float64], scores: Float64) -> list[int]:
+    """Return the best places along each axis, given the poses along each and the scores of all."""
+    best, first = [], 0
+    for poses in axes:
+        own = scores[first : first + len(poses)].copy()
+        for _ in range(_OF_AXIS):
+            k = int(own.argmax())
+            if own[k] == -np.inf:
+                break
+            best.append(first + k)
+            own[max(k - 1, 0) : k + 2] = -np.inf
+        first += len(poses)
+    return best
+
+
+def _rolls(count: int) -> Float64:
+    """Return turns (R, 4, 4) about the shaft by equal angles."""
+    return transform(rotation_about_z(np.arange(count) * 2 * np.pi / count), np.zeros((count, 3)))
+
+
+def _turns(count: int, read: Float64, jaw: Bool, names: tuple[str, ...], bends: Float64) -> Posed:
+    """Return some rolls, at the joints that are read or at some bends (B, 2) of pitch and yaw."""
     rows = []
     for bend in bends:
-        for opening in _JAWS if np.isnan(read[jaw]).any() else (0.0,):
-            row = read.copy()
-            for k, name in enumerate(names):
-                if np.isnan(row[k]):
-                    row[k] = opening if jaw[k] else bend[0] if name == "wrist_pitch" else bend[1]
-            rows.append(row)
-    table = np.array(rows)
-    poses = places.pose[:, None] @ rolls[None]
-    poses = np.repeat(poses.reshape(-1, 4, 4), len(table), axis=0)
-    return Posed(poses, np.tile(table, (len(poses) // len(table), 1)))
+        angles = [_JAW if jaw[k] else bend[0] if name == "wrist_pitch" else bend[1] for k, name in enumerate(names)]
+        rows.append(np.where(np.isnan(read), angles, read))
+    return Posed(np.repeat(_rolls(count), len(rows), axis=0), np.tile(rows, (count, 1)))
+
+
+def _slid(at: Posed, count: int) -> Posed:
+    """Return a pose, the first, and those moved along the shaft, at each place turned by some rolls."""
+    steps = np.concatenate([[0.0], _SLIDES])
+    places = np.tile(at.pose, (len(steps), 1, 1))
+    places[:, :3, 3] += steps[:, None] * at.pose[:3, 2]
+    turned = places[:, None] @ _rolls(count)[None]
+    return Posed(turned.reshape(-1, 4, 4), np.tile(at.joints, (len(steps) * count, 1)))
+
+
+def _turned(places: Posed, turns: Posed) -> Posed:
+    """Return places, each at all turns about its own axis and with their joints."""
+    poses = (places.pose[:, None] @ turns.pose[None]).reshape(-1, 4, 4)
+    return Posed(poses, np.tile(turns.joints, (len(places.pose), 1)))
+
+
+def _starts(at: Posed, scores: Float64, turns: int, camera: Camera) -> list[int]:
+    """Return the best turns of the best places, given places each at all turns: the best one may be wrong."""
+    places, each = _STARTS
+    best = np.argsort(-scores.reshape(-1, turns).max(axis=1), kind="stable")[:places]
+    parts = [slice(turns * k, turns * (k + 1)) for k in best.tolist()]
+    return [part.start + k for part in parts for k in _distinct(at[part], scores[part], camera, each, near=8.0)]
 
 
 def _distinct(at: Posed, scores: Float64, camera: Camera, most: int, near: float = 9.0) -> list[int]:

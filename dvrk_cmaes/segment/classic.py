@@ -2,9 +2,8 @@
 
 `_segment_reduced` works at a reduced size: it cuts out the pixels that are grey rather than colourful by a graph cut,
 keeps the region that meets the image's border, takes colour histograms of that region and of its surroundings, and
-repeats the graph cut with the log-odds of these histograms. `refine_outline` then works at full size in a band along
-the outline, with the colours near the outline, the edge position and the straight sides of the shaft. Prompts (a box,
-points) fix the labels of the pixels that they determine.
+repeats the graph cut with the log-odds of these histograms. `around` then moves the outline to the image's edges at
+full size. Prompts (a box, points) fix the labels of the pixels that they determine.
 """
 
 from __future__ import annotations
@@ -12,24 +11,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.segment.colours import Colours, ColourTable, greyness_log_odds, measure_colours
-from dvrk_cmaes.segment.confidence import GUESS, assess_mask
-from dvrk_cmaes.segment.edge_colours import edge_log_odds
+from dvrk_cmaes.geometry import Bool, Float32
+from dvrk_cmaes.segment.around import ROUGH, segmentation_around
+from dvrk_cmaes.segment.colours import (
+    LARGEST_COLOUR_ODDS,
+    Colours,
+    ColourTable,
+    greyness_log_odds,
+    measure_colours,
+)
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation
-from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
 from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 
 # lengths without a unit are fractions of the image's longer side
 _SMALLEST = 8  # px, least shorter side of an image that is segmented
@@ -42,17 +42,9 @@ _REACH = 0.125  # largest distance from the last mask at which a pixel may be la
 _AROUND = 0.19  # largest distance from the mask of the pixels that the background's histogram is taken from
 _GAP = 0.06  # largest distance between pieces of an instrument, at the reduced size
 _PRIOR_WEIGHT, _LARGEST_PRIOR = 0.3, 2.0  # weight of the greyness log-odds beside the histograms', and their bound
-_LARGEST_ODDS = 4.0  # bound of the histograms' log-odds
+_LARGEST_ODDS = LARGEST_COLOUR_ODDS
 _BIASES = (1.0, 2.0, 3.0)  # log-odds added to the prior in further attempts, if the mask does not fill its box
 _ENOUGH_OVERLAP = 0.9  # IoU of the mask's bounding box and the given box, from which no further bias is tried
-
-_FINEST = 1000  # px, longer side above which an image is refined at a reduced size
-_FINE_ITERATIONS = 3
-_COLOURS_WEIGHT = 0.4  # weight of the histograms' log-odds beside those of the edge position
-_BAND = 10.0  # px, largest distance by which the mask may grow in an iteration
-_COLOUR_DECAY = 12.0  # px; pixels are weighted in the histograms by exp(-distance from the outline / this)
-_FINE_GAP = 0.02  # as _GAP, at full size
-_MARGIN = 0.06  # margin of the window about a mask at full size
 
 
 def segment_classic(
@@ -66,87 +58,15 @@ def segment_classic(
     height, width = image.shape[:2]
     if min(height, width) < _SMALLEST:
         return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
-    small, scale = shrunk(image, _REDUCED), size_within(image.shape, _REDUCED)[1]
+    scale = size_within(image.shape, _REDUCED)[1]
+    small = shrunk(image, _REDUCED)
     rough = _segment_reduced(
         measure_colours(small),
         draw_prompts(small.shape, scale, box, points, not_points).with_outside(outside_view(small)),
     )
     prompts = draw_prompts(image.shape, 1.0, box, points, not_points).with_outside(outside_view(image))
-    found = refine_outline(image, resized(rough, (width, height)), prompts)
+    found = segmentation_around(image, resized(rough, (width, height)), prompts, ROUGH, straight=True)
     return found if prompts.outside is None else replace(found, mask=found.mask & ~prompts.outside)
-
-
-def refine_outline(
-    image: NDArray[np.uint8], rough: Bool, prompts: Prompts, odds: Float32 | None = None
-) -> Segmentation:
-    """Move the outline of a rough mask to the edges of the instrument in the image.
-
-    Parameters
-    ----------
-    image
-        (H, W, 3) uint8, BGR.
-    rough
-        (H, W), the mask.
-    prompts
-        Prompts in pixels of the image.
-    odds
-        (H, W), additional log-odds of instrument; by default those of the shaft's sides (`shaft_log_odds`), if the
-        shaft's sides are found.
-
-    Returns
-    -------
-    Segmentation
-        Empty, with confidence 0, if ``rough`` is empty or covers the whole image.
-    """
-    if not rough.any() or rough.all():
-        return Segmentation(np.zeros_like(rough), None, 0.0, ("no instrument found",))
-    longer = max(rough.shape)
-    if longer > _FINEST:
-        return _refine_reduced(image, rough, prompts, odds)
-    left, top, width, height = window_around(rough, max(round(_MARGIN * longer), 2))
-    window = np.s_[top : top + height, left : left + width]
-    colours, mask = measure_colours(np.ascontiguousarray(image[window])), rough[window]
-    table, prompts_here = ColourTable(colours), prompts.within(window)
-    refined = rough.copy()
-    for _ in range(_FINE_ITERATIONS):
-        refined[window] = mask
-        known = shaft_log_odds(refined) if odds is None else odds
-        by_colour = local_colour_log_odds(table, mask)
-        total = _COLOURS_WEIGHT * by_colour + edge_log_odds(image[window], mask)
-        if known is not None:
-            total += known[window]
-        mask = _cut(total, colours, prompts_here, distance_to(mask) > _BAND)
-        if not mask.any() or mask.all():
-            break
-    score = np.zeros(rough.shape, np.float32)
-    refined[window] = mask
-    refined = fill_holes(instrument_region(refined, _FINE_GAP * longer, prompts))
-    score[window] = 1 / (1 + np.exp(-total))
-    verdict = assess_mask(refined, window, by_colour, colours, prompts=prompts)
-    notes = verdict.notes
-    if verdict.confidence < GUESS:
-        notes = ("a guess", *notes)
-    return Segmentation(refined, score, verdict.confidence, notes)
-
-
-def _refine_reduced(image: NDArray[np.uint8], rough: Bool, prompts: Prompts, odds: Float32 | None) -> Segmentation:
-    """Refine an outline in a reduced image, and return the result at the original size."""
-    height, width = rough.shape
-    size, scale = size_within(rough.shape, _FINEST)
-    reduced = refine_outline(
-        shrunk(image, _FINEST),
-        resized(rough, size),
-        prompts.resized(*size, scale),
-        None if odds is None else np.asarray(cv2.resize(odds, size, interpolation=cv2.INTER_AREA), np.float32),
-    )
-    score = None if reduced.score is None else np.asarray(cv2.resize(reduced.score, (width, height)), np.float32)
-    return replace(reduced, mask=resized(reduced.mask, (width, height)), score=score)
-
-
-def local_colour_log_odds(table: ColourTable, mask: Bool) -> Float32:
-    """Return log-odds of instrument (H, W) by colour histograms inside and outside a mask, taken near its outline."""
-    inside, outside = (np.exp(-distance_to(~side) / _COLOUR_DECAY) * side for side in (mask, ~mask))
-    return np.clip(table.log_odds(inside, outside), -_LARGEST_ODDS, _LARGEST_ODDS)
 
 
 def _segment_reduced(colours: Colours, prompts: Prompts) -> Bool:

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from dvrk_cmaes.geometry import Bool, Float32
+from dvrk_cmaes.segment.regions import distance_to
 from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 
 _GREY = np.ones(3, np.float32) / np.sqrt(np.float32(3))
 _RAYS = 3  # number of rays of the background
@@ -29,6 +28,9 @@ _LARGEST_TOOL_ODDS = 4.5  # bound of the log-odds for instrument, by the distanc
 _LARGEST_COLOUR_PENALTY = 2.0  # bound of the log-odds against instrument, where it may have any colour
 _BINS = np.array([24, 24, 20])  # of the histogram, for the three features
 _NEAR_ZERO = 1e-5  # added to frequencies before the logarithm
+_DECAY = 12.0  # px; near an outline, pixels are weighted by exp(-distance from it / this)
+LARGEST_COLOUR_ODDS = 4.0
+"""Bound of the log-odds by histograms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,3 +178,9 @@ def _ray_distance(colours: Colours, rays: Float32 | list[Float32], deviation: fl
     along = np.max([colours.smooth @ ray for ray in rays], axis=0)
     variance = (2 * colours.noise) ** 2 + (deviation * colours.brightness) ** 2
     return np.asarray(np.maximum(squares - along**2, 0) / (2 * variance), np.float32)
+
+
+def local_colour_log_odds(table: ColourTable, mask: Bool) -> Float32:
+    """Return log-odds of instrument (H, W) by colour histograms inside and outside a mask, taken near its outline."""
+    inside, outside = (np.exp(-distance_to(~side) / _DECAY) * side for side in (mask, ~mask))
+    return np.clip(table.log_odds(inside, outside), -LARGEST_COLOUR_ODDS, LARGEST_COLOUR_ODDS)

@@ -14,15 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
+from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.segment.colours import Colours
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import border_contact, meets_border
+from dvrk_cmaes.segment.segmentation import GUESS
 
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
+__all__ = ["GUESS", "MaskAssessment", "assess_mask"]
 
-GUESS = 0.5
-"""Confidence below which a mask is called a guess."""
 
 _BAND = (2.0, 12.0)  # px, distances from the outline between which colours are compared
 _ACROSS = 4.0  # px, distance of the two points on either side of the outline whose difference is measured

@@ -13,10 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 
 LARGEST = 5.0  # bound of the log-odds
 _RANGE = 80  # levels of the log-odds' channel; few, so that its edges contribute little to the smoothness term

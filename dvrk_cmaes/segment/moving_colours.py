@@ -12,14 +12,10 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.segment.colours import measure_colours
 from dvrk_cmaes.segment.sizes import shrunk
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
-Image = NDArray[np.uint8]
 
 FEWEST: Final = 8
 """Images that tell what moves, at least."""

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.segment.segmentation import Box, Pixel
-
-Bool = NDArray[np.bool_]
 
 _RADIUS = 4.0  # px of the full image, radius of the disc about a point
 
@@ -107,7 +106,7 @@ def draw_prompts(
     if box is not None:
         scaled = (*at(*box[:2]), *at(*box[2:]))
         outside = np.ones((height, width), np.bool_)
-        rows, columns = (slice(int(max(scaled[k] - 0.5, 0)), int(scaled[k + 2] + 1.5)) for k in (1, 0))
+        rows, columns = (slice(math.ceil(max(scaled[k] - 0.5, 0)), int(scaled[k + 2] + 1.5)) for k in (1, 0))
         outside[rows, columns] = False
         background = outside if background is None else background | outside
     return Prompts(background, discs(points), tuple(at(*pixel) for pixel in points), scaled)

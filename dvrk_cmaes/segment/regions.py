@@ -12,10 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.segment.prompts import Prompts
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 
 _INSIDE_SHARE = 0.2  # weight of the area of a region that does not meet the border, against 1 for one that does
 _LEAST_BORDER = 5  # least number of pixels on the border for a region to meet it

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -20,6 +20,8 @@ Box = tuple[float, float, float, float]
 Model = Literal["classic", "sam2"]
 Background = Literal["learned background", "smooth background"]
 MODELS: tuple[Model, ...] = get_args(Model)
+GUESS = 0.5
+"""Confidence below which a mask is called a guess."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,11 @@ class Segmentation:
     notes: tuple[str, ...] = field(default=())
     before: Background | None = None
     others: tuple[Segmentation, ...] = ()
+
+
+def noted(found: Segmentation) -> Segmentation:
+    """Return a segmentation that says if it is a guess."""
+    return found if found.confidence >= GUESS else replace(found, notes=("a guess", *found.notes))
 
 
 @dataclass(frozen=True)

@@ -11,23 +11,19 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, View
 from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges, shaft_axis
-from dvrk_cmaes.geometry import apply, inverse
+from dvrk_cmaes.geometry import Bool, Float64, Image, apply, inverse
 from dvrk_cmaes.segment.regions import distance_to
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
-
-Bool = NDArray[np.bool_]
-Float64 = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _SCALES: Final = 1.0, 0.5  # of the image, at which segments are found
 _SHORTEST: Final = 0.025  # of the longer side, of a segment
 _SEGMENTS: Final = 220  # longest ones that are used
 _LINES: Final = 70  # with the longest segments on them
+_OF_LINE: Final = 5  # pairs of a line, at most: a long edge of something else would be in most pairs
 _ALIGNED: Final = np.cos(np.deg2rad(3.0))  # of segments on one line
 _NEAR: Final = 0.006  # of the longer side, from a line to the ends of segments on it
 _PARALLEL: Final = np.cos(np.deg2rad(17.0))  # of the two lines of a pair
@@ -68,13 +64,19 @@ def find_pairs(image: Image, camera: Camera, radius: float, outside: Bool, most:
     lines = _joined(segments, _NEAR * max(image.shape))
     limits = np.array([camera.width - 1, camera.height - 1])
     pairs = [
-        pair
+        (pair, (i, j))
         for i in range(len(lines))
         for j in range(i)
         if (pair := _pair(lines[i], lines[j], camera, radius, limits)) is not None
     ]
-    pairs.sort(key=lambda pair: -pair.support)
-    return pairs[:most]
+    pairs.sort(key=lambda each: -each[0].support)
+    kept: list[Pair] = []
+    uses = np.zeros(len(lines), np.intp)
+    for pair, of in pairs:
+        if len(kept) < most and uses[[*of]].max() < _OF_LINE:
+            kept.append(pair)
+            uses[[*of]] += 1
+    return kept
 
 
 def pair_of_mask(mask: Bool, camera: Camera, radius: float) -> Pair | None:

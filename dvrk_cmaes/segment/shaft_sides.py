@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges
+from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
-
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
 
 _FOCAL = 1.2  # assumed focal length, in longer sides of the image; its exact value matters little to find the sides
 _RADIUS = 0.004  # m, assumed radius of the shaft, likewise

@@ -14,20 +14,14 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.segment import Segmentation, segment
-from dvrk_cmaes.segment.classic import refine_outline
+from dvrk_cmaes.segment.around import segmentation_around
 from dvrk_cmaes.segment.prompts import draw_prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 from dvrk_cmaes.silhouette import Body
 
-Bool = NDArray[np.bool_]
-Float32 = NDArray[np.float32]
-
 _LEAST_OVERLAP = 0.8  # intersection over union of silhouette and mask, below which the silhouette is no prior
-_FREE_BAND = 3.0  # px on either side of the silhouette's outline, in which the prior is zero
-_STEEPNESS = 0.5  # log-odds per px beyond that band
-_LARGEST = 3.0  # log-odds
 
 
 def segment_first(
@@ -91,21 +85,13 @@ def segment_again(
     if _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
         return None
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
-    odds = _log_odds(silhouette)
     if background is None:
-        segmentation = refine_outline(image, silhouette, prompts, odds)
+        segmentation = segmentation_around(image, silhouette, prompts)
     else:
         from dvrk_cmaes.segment.background import segment_before
 
-        segmentation = segment_before(image, background, prompts, odds)
+        segmentation = segment_before(image, background, prompts, silhouette)
     return segmentation if segmentation.mask.any() else None
-
-
-def _log_odds(silhouette: Bool) -> Float32:
-    """Prior log-odds of instrument (H, W) given a silhouette."""
-    distance = signed_distance(silhouette)
-    beyond = np.sign(distance) * np.maximum(np.abs(distance) - _FREE_BAND, 0)
-    return np.asarray(np.clip(-_STEEPNESS * beyond, -_LARGEST, _LARGEST), np.float32)
 
 
 def _overlap(silhouette: Bool, mask: Bool, ignore: Bool | None) -> float:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Bool = NDArray[np.bool_]
-Image = NDArray[np.uint8]
+from dvrk_cmaes.geometry import Bool, Image
 
 
 def size_within(shape: tuple[int, ...], longest: int) -> tuple[tuple[int, int], float]:

@@ -24,12 +24,12 @@ def rounded_joints(joints: Mapping[str, float], digits: int = 6) -> dict[str, fl
     return {name: round(float(value), digits) + 0.0 for name, value in joints.items()}
 
 
-def rounded_truth(truth: Truth, name_of_pose: str, name_of_tips: str) -> dict[str, Any]:
-    """Convert pose, joints and tips in the camera's frame to plain numbers, with the given keys for pose and tips."""
+def rounded_truth(truth: Truth, name_of_pose: str = "T_camera_roll_link") -> dict[str, Any]:
+    """Convert pose, joints and tips in the camera's frame to plain numbers, with the given key for the pose."""
     return {
         name_of_pose: rounded(truth.camera_from_root),
         "joints": rounded_joints({**truth.joints, **truth.outer}, digits=9),
-        name_of_tips: rounded(truth.tips),
+        "tips_camera_m": rounded(truth.tips),
     }
 
 

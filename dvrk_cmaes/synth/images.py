@@ -84,7 +84,9 @@ def shaded_links(truth: Truth, view: LinkView) -> Float32:
     seen = view.link != NOTHING
     normal, direction, depth = view.normal[seen], view.direction[seen], view.depth[seen]
     facing = np.abs((normal * direction).sum(axis=-1))  # the light is at the lens
-    steel = (view.link[seen] > 0) | (_along_shaft(truth, direction, depth) > _distal_end(truth))
+    shaft = truth.instrument.shaft
+    end = -np.inf if shaft is None else shaft.distal_end
+    steel = (view.link[seen] > 0) | (_along_shaft(truth, direction, depth) > end)
     albedo = np.where(steel[..., None], STEEL, SHAFT)
     # polished steel reflects a bright surrounding above and a dark one below
     mirrored = 0.5 - 0.5 * np.tanh(3 * normal[..., 1:2] + 0.6 * normal[..., :1])
@@ -100,12 +102,6 @@ def _along_shaft(truth: Truth, direction: Float32, depth: Float32) -> Float32:
     """Return the coordinate along the shaft of the points seen along rays (...), m from the root's origin."""
     points = direction / direction[..., 2:] * depth[..., None] - truth.camera_from_root[:3, 3]
     return np.asarray(points @ truth.camera_from_root[:3, 2], np.float32)
-
-
-def _distal_end(truth: Truth) -> float:
-    """Return the coordinate along the shaft of its distal end, m from the root's origin; -inf without a shaft."""
-    shaft = truth.instrument.shaft
-    return -np.inf if shaft is None else shaft.distal_end
 
 
 def draw_tissue(shape: tuple[int, int], rng: np.random.Generator) -> Float32:

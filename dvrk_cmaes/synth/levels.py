@@ -8,8 +8,8 @@ bites, and missing highlights.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, Literal
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 LevelName = Literal["clean", "easy", "medium", "hard"]
 
@@ -90,10 +90,6 @@ class Level:
     tip_px: float = 1.5
     marker_px: float = 1.0
     marker_share: float = 0.65
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return asdict(self)
 
 
 _BARREL: Final = (-0.24, 0.10, 0.0004, -0.0006, 0.0)

@@ -67,26 +67,12 @@ MOTION_LEVELS: Final[Mapping[str, MotionLevel]] = {
 
 
 def moving_arm(
-    body: Body, camera: Camera, rng: np.random.Generator, frames: int, level: MotionLevel, *, arm: Arm = "classic"
-) -> tuple[Float64, list[Truth]]:
-    """Draw the smooth motion of an arm: ``camera_from_base`` (4, 4) and the truth of each frame.
-
-    Raises
-    ------
-    DvrkCmaesError
-        No motion was found that keeps the instrument in view.
-    """
-    base, truths, _ = arm_with_cables(body, camera, rng, frames, level, None, arm=arm)
-    return base, truths
-
-
-def arm_with_cables(
     body: Body,
     camera: Camera,
     rng: np.random.Generator,
     frames: int,
     level: MotionLevel,
-    cables: CableModel | None,
+    cables: CableModel | None = None,
     *,
     arm: Arm = "classic",
     steered: Float64 | None = None,
@@ -95,12 +81,17 @@ def arm_with_cables(
 
     Without ``cables`` the joints are where their readings are. ``steered`` (frames, 4, 4) are the poses of the first
     frame's camera in those of all frames, m: the arm then follows the camera, so that the instrument's root is where it
-    would be in the images of a camera that stands still. Errors are those of `moving_arm`.
+    would be in the images of a camera that stands still.
 
     Returns
     -------
     ((4, 4), list of Truth, dict)
         ``camera_from_base``, the truth of each frame, and the readings (frames,) by joint, without offsets and noise.
+
+    Raises
+    ------
+    DvrkCmaesError
+        No motion was found that keeps the instrument in view.
     """
     names = (*OUTER_JOINTS, *body.instrument.joint_names)
     limits = {name: tuple(pair) for name, pair in zip(body.instrument.joint_names, body.instrument.limits, strict=True)}
@@ -171,7 +162,7 @@ def read_moving(
 ) -> dict[str, Float64]:
     """Draw the readings of all joints at the times of the frames, (frames,) by name, rad and m.
 
-    With ``cables`` they are the ``paths`` of `arm_with_cables`, with the cables' offsets and noise.
+    With ``cables`` they are the ``paths`` of `moving_arm`, with the cables' offsets and noise.
     """
     frames = len(truths)
     offsets = {} if cables is None else dict(zip(cables.names, cables.offset.tolist(), strict=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -25,9 +25,9 @@ from dvrk_cmaes.synth.moving_arm import (
     FRAMES_A_SECOND,
     MOTION_LEVELS,
     MotionLevel,
-    arm_with_cables,
     cable_joints,
     level_offsets,
+    moving_arm,
     read_moving,
 )
 from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, RecordingImages
@@ -76,7 +76,7 @@ def record_arm(plan: SessionPlan, level: MotionLevel, rng: np.random.Generator) 
         None if steering is None else steering.camera_from_first,
         (plan.body, plan.camera, rng, plan.frames),
     )
-    base, truths, paths = arm_with_cables(*drawn, level, cables, arm=plan.arm, steered=steered)
+    base, truths, paths = moving_arm(*drawn, level, cables, arm=plan.arm, steered=steered)
     readings = read_moving(truths, rng, level, cables, None if cables is None else paths)
     if steering is not None:
         readings |= steering.late(level.lag)
@@ -100,11 +100,13 @@ def write_recording(out: Path, plan: SessionPlan, *, pictures: Pictures = "none"
     rng = np.random.default_rng([plan.seed, level_index(plan), 2])
     with whole_folder(out, "synth", overwrite=overwrite) as folder:
         arm = record_arm(plan, level, rng)
+        views = [(arm.truths, rng, 0.0)]
+        if plan.baseline is not None:  # the mistakes of the right eye are its own
+            of_right = np.random.default_rng([plan.seed, level_index(plan), 4])
+            views.append((seen_by_right(plan, arm.truths), of_right, plan.baseline))
         with ExitStack() as opened:
-            views = [opened.enter_context(_view(folder, plan, arm.truths, pictures, rng))]
-            if plan.baseline is not None:
-                views.append(opened.enter_context(_right_view(folder, plan, arm.truths, pictures)))
-            visible = [frame.visible for frame, *_ in zip(*views, strict=True)]
+            frames = [opened.enter_context(_view(folder, plan, pictures, *view)) for view in views]
+            visible = [frame.visible for frame, *_ in zip(*frames, strict=True)]
         write_cameras(folder, plan, plan.tools)
         write_recorded_arm(folder, plan, arm, visible)
         write_json(folder / PLAN_FILE, describe_recording(plan, level, pictures))
@@ -123,7 +125,7 @@ def write_recorded_arm(
         name = frame_name(plan, k)
         cells = [f"{arm.readings[joint][k]:.6f}" for joint in columns]
         rows.append([name, f"{k / FRAMES_A_SECOND:.6f}", *cells])
-        golden[name] = rounded_truth(truth, "T_camera_roll_link", "tips_camera_m") | {"visible": round(share, 3)}
+        golden[name] = rounded_truth(truth) | {"visible": round(share, 3)}
     write_text(folder / f"joints{suffix}.csv", csv_text(("frame", "time", *columns), rows))
     document: dict[str, Any] = {"camera_from_base": rounded(arm.base), "frames": golden}
     if arm.steering is not None:
@@ -171,10 +173,10 @@ def picture_writer(
 def _view(
     folder: Path,
     plan: SessionPlan,
-    truths: list[Truth],
     pictures: Pictures,
+    truths: list[Truth],
     rng: np.random.Generator,
-    baseline: float = 0.0,
+    baseline: float,
 ) -> Iterator[Iterator[RecordedFrame]]:
     """Give the frames of a view with given true poses in its camera; mask and image of each are written as it is made.
 
@@ -195,11 +197,3 @@ def _view(
 def seen_by_right(plan: SessionPlan, truths: Sequence[Truth]) -> list[Truth]:
     """Return truths with the poses in the right camera."""
     return [replace(truth, camera_from_root=plan.right_from_left @ truth.camera_from_root) for truth in truths]
-
-
-def _right_view(
-    folder: Path, plan: SessionPlan, truths: list[Truth], pictures: Pictures
-) -> AbstractContextManager[Iterator[RecordedFrame]]:
-    """Give the frames of the right eye, with mistakes of their own, as `_view` does."""
-    rng = np.random.default_rng([plan.seed, level_index(plan), 4])
-    return _view(folder, plan, seen_by_right(plan, truths), pictures, rng, plan.baseline or 0.0)

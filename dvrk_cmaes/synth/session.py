@@ -202,7 +202,7 @@ def write_session(out: Path, plan: SessionPlan, *, images: bool = True, overwrit
             pixels = ["", "", "", ""] if frame.tips is None else [f"{value:.2f}" for value in frame.tips.ravel()]
             tips.append([frame.name, *pixels])
             markers += [[frame.name, name, f"{u:.2f}", f"{v:.2f}"] for name, (u, v) in frame.markers.items()]
-            golden[frame.name] = rounded_truth(frame.truth, "T_camera_roll_link", "tips_camera_m")
+            golden[frame.name] = rounded_truth(frame.truth)
         write_cameras(folder, plan, plan.tools)
         columns = [*(OUTER_JOINTS if camera_from_base is not None else ()), *plan.body.instrument.joint_names]
         write_joints(folder / "joints.csv", readings, columns)

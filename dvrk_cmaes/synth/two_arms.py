@@ -88,10 +88,7 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
             readings = sample_readings(truths, rng, plan.level, one_session=True)
             columns = [*OUTER_JOINTS, *plan.body.instrument.joint_names]
             write_joints(folder / f"joints_{arm}.csv", dict(zip(names, readings, strict=True)), columns)
-            frames = {
-                name: rounded_truth(truth, "T_camera_roll_link", "tips_camera_m")
-                for name, truth in zip(names, truths, strict=True)
-            }
+            frames = {name: rounded_truth(truth) for name, truth in zip(names, truths, strict=True)}
             write_json(folder / f"golden_{arm}.json", {"camera_from_base": rounded(base), "frames": frames})
         write_cameras(folder, plan, tools_of_arms(tool))
         write_json(folder / PLAN_FILE, {**plan.describe(), "arms": list(ARMS)})

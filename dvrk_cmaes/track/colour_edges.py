@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Indices, Posed
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
@@ -366,6 +368,8 @@ def fit_edges(
 ) -> EdgeFit | None:
     """Fit a pose to the edges that the colours of images show; None if it has no outline in them.
 
+    The joints stay within their limits: jaws that have passed each other have the outline of open ones.
+
     Parameters
     ----------
     model, images
@@ -378,16 +382,16 @@ def fit_edges(
         Whether edges are looked for far from the start.
     """
     at, covariance = start, np.asarray(np.linalg.inv(expected.information))
+    limits = ReadingsTerm(Readings.none(model.instrument))
     for reach, steps in _FAR if far else _NEAR:
         drawn = model.draw(at, tuple(images))
         if drawn is None:
             return None
         term = ColourEdges(model, drawn, images, reach, covariance)
         for _ in range(steps):
-            edges, other = term.local(at[None]), expected.local(at[None])
-            near = edges + other
+            near = term.local(at[None]) + expected.local(at[None]) + limits.local(at[None])
             step = -np.linalg.solve(near.information[0], near.slope[0])
-            at, moving = at.moved(step), model.move(drawn, at)
+            at, moving = limits.allowed(at.moved(step)), model.move(drawn, at)
             if moving is None or float(np.abs(moving.jacobian @ step).max()) < _STILL_PX:
                 break
         covariance = np.asarray(np.linalg.inv(near.information[0]))

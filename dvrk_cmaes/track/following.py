@@ -194,7 +194,7 @@ class Following:
         at, spread = predicted.at[0], predicted.spread[0]
         if not seen.any_same or self._still is None:
             self._still = at
-        elif reading.has_outer and _has_moved(self._still, at):
+        elif reading.has_outer and has_moved(self._still, at):
             seen = seen.without_frozen()
         masks = given.segmenter.given(seen)
         fit = self._by_masks(at, spread, seen, masks) if masks else self._by_edges(at, spread, seen)
@@ -298,7 +298,7 @@ def _nothing(at: Posed, spread: Float64, seen: Seen) -> _FitOfImage:
     return _FitOfImage(FitEvidence.of(None, at, spread, holds=False), np.inf, None, lambda found: nothing)
 
 
-def _has_moved(before: Posed, now: Posed) -> bool:
+def has_moved(before: Posed, now: Posed) -> bool:
     """Whether an instrument has moved so far that its masks must differ."""
     change = np.abs(now.minus(before))
     parts = (change[:3], change[3:5], change[6:])

@@ -14,11 +14,10 @@ from typing import Final
 import cv2
 import numpy as np
 
-from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
-from dvrk_cmaes.segment.classic import refine_outline
-from dvrk_cmaes.segment.edge_colours import edge_log_odds
+from dvrk_cmaes.segment import around
+from dvrk_cmaes.segment.around import FINEST
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.moving_colours import moving_pixels
 from dvrk_cmaes.segment.prompts import Prompts
@@ -31,11 +30,6 @@ _BLURRED = 2.0  # px from the outline, within which pixels have colours of both 
 _AROUND = 40.0  # px from the outline, within which colours are learned
 _LEAST_PIXELS = 200  # on each side of an outline, from which its colours are learned
 
-_FINEST = 1000  # px, longer side above which masks are found in a reduced image
-_FREE_BAND = 3.0  # px on either side of the expected outline, in which the silhouette has no say
-_STEEPNESS = 0.5  # log-odds per px beyond that band
-_LARGEST_PRIOR = 3.0  # log-odds by the silhouette
-_FAR = 12.0  # px beyond the band, from which on nothing is instrument
 _COLOURS_WEIGHT = 0.6  # of the log-odds of a pixel's colour: neighbours are alike
 _LEAST_ODDS = 0.2  # log-odds by colour, from which on a pixel has the instrument's colours
 _NOWHERE = 0.8  # share of the silhouette without these, from which on it shows nothing of the instrument
@@ -44,9 +38,6 @@ PASSES: Final = 2
 """Passes in which a mask is found, where the silhouette is that of a prediction."""
 _REDUCED = 320  # px, longer side at which an image is segmented without a silhouette
 _GAP = 0.06  # of that side, between pieces of an instrument
-_LEAST_WITHIN = 0.5  # share of a piece of the mask that lies within the expected silhouette, with its band
-_LEAST_PIECE = 20  # px
-_MARGIN = 16  # px about the pixels that may be instrument
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,38 +101,23 @@ def mask_around(
         None where the silhouette is empty or full, no pixel is taken for the instrument, or nearly the whole
         silhouette is without its colours.
     """
-    if not silhouette.any() or silhouette.all():
+    height, width = silhouette.shape
+    size, scale = size_within(silhouette.shape, FINEST)
+    small = shrunk(image, FINEST)
+    beside = None if outside is None else resized(outside, size)
+    found = around.mask_around(
+        small,
+        resized(silhouette, size),
+        around.FREE + spread * scale,
+        colours=_by_colours(small, colours),
+        local=False,
+        prompts=Prompts(background=beside, outside=beside),
+        passes=passes,
+    )
+    if found is None:
         return None
-    longer = max(silhouette.shape)
-    if longer > _FINEST:
-        return _in_reduced(image, silhouette, colours, outside, spread, passes)
-    band = _FREE_BAND + spread
-    left, top, width, height = window_around(silhouette, round(band + _FAR) + _MARGIN)
-    window = np.s_[top : top + height, left : left + width]
-    part, expected = np.ascontiguousarray(image[window]), silhouette[window]
-    if expected.all():
-        return None
-    distance = signed_distance(expected)
-    beyond = np.sign(distance) * np.maximum(np.abs(distance) - band, 0)
-    prior = np.clip(-_STEEPNESS * beyond, -_LARGEST_PRIOR, _LARGEST_PRIOR)
-    never = distance > band + _FAR
-    if outside is not None:
-        never |= outside[window]
-    of_pixels = colours.log_odds[0].take(bins_of(part))
-    by_colour = _COLOURS_WEIGHT * cv2.GaussianBlur(of_pixels, (0, 0), _NOISE)
-    guide = _guide(part)
-    mask = expected
-    for _ in range(passes):
-        total = by_colour + prior + edge_log_odds(part, mask)
-        mask = cut(np.asarray(total, np.float32), guide, background=never)
-        if not mask.any() or mask.all():
-            return None
-    whole = np.zeros_like(silhouette)
-    whole[window] = _within(mask, distance < band + _BLURRED)
-    whole = fill_holes(whole)
-    sure = expected & (distance < -band) & ~never
-    unsupported = float((by_colour[sure] < _LEAST_ODDS).mean()) if sure.any() else 0.0
-    return FoundMask(whole, unsupported) if whole.any() and unsupported < _NOWHERE else None
+    unsupported = float((found.by_colour[found.sure] < _LEAST_ODDS).mean()) if found.sure.any() else 0.0
+    return FoundMask(resized(found.mask, (width, height)), unsupported) if unsupported < _NOWHERE else None
 
 
 def moving_colours(images: Sequence[Image]) -> ColourModel | None:
@@ -157,41 +133,18 @@ def moving_colours(images: Sequence[Image]) -> ColourModel | None:
 def mask_by_colours(image: Image, colours: ColourModel, prompts: Prompts) -> Segmentation:
     """Segment the instrument in an image (H, W, 3) uint8 BGR by colours that other images of the recording tell."""
     height, width = image.shape[:2]
-    small, (size, scale) = shrunk(image, _REDUCED), size_within(image.shape, _REDUCED)
-    fixed = prompts.resized(*size, scale)
-    odds = _COLOURS_WEIGHT * cv2.GaussianBlur(colours.log_odds[0].take(bins_of(small)), (0, 0), _NOISE)
-    rough = cut(np.asarray(odds, np.float32), _guide(small), background=fixed.background, tool=fixed.tool)
+    size, scale = size_within(image.shape, _REDUCED)
+    small, fixed = shrunk(image, _REDUCED), prompts.resized(*size, scale)
+    odds = _by_colours(small, colours)
+    rough = cut(odds, around.guide(small), background=fixed.background, tool=fixed.tool)
     rough = fill_holes(instrument_region(rough, _GAP * max(size), fixed))
-    return refine_outline(image, resized(rough, (width, height)), prompts)
+    return around.segmentation_around(image, resized(rough, (width, height)), prompts, around.ROUGH, straight=True)
 
 
-def _within(mask: Bool, near: Bool) -> Bool:
-    """Keep the pieces of a mask that lie mostly ``near`` the silhouette; what hides a part of it divides it."""
-    count, labels, measures, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    area = measures[:, cv2.CC_STAT_AREA]
-    share = np.bincount(labels[near], minlength=count) / np.maximum(area, 1)
-    kept = (share >= _LEAST_WITHIN) & (area >= _LEAST_PIECE)
-    kept[0] = False
-    return np.asarray(kept[labels])
-
-
-def _in_reduced(
-    image: Image, silhouette: Bool, colours: ColourModel, outside: Bool | None, spread: float, passes: int
-) -> FoundMask | None:
-    """Find a mask in a reduced image, and return it at the original size."""
-    height, width = silhouette.shape
-    size, scale = size_within(silhouette.shape, _FINEST)
-    beside = None if outside is None else resized(outside, size)
-    small = shrunk(image, _FINEST)
-    found = mask_around(small, resized(silhouette, size), colours, beside, spread * scale, passes)
-    return None if found is None else FoundMask(resized(found.mask, (width, height)), found.unsupported)
-
-
-def _guide(image: Image) -> Float32:
-    """Return the features of an image (H, W, 2) whose edges an outline follows: brightness and colourfulness."""
-    smooth = cv2.GaussianBlur(image, (0, 0), _NOISE).astype(np.float32) + 8.0
-    colourful = np.log(smooth[..., 2] / smooth[..., 1])
-    return np.stack([np.log(smooth.max(axis=2)), colourful], axis=-1)
+def _by_colours(image: Image, colours: ColourModel) -> Float32:
+    """Return the log-odds (H, W) of the pixels' colours."""
+    odds = colours.log_odds[0].take(bins_of(image))
+    return np.asarray(_COLOURS_WEIGHT * cv2.GaussianBlur(odds, (0, 0), _NOISE), np.float32)
 
 
 def colours_document(colours: Mapping[str, ColourModel]) -> dict[str, dict[str, str]]:

@@ -37,7 +37,7 @@ from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage
 from dvrk_cmaes.track.followed import Followed
-from dvrk_cmaes.track.following import Following
+from dvrk_cmaes.track.following import Following, has_moved
 from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Seen
@@ -126,6 +126,8 @@ class _Mode:
     following: Following | None = None
     reads: bool = False
     """Whether readings of a moving arm have told how it moves since it was based on them."""
+    counted: Posed | None = None
+    """Where it was in the last image that counted; those of the same scene tell nothing new."""
 
 
 @dataclass(eq=False)
@@ -279,8 +281,10 @@ class UnknownBase:
         assert result.covariance is not None
         mode.time, mode.covariance = image.time, result.covariance
         mode.at = posed(result, names)
-        if math.isfinite(mode.following.last.score):
+        anew = mode.counted is None or (has_moved(mode.counted, mode.at) and not image.seen.any_same)
+        if math.isfinite(mode.following.last.score) and anew:
             mode.cost += mode.following.last.score / CORRELATED_FRAMES
+            mode.counted = mode.at
         if reads:
             return result
         read = dict(zip(names, reading.joints.tolist(), strict=True))

@@ -7,7 +7,7 @@ import pytest
 
 from dvrk_cmaes.draw.canvas import Colour
 from dvrk_cmaes.draw.left_out_overlay import PREDICTED, SIZE, draw_left_out
-from dvrk_cmaes.draw.overlay import MASK
+from dvrk_cmaes.draw.panels import MASK
 
 WIDTH, HEIGHT = SIZE
 

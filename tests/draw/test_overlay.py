@@ -174,8 +174,7 @@ def test_strips_grow_with_text_up_to_limit() -> None:
     none, few = header(result(), 1280, 1.0), header(result(reasons=("one", "two")), 1280, 1.0)
     many = header(result(reasons=tuple("word " * 60 for _ in range(9))), 1280, 1.0)
     assert none.shape[0] < few.shape[0] < many.shape[0] < 200
-    legend = (("mask", YELLOW, "line"), ("area", YELLOW, "area"))
-    assert footer(result(), legend, 300, 1.0).shape[0] > footer(result(), legend, 1280, 1.0).shape[0]
+    assert footer(result(), 300, 1.0).shape[0] > footer(result(), 1280, 1.0).shape[0]
 
 
 def test_long_name_does_not_cover_figures() -> None:

@@ -68,7 +68,7 @@ def moving_world(frames: int = 40, seed: int = 3, level: MotionLevel = OFFSETS_O
     """Make a moving arm with the bundled instrument, the whole moved to the right by some metres."""
     body = prepare("lnd")
     rng = np.random.default_rng(seed)
-    base, truths = moving_arm(body, SMALL, rng, frames, level)
+    base, truths, _ = moving_arm(body, SMALL, rng, frames, level)
     aside = moved(np.eye(4), [right, 0.0, 0.0, 0.0, 0.0, 0.0])
     base = aside @ base
     truths = [replace(truth, camera_from_root=aside @ truth.camera_from_root) for truth in truths]

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dvrk_cmaes.draw.overlay import text_strips
+from dvrk_cmaes.draw.panels import footer, header
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.results.paths import write_frame
@@ -72,7 +72,7 @@ def overlay(one: Result, width: int = 640) -> np.ndarray:
     """Give noise, which hardly compresses, between the text strips of a real overlay."""
     rough = np.random.default_rng(0).integers(0, 255, (width * 3 // 4, width, 3), dtype=np.uint8)
     unit = width / 1280
-    above, below = text_strips(one, width, unit)
+    above, below = header(one, width, unit), footer(one, width, unit)
     return np.concatenate([above, cv2.blur(rough, (9, 9)), below])
 
 

@@ -17,8 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dvrk_cmaes.draw.canvas import DARK
-from dvrk_cmaes.draw.overlay import LEGEND, MASK, SILHOUETTE
-from dvrk_cmaes.draw.panels import footer, header
+from dvrk_cmaes.draw.panels import MASK, SILHOUETTE, footer, header
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.io.atomic import write_json
@@ -27,9 +26,9 @@ from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (
     FrameBases,
     common_warnings,
+    counted_reasons,
     joint_summaries,
     provenances,
-    reason_counts,
     reason_kind,
 )
 from dvrk_cmaes.report.page_thumbnails import LARGEST, WIDTH, Thumbnail, thumbnail
@@ -203,7 +202,7 @@ def test_thumbnail_shows_region_of_outlines(tmp_path: Path) -> None:
     cv2.rectangle(picture, (100, 600), (560, 900), SILHOUETTE, 4)
     cv2.rectangle(picture, (104, 604), (564, 904), MASK, 4)
     path = tmp_path / "a.jpg"
-    cv2.imwrite(str(path), np.concatenate([header(one, 1280, 1.0), picture, footer(one, LEGEND, 1280, 1.0)]))
+    cv2.imwrite(str(path), np.concatenate([header(one, 1280, 1.0), picture, footer(one, 1280, 1.0)]))
     bright = pixels_of(thumbnail(path, one)).max(axis=2) > 100
     v, u = np.nonzero(bright)
     assert 0.8 * WIDTH < u.max() - u.min() < 0.95 * WIDTH
@@ -221,7 +220,7 @@ def test_damaged_overlay_is_left_out(tmp_path: Path, content: bytes) -> None:
 
 def test_reasons_are_counted_once_per_frame() -> None:
     frames = [doubtful("a", "far: jaw", "far: yaw"), doubtful("b", "far: jaw", "twin undecided: x"), result("c")]
-    assert reason_counts(frames) == [("far", 2), ("twin undecided", 1)]
+    assert counted_reasons([frame.reasons for frame in frames]) == [("far", 2), ("twin undecided", 1)]
 
 
 @pytest.mark.parametrize(
@@ -365,7 +364,7 @@ def test_steps_are_1_2_or_5_times_power_of_ten(span: float, step: float) -> None
 
 
 def test_many_frames_are_labelled_at_equal_distances() -> None:
-    axis = name_axis("frame", tuple(f"{k:04d}" for k in range(1000)), start=0, end=1000)
+    axis = name_axis(tuple(f"{k:04d}" for k in range(1000)), start=0, end=1000)
     assert [text for text, _ in axis.ticks] == [f"{k:04d}" for k in range(0, 1000, 100)]
 
 

@@ -147,7 +147,7 @@ def test_leave_one_out_predictions_are_listed_worst_first(tmp_path: Path) -> Non
     alone = {name: (0.9 - 0.01 * k, 1.0 + k) for k, name in enumerate(names)}
     view = view_of(tmp_path, frames, leave_one_out=alone)
     assert [one.frame for one in view.predictions] == names[::-1]
-    assert [one.frame for one in view.pictures] == names[: -MOST_PICTURES - 1 : -1]
+    assert [one.frame for one, _ in view.pictures] == names[: -MOST_PICTURES - 1 : -1]
     page = page_of(tmp_path)
     shown = [address for address in page.addresses if address.startswith("overlays_left_out/")]
     assert len(shown) == len(names)  # the link in each frame; the pictures are within the page

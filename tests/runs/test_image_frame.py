@@ -118,6 +118,19 @@ def test_guessed_mask_makes_pose_doubtful(
     )
 
 
+def test_mask_around_a_pose_is_no_surer_and_keeps_the_other_instruments(
+    session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mask, which = found[0].data.mask, "two instruments, the left one taken (pass --point)"
+    other = Segmentation(np.zeros_like(mask), None, 0.6)
+    first = Segmentation(mask, None, 0.6, (which,), None, (other,))
+    monkeypatch.setattr(image_frame, "segment_first", lambda *_, **__: first)
+    frame = solve_image(session, session.frames[0], bundled_body)
+    assert frame.segmentation.confidence == 0.6
+    assert frame.segmentation.others == (other,)
+    assert which in frame.result.warnings
+
+
 def test_unrefined_mask_is_estimated_once(
     session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:

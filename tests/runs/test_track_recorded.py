@@ -14,6 +14,7 @@ import pytest
 from helpers.session_worlds import make_frames_in_memory, write_folder
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
+from dvrk_cmaes.calibration.together import solved_alone
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
@@ -23,7 +24,13 @@ from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import recorded_keyframes
-from dvrk_cmaes.runs.recorded_keyframes import AloneTask, RecordedFrames, RecordedWork, solve_keyframes, with_keyframes
+from dvrk_cmaes.runs.recorded_keyframes import (
+    AloneTask,
+    RecordedFrames,
+    RecordedWork,
+    solving_keyframes,
+    with_keyframes,
+)
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
@@ -186,7 +193,7 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
     def run(function: Any, tasks: Sequence[Any]) -> list[Any]:
         return [function(body, config, task) for task in tasks]
 
-    solved = solve_keyframes(recorded, RecordedWork(body, "classic", config, run))
+    solved = solved_alone(solving_keyframes(recorded, RecordedWork(body, "classic", config, run)))
     assert isinstance(solved, SessionCalibration)
     assert [task.start is None for task in tried] == [True] * 7 + [False] * (len(tried) - 7)
     for task in tried[7:]:

@@ -59,6 +59,19 @@ def test_the_axis_is_found_and_its_stretch_is_in_the_picture(axis: tuple[float, 
     assert ((pixels > -8) & (pixels < np.array([488, 392]))).all()
 
 
+def test_a_short_shaft_is_among_the_pairs_beside_many_long_lines() -> None:
+    """Of one long line at most five pairs are kept, or stripes would be all of them."""
+    axis, root = np.array([0.9, 0.25, 0.36]), (-0.03, 0.02, 0.11)
+    image = np.full((384, 480), 180, np.uint8)
+    image[10:90] = 180 - 60 * (np.arange(10, 90) // 10 % 2)[:, None]
+    image[drawn((0.9, 0.25, 0.36), root)] = 60
+    assert BODY.instrument.shaft is not None
+    pairs = find_pairs(image, CAMERA, BODY.instrument.shaft.radius, np.zeros(image.shape, np.bool_), 28)
+    away = [np.linalg.norm(np.cross(pair.direction, np.array(root) - pair.point)) for pair in pairs]
+    turned = [np.degrees(np.arccos(min(abs(float(pair.direction @ axis / np.linalg.norm(axis))), 1))) for pair in pairs]
+    assert any(away[k] < 0.004 and turned[k] < 12 for k in range(len(pairs)))
+
+
 @pytest.mark.parametrize(
     ("axis", "root"),
     [((0.9, 0.25, 0.36), (-0.026, 0.0, 0.11)), ((-0.42, -0.31, 0.85), (0.014, 0.003, 0.088))],

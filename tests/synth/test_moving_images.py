@@ -30,7 +30,7 @@ STILL = IMAGE_LEVELS["clean"]
 
 @pytest.fixture(scope="module")
 def truths(bundled_body: Body) -> list[Truth]:
-    _, drawn = moving_arm(bundled_body, SMALL, np.random.default_rng(3), 40, MOTION_LEVELS["clean"])
+    _, drawn, _ = moving_arm(bundled_body, SMALL, np.random.default_rng(3), 40, MOTION_LEVELS["clean"])
     return drawn
 
 

@@ -17,7 +17,6 @@ from dvrk_cmaes.synth.cable_motion import draw_cables
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.moving_arm import (
     MOTION_LEVELS,
-    arm_with_cables,
     cable_joints,
     level_offsets,
     moving_arm,
@@ -59,7 +58,7 @@ def test_same_seed_gives_same_recording(bundled_body: Body, recording: Path, tmp
 
 
 def test_motion_is_smooth_and_in_view(bundled_body: Body) -> None:
-    base, truths = moving_arm(bundled_body, SMALL, np.random.default_rng(0), 90, MOTION_LEVELS["easy"])
+    base, truths, _ = moving_arm(bundled_body, SMALL, np.random.default_rng(0), 90, MOTION_LEVELS["easy"])
     places = np.array([truth.camera_from_root[:3, 3] for truth in truths])
     assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 3e-3
     assert np.linalg.norm(np.diff(places, n=2, axis=0), axis=1).max() < 2e-4
@@ -71,14 +70,14 @@ def test_motion_is_smooth_and_in_view(bundled_body: Body) -> None:
 def test_late_images_show_earlier_readings(bundled_body: Body) -> None:
     level = replace(MOTION_LEVELS["hard"], leaves=False, lag=3.0)
     rng = np.random.default_rng(4)
-    _, truths = moving_arm(bundled_body, SMALL, rng, 60, level)
+    _, truths, _ = moving_arm(bundled_body, SMALL, rng, 60, level)
     read, true = read_moving(truths, rng, level)["yaw"], np.array([truth.outer["yaw"] for truth in truths])
     assert np.std(read[:-3] - true[3:]) < 0.002
     assert np.std(read[:-3] - true[3:]) < 0.2 * np.std(read - true)
 
 
 def test_arm_of_hard_level_leaves_the_view_and_comes_back(bundled_body: Body) -> None:
-    _, truths = moving_arm(bundled_body, SMALL, np.random.default_rng(2), 120, MOTION_LEVELS["hard"])
+    _, truths, _ = moving_arm(bundled_body, SMALL, np.random.default_rng(2), 120, MOTION_LEVELS["hard"])
     inside = []
     for truth in truths:
         pixels = SMALL.project(truth.tips) if (truth.tips[:, 2] > 0).all() else np.full((2, 2), -1.0)
@@ -108,7 +107,7 @@ def test_joints_follow_their_readings_by_the_cables_of_a_real_arm(bundled_body: 
     level, names = replace(MOTION_LEVELS["medium"], lag=0.0), cable_joints(bundled_body)
     rng = np.random.default_rng(5)
     cables = draw_cables(names, level_offsets(names, level), rng)
-    _, truths, paths = arm_with_cables(bundled_body, SMALL, rng, 120, level, cables)
+    _, truths, paths = moving_arm(bundled_body, SMALL, rng, 120, level, cables)
     read = read_moving(truths, rng, level, cables, paths)
     errors = {name: np.array([{**truth.outer, **truth.joints}[name] for truth in truths]) - read[name] for name in read}
     assert np.degrees(np.std(errors["wrist_pitch"])) > 2

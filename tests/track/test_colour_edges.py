@@ -13,6 +13,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.joints.prior import LIMIT_SIGMA
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.images import draw_image
@@ -247,3 +248,15 @@ def test_pose_without_any_edge_has_no_residual(shown: tuple[OutlineModel, dict[i
     across = shown[2].pose[:3, :3].T @ [90 * depth / 513, 0, 0]
     found = fitted(shown, np.array([*across, 0, 0, 0, 0, 0, 0]), far=False)
     assert (found.holds, found.supported, found.sigma) == (False, 0, None)
+
+
+def test_jaws_do_not_pass_each_other(shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed]) -> None:
+    """Jaws that are open by a negative angle have the outline of open ones, and exchanged tips."""
+    model, _, at = shown
+    names = model.instrument.joint_names
+    jaw = names.index("jaw")
+    change = np.zeros(6 + len(names))
+    change[6 + jaw] = -2 * at.joints[jaw]
+    assert at.joints[jaw] + change[6 + jaw] < -0.2
+    found = fitted(shown, change, far=True)
+    assert found.at.joints[jaw] > -LIMIT_SIGMA - 1e-9

@@ -12,7 +12,7 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.report.page_session import correction
-from dvrk_cmaes.report.plots.axes import Axis, value_axis
+from dvrk_cmaes.report.plots.axes import value_axis
 from dvrk_cmaes.report.plots.panels import SHAPES, Mark, Panel, Plot, Series, mark_size
 from dvrk_cmaes.results.result import Result
 
@@ -64,14 +64,17 @@ def _panels(
     if not rows:
         return []
     readings, found_deg, predicted_deg, times = np.array(rows).T
-    up = _axis(f"error of {name}, deg", [*found_deg, *predicted_deg, 0.0], _BOTTOM, _TOP)
+    errors = found_deg.min(), predicted_deg.min(), found_deg.max(), predicted_deg.max(), 0.0
+    label = f"error of {name}, deg"
+    up = value_axis(label, min(errors), max(errors), start=_BOTTOM, end=_TOP, most=5, least=_LEAST_SPAN)
     abscissas = [(f"reading of {name}, deg", readings)]
     if not np.isnan(times).any():
         timed = all(results[place].time is not None for place, _ in places)
         abscissas.append(("time, s" if timed else "time at 30 images a second, s", times - times.min()))
     panels = []
     for label, values in abscissas:
-        across = _axis(label, values.tolist(), _LEFT, _RIGHT)
+        ends = float(values.min()), float(values.max())
+        across = value_axis(label, *ends, start=_LEFT, end=_RIGHT, most=5, least=_LEAST_SPAN)
         drawn = [
             Series(
                 text,
@@ -85,10 +88,3 @@ def _panels(
         ]
         panels.append(Panel(_WIDTH, _HEIGHT, across, up, tuple(drawn), zero=up.at(0.0)))
     return panels
-
-
-def _axis(label: str, values: Sequence[float], start: float, end: float) -> Axis:
-    """Return an axis that has all values."""
-    low, high = min(values), max(values)
-    least = max(0.0, _LEAST_SPAN - (high - low)) / 2
-    return value_axis(label, low - least, high + least, start=start, end=end, most=5)

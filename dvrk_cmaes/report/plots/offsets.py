@@ -5,7 +5,7 @@ As in page_plots.py, coordinates in the drawing are computed here; the template 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +24,11 @@ _DEVIATIONS = 3.0  # standard deviations on both sides of an offset that the axi
 
 @dataclass(frozen=True)
 class OffsetEstimate:
-    """An offset, its standard deviation, and the standard deviation from frame to frame, all in one unit."""
+    """A joint's offset, its standard deviation, and that from frame to frame, in a unit: rad or m times ``factor``."""
 
+    joint: str
+    unit: str
+    factor: float
     offset: float
     std: float
     frame_std: float
@@ -64,14 +67,13 @@ class OffsetPanel:
     rows: tuple[OffsetRow, ...]
 
 
-def offset_estimates(calibration: SessionCalibration) -> Iterator[tuple[str, str, float, OffsetEstimate]]:
-    """Yield each joint, its unit (deg or mm), the factor from rad or m to that unit, and its offset in that unit."""
-    for (name, offset), std in zip(
-        calibration.offsets.items(), np.sqrt(np.diag(calibration.covariance))[6:], strict=True
-    ):
+def offset_estimates(calibration: SessionCalibration) -> Iterator[OffsetEstimate]:
+    """Yield the offset of each joint, in deg or mm."""
+    stds = np.sqrt(np.diag(calibration.covariance))[6:].tolist()
+    for (name, offset), std in zip(calibration.offsets.items(), stds, strict=True):
         unit, factor = ("mm", 1e3) if name == "insertion" else ("deg", 180 / np.pi)
         frame_std = calibration.spreads.get(name, 0.0)
-        yield name, unit, factor, OffsetEstimate(factor * offset, factor * float(std), factor * frame_std)
+        yield OffsetEstimate(name, unit, factor, factor * offset, factor * std, factor * frame_std)
 
 
 def offset_panels(
@@ -88,40 +90,35 @@ def offset_panels(
     unsure
         Indices of the frames whose status is not ok.
     """
-    by_unit: dict[str, dict[str, OffsetEstimate]] = {}
-    in_unit: dict[str, dict[int, float]] = {}
-    for name, unit, factor, estimate in offset_estimates(calibration):
-        by_unit.setdefault(unit, {})[name] = estimate
-        in_unit[name] = {place: factor * value for place, value in found.get(name, {}).items()}
+    estimates = list(offset_estimates(calibration))
     size = 0.75 * mark_size(len(calibration.frames))
     names = tuple(calibration.offsets)
     # the instrument's joints first, so that their colours are those of the plot of corrections
     colours = {name: k for k, name in enumerate((*names[2:], *names[:2]))}
     panels = []
-    for unit in sorted(by_unit):
-        across = _axis(unit, by_unit[unit])
+    for unit in sorted({one.unit for one in estimates}):
+        own = [one for one in estimates if one.unit == unit]
+        across = _axis(unit, own)
         rows = tuple(
-            _row(name, colours[name], _TOP + _ROW * (k + 0.5), across, estimate, in_unit[name], unsure)
-            for k, (name, estimate) in enumerate(by_unit[unit].items())
+            _row(one, colours[one.joint], _TOP + _ROW * (k + 0.5), across, found.get(one.joint, {}), unsure)
+            for k, one in enumerate(own)
         )
         panels.append(OffsetPanel(_WIDTH, _TOP + _ROW * len(rows) + 48, across, across.at(0.0), size, rows))
     return tuple(panels)
 
 
-def _axis(unit: str, joints: Mapping[str, OffsetEstimate]) -> Axis:
-    reach = [max(1.2 * joint.std, _DEVIATIONS * joint.frame_std) for joint in joints.values()]
-    low = min(0.0, *(joint.offset - by for joint, by in zip(joints.values(), reach, strict=True)))
-    high = max(0.0, *(joint.offset + by for joint, by in zip(joints.values(), reach, strict=True)))
-    least = max(0.0, 0.5 - (high - low)) / 2
-    return value_axis(f"offset, {unit}", low - least, high + least, start=_LEFT, end=_WIDTH - 14, most=8)
+def _axis(unit: str, joints: Sequence[OffsetEstimate]) -> Axis:
+    reach = [max(1.2 * joint.std, _DEVIATIONS * joint.frame_std) for joint in joints]
+    ends = [joint.offset + by * side for joint, by in zip(joints, reach, strict=True) for side in (-1, 1)]
+    low, high = min(0.0, *ends), max(0.0, *ends)
+    return value_axis(f"offset, {unit}", low, high, start=_LEFT, end=_WIDTH - 14, most=8, least=0.5)
 
 
 def _row(
-    joint: str,
+    estimate: OffsetEstimate,
     series: int,
     middle: float,
     across: Axis,
-    estimate: OffsetEstimate,
     found: Mapping[int, float],
     unsure: frozenset[int],
 ) -> OffsetRow:
@@ -134,6 +131,6 @@ def _row(
     def about(by: float) -> tuple[float, float]:
         return across.clamped(estimate.offset - by), across.clamped(estimate.offset + by)
 
-    marks = tuple(mark(place, value) for place, value in found.items())
+    marks = tuple(mark(place, estimate.factor * value) for place, value in found.items())
     stds, above, below = (about(estimate.std), about(estimate.frame_std)), middle - _ABOVE, middle + _BELOW
-    return OffsetRow(joint, series, above, below, across.at(estimate.offset), *stds, marks)
+    return OffsetRow(estimate.joint, series, above, below, across.at(estimate.offset), *stds, marks)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvrk_cmaes.report.page_session import FrameBases, correction
-from dvrk_cmaes.report.plots.axes import Axis, centred_axis, frame_axis, value_axis
+from dvrk_cmaes.report.plots.axes import SIDE, VIEWS, Axis, frame_axis, square_axes, value_axis
 from dvrk_cmaes.results.result import Result
 
 _OUTLINES: dict[str, tuple[tuple[float, float], ...]] = {
@@ -30,7 +30,6 @@ _BARS_FOR_AT_MOST = 80  # largest number of frames for which error bars are draw
 _FAR = 6.0  # multiple of the median distance; points farther from the median do not extend the axes
 _LEAST_REACH = 0.5  # mm, least half length of the axes
 _WIDE_FROM = 120  # number of frames from which the plot has the page's whole width
-_SIDE = 274.0  # side of the square panels of the RCM
 
 
 @dataclass(frozen=True)
@@ -127,14 +126,10 @@ def joint_plot(results: Sequence[Result]) -> Plot | None:
         for _, off, std_deg in points:
             half = std_deg if bars and std_deg is not None else 0.0
             ends += [off - half, off + half]
-    low, high = min(ends), max(ends)
-    least = max(0.0, 1.0 - (high - low))
     wide = len(results) >= _WIDE_FROM
     width = 1320 if wide else 720
-    names = tuple(result.frame for result in results)
-    times = [result.time for result in results]
-    across, at = frame_axis(names, times, start=64, end=width - 24, most=20 if wide else 10)
-    up = value_axis("found - read, deg", low - least / 2, high + least / 2, start=276, end=14)
+    across, at = frame_axis(results, end=width - 24, most=20 if wide else 10)
+    up = value_axis("found - read, deg", min(ends), max(ends), start=276, end=14, least=1.0)
     step = (across.end - across.start) / len(results)
     series = []
     for k, (joint, points) in enumerate(read.items()):
@@ -165,9 +160,8 @@ def rcm_plot(results: Sequence[Result], base: FrameBases) -> Plot:
     ring = float(np.median(distances))
     panels = []
     outside = np.zeros(len(points), dtype=bool)
-    for column, label in ((0, "x, mm (to the right)"), (2, "z, mm (away from the camera)")):
-        across = centred_axis(label, centre[column], reach, 64, 64 + _SIDE)
-        up = centred_axis("y, mm (downwards)", centre[1], reach, 14, 14 + _SIDE)  # y runs down, as in the image
+    for label, column in VIEWS:
+        across, up = square_axes(label, column, centre, reach)
         marks = []
         for k, (name, point) in enumerate(zip(base.frames, points, strict=True)):
             x, y = float(point[column]), float(point[1])
@@ -176,9 +170,7 @@ def rcm_plot(results: Sequence[Result], base: FrameBases) -> Plot:
             sure = results[places[name]].status == "ok"
             marks.append(Mark(places[name], across.clamped(x), up.clamped(y), sure, beyond))
         middle = across.at(float(centre[column])), up.at(float(centre[1])), across.at(ring) - across.at(0.0)
-        panels.append(
-            Panel(_SIDE + 84, _SIDE + 64, across, up, (Series("RCM", SHAPES[0], tuple(marks)),), centre=middle)
-        )
+        panels.append(Panel(SIDE + 84, SIDE + 64, across, up, (Series("RCM", SHAPES[0], tuple(marks)),), centre=middle))
     far = sorted(((float(distances[k]), base.frames[k]) for k in np.flatnonzero(outside)), reverse=True)
     return Plot(
         "rcm",

@@ -12,18 +12,14 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.report.plots.axes import Axis, centred_axis
+from dvrk_cmaes.report.plots.axes import SIDE, VIEWS, Axis, square_axes
 
-_SIDE = 274.0  # side of the square panels, as in page_plots.py
 _BEYOND = 0.15  # length drawn beyond the RCM, as a fraction of the distance from the root to the RCM
 _FAR = 6.0  # multiple of the axes' median distance from the RCM; axes farther off do not extend the plot
 _LEAST_REACH = 1.0  # mm, least half length of the plot's axes
 _ARROW = 0.2  # length of the base's axes, as a fraction of the plot's half length
 _SHORTEST, _NAME_BESIDE = 8.0, 8.0  # least length of a drawn base axis, and distance of its name from its end
 _MANY = 60  # number of frames above which their axes are drawn fainter
-
-VIEWS = (("x, mm (to the right)", 0), ("z, mm (away from the camera)", 2))
-"""Label and coordinate of the horizontal axis in the two views of the camera's frame; the vertical axis is y."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +128,7 @@ def _view(
     covariance: Float64,
     base: Float64 | None,
 ) -> ShaftsView:
-    across = centred_axis(label, float(centre[column]), reach, 64, 64 + _SIDE)
-    up = centred_axis("y, mm (downwards)", float(centre[1]), reach, 14, 14 + _SIDE)  # y runs down, as in the image
+    across, up = square_axes(label, column, centre, reach)
 
     def at(point: Float64) -> tuple[float, float]:
         return across.at(float(point[column])), up.at(float(point[1]))
@@ -143,7 +138,7 @@ def _view(
         inside = _clipped(np.array(at(start)), np.array(at(end)), (across.start, up.start), (across.end, up.end))
         if inside is not None:
             lines.append(ShaftLine(place, *inside, used=place in used))
-    scale = _SIDE / (across.high - across.low)
+    scale = SIDE / (across.high - across.low)
     values, vectors = np.linalg.eigh(covariance[np.ix_((column, 1), (column, 1))])
     half = scale * np.sqrt(np.maximum(values, 0))
     turn = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
@@ -156,8 +151,8 @@ def _view(
             end = np.array(at(rcm)) + away
             arrows.append((name, _pair(end), _pair(end + away / drawn * _NAME_BESIDE)))
     return ShaftsView(
-        width=_SIDE + 84,
-        height=_SIDE + 64,
+        width=SIDE + 84,
+        height=SIDE + 64,
         across=across,
         up=up,
         lines=tuple(sorted(lines, key=lambda line: (line.used, line.place))),

@@ -26,9 +26,7 @@ def tips_plot(results: Sequence[Result]) -> Plot | None:
         return None
     middles = np.array([1e3 * np.mean(results[place].tips, axis=0) for place in places])
     off = middles - np.median(middles, axis=0)
-    across, at = frame_axis(
-        [result.frame for result in results], [result.time for result in results], start=64, end=696
-    )
+    across, at = frame_axis(results, end=696)
     span = max(float(np.ptp(off)), _LEAST_SPAN)
     up = value_axis("tips, mm from their median", float(off.min()), float(off.min()) + span, start=276, end=14)
     series = []
@@ -54,9 +52,7 @@ def speed_plot(results: Sequence[Result]) -> Plot | None:
     known = sorted(
         (result.time, place) for place, result in enumerate(results) if result.tips and result.time is not None
     )
-    across, at = frame_axis(
-        [result.frame for result in results], [result.time for result in results], start=64, end=696
-    )
+    across, at = frame_axis(results, end=696)
     pairs = [(a, b, until - since) for (since, a), (until, b) in pairwise(known) if until > since]
     if not pairs or any(result.time is None for result in results):
         return None

@@ -78,7 +78,7 @@ def page_report(frames: int, repeats: int) -> dict[str, Any]:
 def made_recording(frames: int) -> FollowedRecording:
     """Make a recording as if it was followed: smooth motion, residuals with noise, a loss in about every 300 frames."""
     body, camera, rng = prepare("lnd"), default_camera(LEVELS["easy"]), np.random.default_rng(0)
-    _, truths = moving_arm(body, camera, rng, min(frames, 300), MOTION_LEVELS["easy"])
+    _, truths, _ = moving_arm(body, camera, rng, min(frames, 300), MOTION_LEVELS["easy"])
     lost = np.repeat(rng.random(-(-frames // 10)) < 1 / 30, 10)[:frames]
     rows = []
     for k in range(frames):

@@ -120,7 +120,7 @@ class World:
     def made() -> World:
         """Return the world, which is always the same."""
         body, rng = prepare("lnd"), np.random.default_rng(3)
-        _, truths = moving_arm(body, CAMERA, rng, FRAMES, _LEVEL)
+        _, truths, _ = moving_arm(body, CAMERA, rng, FRAMES, _LEVEL)
         paths = read_moving(truths, rng, _LEVEL)
         readings = [{name: float(path[k]) for name, path in paths.items()} for k in range(FRAMES)]
         return World(body, truths, [exact_mask(body, CAMERA, truth) for truth in truths], readings)

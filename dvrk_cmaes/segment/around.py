@@ -1,0 +1,208 @@
+"""The mask of an instrument around a silhouette that is expected: the one cut of all masks of a known shape.
+
+Each pixel has log-odds by its colour, by the edge between the local colours on both sides of the outline, and by the
+silhouette: none near its outline, which may be off by as much as the pose is unsure, and more with the distance beyond.
+A minimum graph cut follows the edges of the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from dvrk_cmaes.evidence.gather import window_around
+from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.geometry import Bool, Float32, Image
+from dvrk_cmaes.segment.colours import ColourTable, local_colour_log_odds, measure_colours
+from dvrk_cmaes.segment.confidence import assess_mask
+from dvrk_cmaes.segment.edge_colours import edge_log_odds
+from dvrk_cmaes.segment.graph_cut import cut
+from dvrk_cmaes.segment.prompts import Prompts
+from dvrk_cmaes.segment.regions import fill_holes
+from dvrk_cmaes.segment.segmentation import Segmentation, noted
+from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
+from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
+
+FREE: Final = 3.0
+"""px on either side of a silhouette's outline, in which a silhouette that is known well has no say."""
+ROUGH: Final = 10.0
+"""px on either side of the outline of a rough mask that was found in the image, likewise."""
+FINEST: Final = 1000
+"""px, longer side above which masks are found in a reduced image."""
+REACH: Final = 12.0
+"""px beyond the free band, from which on nothing is instrument."""
+
+_STEEPNESS: Final = 0.5  # log-odds per px beyond the free band
+_LARGEST_PRIOR: Final = 3.0  # log-odds by the silhouette
+_COLOURS_WEIGHT: Final = 0.4  # of the log-odds by the colours near the outline
+_PASSES: Final = 2
+_MARGIN: Final = 2  # px about the pixels that may be instrument: colours are sorted by those of the window
+_NOISE: Final = 1.0  # px, standard deviation of the Gaussian that smooths the features whose edges are followed
+_BLURRED: Final = 2.0  # px from the band, within which a piece of a mask is near the silhouette
+_LEAST_WITHIN: Final = 0.5  # share of such a piece that lies near the silhouette
+_LEAST_PIECE: Final = 20  # px
+_SETTLED: Final = 0.002  # share of the mask's pixels that change, below which no further pass is made
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """A mask (H, W) around a silhouette; the window (rows, columns) that was looked at, and log-odds (h, w) in it.
+
+    ``odds`` are all of them, ``by_colour`` those of the colours alone; ``sure`` are the pixels (h, w) of the window
+    that are the instrument's by the silhouette. All are of the size at which the mask was found.
+    """
+
+    mask: Bool
+    window: tuple[slice, slice]
+    odds: Float32
+    by_colour: Float32
+    sure: Bool
+
+
+def mask_around(
+    image: Image,
+    silhouette: Bool,
+    free: float | Float32 = FREE,
+    *,
+    reach: float | Float32 = REACH,
+    steepness: float = _STEEPNESS,
+    colours: Float32 | None = None,
+    local: bool = True,
+    edges: bool = True,
+    straight: bool = False,
+    prompts: Prompts | None = None,
+    passes: int = _PASSES,
+) -> Around | None:
+    """Find the mask of the instrument in an image around a silhouette.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) uint8 BGR, of at most `FINEST` px.
+    silhouette
+        (H, W), the expected one.
+    free
+        px about its outline, in which it has no say; of all pixels, or of each, (H, W).
+    reach
+        px beyond that, from which on nothing is instrument; likewise.
+    steepness
+        Log-odds by the silhouette for each px beyond the free band.
+    colours
+        (H, W), log-odds by colours that are known.
+    local
+        Whether the colours on both sides of the outline are learned in the image, too.
+    edges
+        Whether the edges between local colours count: where the silhouette is known roughly, shadows have such edges.
+    straight
+        Whether the sides of the shaft are made straight, where these are found.
+    prompts
+        Pixels whose label is given.
+    passes
+        How often the mask is found, at most, each time by the local colours about the outline of the one before.
+
+    Returns
+    -------
+    Around or None
+        None where the silhouette is empty or full, or no pixel is taken for the instrument.
+    """
+    if not silhouette.any() or silhouette.all():
+        return None
+    left, top, width, height = window_around(silhouette, round(float(np.max(np.add(free, reach)))) + _MARGIN)
+    window = np.s_[top : top + height, left : left + width]
+    part, expected = np.ascontiguousarray(image[window]), silhouette[window]
+    if expected.all():
+        return None
+    band, far = (np.broadcast_to(np.float32(each), silhouette.shape)[window] for each in (free, reach))
+    distance = signed_distance(expected)
+    prior = log_odds_beyond(distance, band, steepness)
+    never, fixed = distance > band + far, Prompts() if prompts is None else prompts.within(window)
+    if fixed.background is not None:
+        never |= fixed.background
+    measured = measure_colours(part) if local else None
+    table = None if measured is None else ColourTable(measured)
+    known = np.zeros(prior.shape, np.float32) if colours is None else colours[window]
+    features, mask, by_colour = guide(part) if measured is None else measured.guide, expected, known
+    for _ in range(passes):
+        if table is not None:
+            by_colour = known + _COLOURS_WEIGHT * local_colour_log_odds(table, mask)
+        odds = by_colour + prior
+        if edges:
+            odds += edge_log_odds(part, mask)
+        if straight and (sides := _sides(mask, silhouette.shape, window)) is not None:
+            odds += sides
+        before, mask = mask, cut(np.asarray(odds, np.float32), features, background=never, tool=fixed.tool)
+        if not mask.any() or mask.all():
+            return None
+        if (before ^ mask).sum() < _SETTLED * mask.sum():
+            break
+    whole = np.zeros_like(silhouette)
+    whole[window] = _within(mask, distance < np.minimum(band, ROUGH) + _BLURRED)
+    whole = fill_holes(whole)
+    if fixed.background is not None:
+        whole[window] &= ~fixed.background
+    return Around(whole, window, odds, by_colour, expected & (distance < -band) & ~never) if whole.any() else None
+
+
+def log_odds_beyond(distance: Float32, free: float | Float32 = FREE, steepness: float = _STEEPNESS) -> Float32:
+    """Return log-odds of instrument (H, W) by the signed distance from the outline of a silhouette, px."""
+    beyond = np.sign(distance) * np.maximum(np.abs(distance) - free, 0)
+    return np.clip(-steepness * beyond, -_LARGEST_PRIOR, _LARGEST_PRIOR).astype(np.float32)
+
+
+def segmentation_around(
+    image: Image,
+    silhouette: Bool,
+    prompts: Prompts,
+    free: float = FREE,
+    *,
+    colours: Float32 | None = None,
+    straight: bool = False,
+) -> Segmentation:
+    """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W), as `mask_around`, and assess the mask.
+
+    ``colours`` are of any size.
+    """
+    height, width = silhouette.shape
+    size, scale = size_within(silhouette.shape, FINEST)
+    if scale < 1:
+        image, prompts = shrunk(image, FINEST), prompts.resized(*size, scale)
+    expected = resized(silhouette, size)
+    known = None if colours is None else np.asarray(cv2.resize(colours, size), np.float32)
+    passes = 3 if straight else _PASSES
+    found = mask_around(image, expected, free, colours=known, straight=straight, prompts=prompts, passes=passes)
+    if found is None:
+        return Segmentation(np.zeros_like(silhouette), None, 0.0, ("no instrument found",))
+    own = measure_colours(np.ascontiguousarray(image[found.window]))
+    verdict = assess_mask(found.mask, found.window, found.by_colour, own, prompts=prompts)
+    score = np.zeros(found.mask.shape, np.float32)
+    score[found.window] = 1 / (1 + np.exp(-found.odds))
+    score = np.asarray(cv2.resize(score, (width, height)), np.float32)
+    return noted(Segmentation(resized(found.mask, (width, height)), score, verdict.confidence, verdict.notes))
+
+
+def guide(image: Image) -> Float32:
+    """Return the features of an image (H, W, 2) whose edges an outline follows: brightness and colourfulness."""
+    smooth = cv2.GaussianBlur(image, (0, 0), _NOISE).astype(np.float32) + 8.0
+    colourful = np.log(smooth[..., 2] / smooth[..., 1])
+    return np.stack([np.log(smooth.max(axis=2)), colourful], axis=-1)
+
+
+def _sides(mask: Bool, shape: tuple[int, ...], window: tuple[slice, slice]) -> Float32 | None:
+    """Return log-odds (h, w) by the straight sides of the shaft of a mask in a window of an image of a shape (H, W)."""
+    whole = np.zeros(shape, np.bool_)
+    whole[window] = mask
+    sides = shaft_log_odds(whole)
+    return None if sides is None else sides[window]
+
+
+def _within(mask: Bool, near: Bool) -> Bool:
+    """Keep the pieces of a mask that lie mostly ``near`` the silhouette; what hides a part of it divides it."""
+    count, labels, measures, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    area = measures[:, cv2.CC_STAT_AREA]
+    share = np.bincount(labels[near], minlength=count) / np.maximum(area, 1)
+    kept = (share >= _LEAST_WITHIN) & (area >= min(_LEAST_PIECE, area[1:].max(initial=0)))
+    kept[0] = False
+    return np.asarray(kept[labels])
