@@ -40,6 +40,7 @@ from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_c
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
+from dvrk_cmaes.pose.doubts import exchanged_readings
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
@@ -155,8 +156,8 @@ def solving_arm(
     results |= {name: report.result for name, report in by_name.items()}
     left_out |= reasons
     again = state.again or FoundMasks()
-    used = [results[frame.name].quality for frame in state.frames if frame.name not in left_out]
-    qualities = [quality for quality in used if quality is not None]
+    used = [results[frame.name] for frame in state.frames if frame.name not in left_out]
+    qualities = [one.quality for one in used if one.quality is not None]
     described = describe_solution(state.model, state.solution, check.covariance, settings)
     described["untold"] += state.notes.undetermined
     given_camera = replace(state.solution, of_growth=None).covariance
@@ -203,6 +204,7 @@ def solving_arm(
             *camera_remarks(state.stored[0]),
             *(text for each in state.imaging.rig for text in each.warnings()),
             *([describe_commanded(commanded)] if commanded else []),
+            *_exchanged_readings(used, instrument),
             *state.notes.remarks,
         ),
         seconds=time.perf_counter() - started,
@@ -257,6 +259,14 @@ def _series_of(frames: Sequence[SessionFrame]) -> ReadingSeries | None:
     return ReadingSeries.of_frames(
         {frame.name: frame.result.readings for frame in frames}, {frame.name: frame.time for frame in frames}
     )
+
+
+def _exchanged_readings(used: Sequence[Result], instrument: Instrument) -> list[str]:
+    """Say that the readings of both joints of the wrist may be exchanged in all frames that are used."""
+    names = instrument.joint_names
+    found = [[(one.joints or {}).get(name, np.nan) for name in names] for one in used]
+    read = [[one.readings.get(name, np.nan) for name in names] for one in used]
+    return exchanged_readings(np.array(found), np.array(read), instrument) if used else []
 
 
 def in_threads(

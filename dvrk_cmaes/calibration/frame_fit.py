@@ -16,13 +16,14 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
-from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
-from dvrk_cmaes.pose.terms.shared_errors import side_deviation
+from dvrk_cmaes.pose.terms.shared_errors import LASTING, side_deviation
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_locals
 from dvrk_cmaes.pose.views import FrameView, overlap
+from dvrk_cmaes.silhouette import OutlinePoints
 
 LEAST_OVERLAP: Final = 0.5
 """Intersection over union below which a mask does not support a pose, and a fit is not used."""
@@ -79,7 +80,8 @@ class FrameFit:
     as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to frame, in their
     usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated from the others.
     ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
-    where that is not measured.
+    where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline tells of the
+    pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
     """
 
     at: Posed
@@ -92,6 +94,7 @@ class FrameFit:
     lasting: Quadratic | None = None
     side_px: float = 0.0
     side_offsets: Float64 | None = None
+    by_masks: Float64 | None = None
 
     @property
     def whole_outline(self) -> Quadratic:
@@ -154,7 +157,8 @@ class FitPreset:
     weighed anew; or by what the fit drew. ``lines_per_pixel`` are those of the drawings, those of the settings by
     default. Every ``stride``-th point of the outline counts at the end; ``as_seen`` is as in
     `Coverage.near_with_lasting`, as in the settings by default. ``size`` is that of the errors that last from frame to
-    frame. ``sides`` tells whether the offsets of the shaft's sides are measured.
+    frame. ``in_session`` tells whether the frame is one of those that are solved together: the errors that last and
+    the offsets of the shaft's sides are then measured, and else what the mean errors of all masks do.
     """
 
     steps: Steps | None = None
@@ -165,13 +169,13 @@ class FitPreset:
     stride: int = 1
     as_seen: bool | None = None
     size: LastingSize = USUAL_SIZE
-    sides: bool = False
+    in_session: bool = False
 
 
 LINES_PER_PIXEL: Final = 1
 """Lines of the image, for each row of pixels, by which silhouettes are drawn while a recording runs."""
 
-IN_SESSION: Final = FitPreset(sides=True)
+IN_SESSION: Final = FitPreset(in_session=True)
 """Fit of a frame of a session that is solved, which is fitted again in the next round."""
 
 OF_NEW_FRAME: Final = FitPreset(confirmed=True)
@@ -275,22 +279,54 @@ def fit_frame(
     as_seen = config.session.shadows if preset.as_seen is None else preset.as_seen
     # The last step is from where the fit was drawn last, which is at most a small step away, if it has its outline.
     start, drawn = (fit.drawn_at, fit.drawn) if all(one.outlined for one in fit.drawn) else (fit.at, None)
-    lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, stride=preset.stride, as_seen=as_seen)
-    told = without_lasting(lasting, lasting.dimension - len(expected.information), preset.size)
+    lasting, by_masks = None, None
+    if preset.in_session:
+        lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, stride=preset.stride, as_seen=as_seen)
+        told = without_lasting(lasting, lasting.dimension - len(expected.information), preset.size)
+    else:
+        told, by_masks = outline_and_masks(
+            coverage, start, own.noises, preset.size, drawn, stride=preset.stride, as_seen=as_seen
+        )
     end, slope = _stepped(start, told, terms)
     found = FrameFit(
         end,
         information=told.information[0],
         slope=slope,
-        lasting=_after(lasting, end.minus(start)),
+        lasting=None if lasting is None else _after(lasting, end.minus(start)),
         side_px=side_deviation(own.noises[0]),
-        side_offsets=coverage.views[0].side_offsets(end) if preset.sides else None,
+        side_offsets=coverage.views[0].side_offsets(end) if preset.in_session else None,
+        by_masks=by_masks,
         score=fit.score,
         evaluations=count,
         iou=iou,
         own_iou=own.iou,
     )
     return found, own
+
+
+def outline_and_masks(
+    coverage: Coverage,
+    at: Posed,
+    noises: Sequence[OutlineNoise],
+    size: LastingSize,
+    drawn: DrawnCoverage | None,
+    *,
+    stride: int = 1,
+    as_seen: bool,
+) -> tuple[Quadratic, Float64]:
+    """Return the outline's terms (1, D) near a pose, and what the mean errors of all masks do to them, (D, 7).
+
+    ``size`` is that of the errors that last, which are eliminated. An error on a side that the fit discounts, since the
+    mask shows it there, hardly changes what the fit tells. Other arguments are those of `Coverage.near_with_lasting`,
+    the result is as ``by_masks`` of `FrameFit`.
+    """
+
+    def errors(number: int, outline: OutlinePoints, by_pose: Float64) -> Float64:
+        return coverage.views[number].mean_errors(outline, at)
+
+    lasting = coverage.near_with_lasting(at, noises, errors, drawn, stride=stride, as_seen=as_seen)
+    both, own = without_lasting(lasting, LASTING * len(coverage.views), size), 6 + len(at.joints)
+    return Quadratic(both.information[:, :own, :own], both.slope[:, :own]), both.information[0, :own, own:]
 
 
 def _better_start(coverage: Coverage, terms: Sequence[Term], starts: Posed) -> Posed:

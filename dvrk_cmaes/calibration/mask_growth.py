@@ -19,13 +19,11 @@ from dvrk_cmaes.calibration.solve import marginalise
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.terms.shared_errors import LASTING, image_axis
-from dvrk_cmaes.pose.terms.sized_view import ANY_NOISE
+from dvrk_cmaes.pose.terms.shared_errors import DIRECTIONS, LASTING, image_axis
 
 GROWTH = "growth"
 """Name of the constant."""
 
-_DIRECTIONS = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])  # in the image, (2, 4)
 _STD = 2.0  # px, with which the outlines are linearised
 _LEAST, _OF_MARGIN = 0.1, 0.5
 """Size beforehand, beside what the fits show: px of any mask, and share of the margin that is taken off."""
@@ -49,7 +47,7 @@ class MaskGrowth(Constant):
     is_linear = True
 
     def __init__(self, side_px: float = 0.0, margin_px: float = 0.0) -> None:
-        super().__init__(GROWTH, np.full(LASTING + _DIRECTIONS.shape[1], _STD))
+        super().__init__(GROWTH, np.full(LASTING + DIRECTIONS.shape[1], _STD))
         size = np.linalg.norm([_LEAST, side_px, _OF_MARGIN * margin_px])
         self.margin_px = margin_px
         self.usual_px = float(np.clip(size, _SIZES[0], _SIZES[-1]))
@@ -60,9 +58,7 @@ class MaskGrowth(Constant):
 
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of an outline's points by the errors."""
-        length = np.linalg.norm(outline.points.normals, axis=1)[:, None]
-        sides = outline.view.shared_errors(outline.points, outline.at, ANY_NOISE).columns[:, :LASTING]
-        return np.column_stack([sides * length, np.maximum(outline.points.normals @ _DIRECTIONS, 0.0)])
+        return outline.view.mean_errors(outline.points, outline.at)[:, 1:]
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,13 +165,13 @@ def changes_by_masks(at: Posed, camera: Camera, instrument: Instrument) -> Float
         The camera that sees the instrument.
     """
     nearer = change_by_margin(at, camera, instrument)
-    moves = np.zeros((len(nearer), 1 + LASTING + _DIRECTIONS.shape[1]))
+    moves = np.zeros((len(nearer), 1 + LASTING + DIRECTIONS.shape[1]))
     moves[:, 0] = nearer
     if instrument.shaft is None:
         return moves
     along, aside = image_axis(instrument, camera, at)
     across = np.array([-aside, along])
-    sides = np.column_stack([np.eye(LASTING), np.maximum(np.array([across, -across]) @ _DIRECTIONS, 0.0)])
+    sides = np.column_stack([np.eye(LASTING), np.maximum(np.array([across, -across]) @ DIRECTIONS, 0.0)])
     distance = float(np.linalg.norm(apply(at.pose, instrument.ends(at.joints)).mean(axis=0)))
     moved = at.pose[:3, :3].T @ [*across, 0.0] * distance / camera.fx
     moves[:, 1:] = np.outer(nearer, sides.mean(axis=0))

@@ -12,7 +12,7 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_frame
-from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
+from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import OF_FRAMES
@@ -297,7 +297,8 @@ def fit_session_pose(
         return f"session: {'; '.join(doubts)}: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
     camera = views[0].evidence.camera
-    by_masks = fitted @ fit.information @ changes_by_masks(fit.at, camera, instrument)
+    assert fit.by_masks is not None
+    by_masks = fitted @ fit.by_masks
     by_calibration = fitted @ expected.information @ predicted.jacobian[0]
     fitted += covariance_of_masks(session.masks, by_masks, by_calibration)
     fitted += covariance_of_camera(session.camera, fit.at, camera)

@@ -193,7 +193,7 @@ def estimate_views(
         joints=dict(zip(model.joint_names, found.at.joints.tolist(), strict=True)),
         readings=given,
         warnings=(*warnings, *outside, *([predicted] if isinstance(predicted, str) else ()), *found.notes),
-        remarks=(*of_cameras, *exchanged_readings(found.at, readings, model)),
+        remarks=(*of_cameras, *exchanged_readings(found.at.joints[None], readings.values[None], model)),
         unused=(*(left_out_views(seen) if named else ()), *_unused_evidence(views), *unused),
         camera_from_base=base,
         source=source,

@@ -166,7 +166,7 @@ def follow_window(solution: RecordedSolution, work: RecordedWork) -> list[TrackR
             else FitEvidence.of(fitted.fit, at, spread, inflation=fitted.inflation, holds=fitted.fit.explains_mask)
         )
         images.append(WindowImage(float(recorded.times[i]), at, predicted.prior[i], predicted.jacobian[i], told))
-    found = solve_window(images, session, camera, instrument)
+    found = solve_window(images, session, camera)
     shown = [(fitted, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
     judged = iter(run(judge_frame, [JudgeTask(fitted.stored, *own) for fitted, own in shown]))
     names = [own.name for own in recorded.files]

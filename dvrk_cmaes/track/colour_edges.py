@@ -328,6 +328,7 @@ class EdgeFit:
     ``information`` (D, D) and ``slope`` (D,) are those of the edges alone there, ``score`` half of all sums of squares.
     ``supported`` is the share of the outline near which there is an edge, ``beside`` the share beside which the
     instrument's colours go on; ``sigma`` px is the robust standard deviation of the supporting edges, None without any.
+    ``by_masks`` (D, 7) is as of `FrameFit`.
     """
 
     at: Posed
@@ -337,6 +338,7 @@ class EdgeFit:
     supported: float
     beside: float
     sigma: float | None
+    by_masks: Float64 | None = None
 
     def with_margin(self, along: Float64) -> EdgeFit:
         """Return the fit without what all edges tell wrongly together; ``along`` (D,) is the pose's change by that."""

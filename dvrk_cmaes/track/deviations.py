@@ -27,7 +27,8 @@ _JITTER = 1e-9  # of a covariance, so that it can be inverted
 class Smoothed:
     """Deviations (N, D) of frames from their predictions, and their covariances (N, D, D).
 
-    ``response`` (N, D, K) is the change of the frames' poses and joints with the calibration.
+    ``response`` (N, D, K + E) is the change of the frames' poses and joints with the calibration, and per px of the
+    masks' errors.
     """
 
     deviations: Float64
@@ -39,15 +40,15 @@ class Smoothed:
 class FrameDeviations:
     """The deviations of N frames as a block-tridiagonal system of their slow and fast parts (N, M), M = 2 D.
 
-    ``diagonal`` (N, M, M), ``beside`` (N - 1, M, M) between a frame and the next one, ``right`` (N, M, 1 + K) the right
-    sides; ``both`` (D, M) sums the parts. ``jacobian`` is that of `of`.
+    ``diagonal`` (N, M, M), ``beside`` (N - 1, M, M) between a frame and the next one, ``right`` (N, M, 1 + R) the right
+    sides; ``both`` (D, M) sums the parts. ``moves`` (N, D, R) are the changes of the predictions with each of R errors.
     """
 
     diagonal: Float64
     beside: Float64
     right: Float64
     both: Float64
-    jacobian: Float64
+    moves: Float64
 
     @classmethod
     def of(
@@ -57,6 +58,7 @@ class FrameDeviations:
         information: Float64,
         optimum: Float64,
         jacobian: Float64,
+        by_masks: Float64,
         *,
         slow_share: float = SLOW_SHARE,
         slow: float = SLOW_SECONDS,
@@ -76,6 +78,8 @@ class FrameDeviations:
             The information times the deviation at which that term is least.
         jacobian : (N, D, K)
             Change of the predictions with the calibration.
+        by_masks : (N, D, E)
+            Change of ``optimum`` per px of E errors that all masks share.
         slow_share, slow, fast
             Share of the variance that wanders slowly, and the times, s, over which both parts do.
         """
@@ -93,9 +97,10 @@ class FrameDeviations:
         for k, part in enumerate((slice(0, size), slice(size, None))):
             diagonal[:, part, part] += factors[:, k, None, None] * own
             beside[:, part, part] = -(left / noise)[:, k, None, None] * across
-        right = np.concatenate([optimum[:, :, None], -information @ jacobian], axis=2)
+        right = np.concatenate([optimum[:, :, None], -information @ jacobian, by_masks], axis=2)
         both = np.tile(np.eye(size), 2)
-        return cls(diagonal, beside, np.tile(right, (1, 2, 1)), both, jacobian)
+        moves = np.concatenate([jacobian, np.zeros_like(by_masks)], axis=2)
+        return cls(diagonal, beside, np.tile(right, (1, 2, 1)), both, moves)
 
     def smoothed(self, *, only_last: bool = False) -> Smoothed:
         """Find the most probable deviations of all frames, or of the last one only, N = 1, given all."""
@@ -105,8 +110,8 @@ class FrameDeviations:
         else:
             found, pivots = _substituted(pivots, sides, self.beside)
         found = self.both @ found
-        jacobian = self.jacobian[-len(found) :]
-        return Smoothed(found[:, :, 0], self.both @ pivots @ self.both.T, jacobian + found[:, :, 1:])
+        moves = self.moves[-len(found) :]
+        return Smoothed(found[:, :, 0], self.both @ pivots @ self.both.T, moves + found[:, :, 1:])
 
 
 def _substituted(pivots: Float64, sides: Float64, beside: Float64) -> tuple[Float64, Float64]:

@@ -8,13 +8,13 @@ from __future__ import annotations
 import time as clock
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.mask_growth import change_by_margin
+from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_at
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Float64, Posed, apply
@@ -200,7 +200,7 @@ class Following:
         fit = self._by_masks(at, spread, seen, masks) if masks else self._by_edges(at, spread, seen)
         self._images.append(WindowImage(time, at, predicted.prior[0], predicted.jacobian[0], fit.told))
         camera = given.rig.views[0].camera
-        (found,) = solve_window(list(self._images), self.calibration, camera, given.instrument, only_last=True)
+        (found,) = solve_window(list(self._images), self.calibration, camera, only_last=True)
         of_image = fit.judge(found)
         reasons, last, explained = of_image.reasons, self.last, False
         astray, unexplained = last.astray, last.unexplained
@@ -273,8 +273,10 @@ class Following:
         if fit is None:
             return _nothing(at, spread, seen)
         camera, instrument = self._views[0].camera, given.instrument
-        margin = _EDGES_PX * change_by_margin(fit.at, camera, instrument)
-        told = FitEvidence.of(fit.with_margin(margin), at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
+        moves = changes_by_masks(fit.at, camera, instrument)
+        edges = fit.with_margin(_EDGES_PX * moves[:, 0])
+        edges = replace(edges, by_masks=edges.information @ moves)
+        told = FitEvidence.of(edges, at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:
             error = expected_error(instrument, *found)

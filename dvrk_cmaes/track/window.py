@@ -6,13 +6,13 @@ A recording on disk is one window of all its frames; while images come, the wind
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import LEAST_OVERLAP, FrameFit
-from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
+from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
@@ -35,17 +35,21 @@ CORRELATED_FRAMES = 3.0
 LIMITS = OF_FRAMES["followed"]
 """How far an image may be from what its calibration expects."""
 
+MEAN_ERRORS = 7
+"""Number of the mean errors of all masks of a session (`mean_errors`)."""
+
 
 @dataclass(frozen=True, eq=False)
 class FitEvidence:
     """What a fit tells of an image's deviation from its prediction.
 
-    ``information`` (D, D) and ``optimum`` (D,) are those of `FrameDeviations.of`, zero where it tells nothing;
-    ``misfit`` is the squared misfit per parameter.
+    ``information`` (D, D), ``optimum`` (D,) and ``by_masks`` (D, 7) are those of `FrameDeviations.of`, zero where it
+    tells nothing; ``misfit`` is the squared misfit per parameter.
     """
 
     information: Float64
     optimum: Float64
+    by_masks: Float64
     misfit: float
 
     @classmethod
@@ -58,15 +62,18 @@ class FitEvidence:
         hold tells nothing.
         """
         size = len(spread)
+        nothing = np.zeros((size, MEAN_ERRORS))
         if fit is None:
-            return cls(np.zeros((size, size)), np.zeros(size), 0.0)
+            return cls(np.zeros((size, size)), np.zeros(size), nothing, 0.0)
         deviation = fit.at.minus(predicted)
         own = np.linalg.pinv(fit.information, rcond=1e-9, hermitian=True)
         least = deviation - own @ fit.slope
         misfit = float(least @ np.linalg.solve(spread + own, least)) / size
         weight = float(robust_weights(np.array([misfit * size]), size)[0]) if holds else 0.0
         weight /= inflation * CORRELATED_FRAMES
-        return cls(weight * fit.information, weight * (fit.information @ deviation - fit.slope), misfit)
+        optimum = weight * (fit.information @ deviation - fit.slope)
+        by_masks = nothing if fit.by_masks is None else weight * fit.by_masks
+        return cls(weight * fit.information, optimum, by_masks, misfit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,49 +85,35 @@ class WindowImage:
     prior: Float64
     jacobian: Float64
     told: FitEvidence
-    _by_masks: list[Float64] = field(default_factory=list, init=False, repr=False)
-
-    def changes_by_masks(self, camera: Camera, instrument: Instrument) -> Float64:
-        """Return `changes_by_masks` (D, 7) where the image is expected, computed once: it is in several windows."""
-        if not self._by_masks:
-            self._by_masks.append(changes_by_masks(self.at, camera, instrument))
-        return self._by_masks[0]
 
 
 def solve_window(
-    images: Sequence[WindowImage],
-    calibration: SessionCalibration,
-    camera: Camera,
-    instrument: Instrument,
-    *,
-    only_last: bool = False,
+    images: Sequence[WindowImage], calibration: SessionCalibration, camera: Camera, *, only_last: bool = False
 ) -> list[tuple[Posed, Float64]]:
     """Find the poses and joints of N images by what all of them tell, with their covariances (D, D).
 
     The covariances include those of the calibration. With ``only_last``, the list has the last image alone.
     """
     corrected = calibration.corrected(camera)
-    by_masks = [image.changes_by_masks(corrected, instrument) for image in images]
     smoothed = FrameDeviations.of(
         np.array([image.time for image in images]),
         np.array([image.prior for image in images]),
         np.array([image.told.information for image in images]),
         np.array([image.told.optimum for image in images]),
-        # an error of the masks moves what an image tells, which is as if its prediction had moved the other way
-        np.concatenate([np.array([image.jacobian for image in images]), -np.array(by_masks)], axis=2),
+        np.array([image.jacobian for image in images]),
+        np.array([image.told.by_masks for image in images]),
     ).smoothed(only_last=only_last)
     calibrated, found = calibration_covariance(calibration), []
-    for image, moves, deviation, own, response in zip(
+    for image, deviation, own, response in zip(
         images[-len(smoothed.deviations) :],
-        by_masks[-len(smoothed.deviations) :],
         smoothed.deviations,
         smoothed.covariance,
         smoothed.response,
         strict=True,
     ):
-        at, (by_calibration, beside) = image.at.moved(deviation), np.split(response, [len(calibrated)], axis=1)
+        at, (by_calibration, by_masks) = image.at.moved(deviation), np.split(response, [len(calibrated)], axis=1)
         covariance = own + by_calibration @ calibrated @ by_calibration.T
-        covariance += covariance_of_masks(calibration.masks, moves + beside, by_calibration)
+        covariance += covariance_of_masks(calibration.masks, by_masks, by_calibration)
         found.append((at, covariance + covariance_of_camera(calibration.camera, at, corrected)))
     return found
 

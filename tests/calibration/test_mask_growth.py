@@ -12,20 +12,29 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.constants import OutlineOfView
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.frame_fit import outline_and_masks
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE
 from dvrk_cmaes.calibration.mask_growth import MaskGrowth, changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import image_axis
 from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.recorded_frames import views_that_show
 
 RIGHT = 2
 """Index of what faces right in the image."""
+
+INFORMATION = np.diag([1 / 0.001**2] * 3 + [1 / 0.02**2] * 6)
+"""What is known of a pose beside an outline."""
 
 
 def shadowed(frame: SessionFrame, pixels: int) -> SessionFrame:
@@ -51,6 +60,36 @@ def test_effect_is_the_area_that_shadows_add(bundled_body: Body) -> None:
     assert effect[:, RIGHT].sum() == pytest.approx(added[1] - added[0], rel=0.1)
     assert (effect >= 0).all()
     assert (effect[:, :2].sum(axis=1) <= np.linalg.norm(points.normals, axis=1) + 1e-9).all()
+
+
+def near_truth(body: Body, pixels: int) -> tuple[Quadratic, np.ndarray]:
+    """Give the outline's terms at the true pose of a frame with shadows of some width, and what masks' errors do."""
+    _, truths, frames = make_frames_in_memory(body, 3, level="clean", seed=11)
+    at, data = Posed(truths[0].camera_from_root, truths[0].values), shadowed(frames[0], pixels).data
+    assert isinstance(data, FrameData)
+    (view,) = views_that_show(data.views, body)
+    outline = OutlineConfig()
+    coverage = Coverage([SizedView(view, blur=outline.blur)], outline, noise=1.0)
+    return outline_and_masks(coverage, at, [OutlineNoise(1.0, 19.0)], SINGLE_SIZE, None, as_seen=True)
+
+
+def test_errors_of_masks_change_what_an_outline_tells_as_its_derivative_says(bundled_body: Body) -> None:
+    (exact, by_masks), (dark, _) = (near_truth(bundled_body, pixels) for pixels in (0, 1))
+    known = exact.information[0] + INFORMATION
+    found, told = (
+        np.linalg.solve(known, change)[:3] for change in (exact.slope[0] - dark.slope[0], by_masks[:, 1 + RIGHT])
+    )
+    assert np.linalg.norm(found) > 1e-4
+    assert np.linalg.norm(found - told) < 0.5 * np.linalg.norm(found)  # the loss is robust, so not in proportion
+
+
+def test_error_of_a_side_that_a_fit_discounts_changes_little_of_what_it_tells(bundled_body: Body) -> None:
+    exact, dark = (
+        np.linalg.norm(np.linalg.solve(told.information[0] + INFORMATION, by_masks)[:3, 1:3], axis=0)
+        for told, by_masks in (near_truth(bundled_body, pixels) for pixels in (0, 5))
+    )
+    assert dark[0] < 0.1 * exact[0]
+    assert dark[1] > 0.3 * exact[1]  # of the other side
 
 
 @pytest.fixture(scope="module")

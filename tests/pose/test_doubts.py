@@ -56,11 +56,22 @@ def test_joints_that_are_off_together_are_doubted_although_none_is_far_alone(bun
 @pytest.mark.parametrize(("exchanged", "remarks"), [(True, 1), (False, 0)])
 def test_exchanged_readings_of_the_wrist_have_a_remark(bundled_body: Body, exchanged: bool, remarks: int) -> None:
     read = TRUE.joints[[1, 0, 2]] if exchanged else TRUE.joints + 0.1
-    found = exchanged_readings(TRUE, readings_of(bundled_body, read), bundled_body.instrument)
+    found = exchanged_readings(TRUE.joints[None], read[None], bundled_body.instrument)
     assert len(found) == remarks
     assert all(
         "wrist_pitch and wrist_yaw may be exchanged: found 23 and -17 deg, read -17 and 23" in one for one in found
     )
+
+
+def test_exchanged_readings_are_told_by_all_frames_of_a_recording_together(bundled_body: Body) -> None:
+    """Frames in which both joints read the same tell nothing by themselves."""
+    found = np.radians([[20.0, 25.0, 10.0], [-40.0, 17.0, 10.0], [30.0, -5.0, 10.0]])
+    read = found[:, [1, 0, 2]] + np.radians(4.0)
+    assert exchanged_readings(found[:1], read[:1], bundled_body.instrument) == []
+    (remark,) = exchanged_readings(found, read, bundled_body.instrument)
+    assert "found -40 and 17 deg, read 21 and -36" in remark
+    assert exchanged_readings(found, found + np.radians(4.0), bundled_body.instrument) == []
+    assert exchanged_readings(found, np.full_like(found, np.nan), bundled_body.instrument) == []
 
 
 def doubts_followed(body: Body, camera: Camera, quality: Quality, *, followed: bool) -> list[str]:

@@ -7,7 +7,8 @@ import pytest
 
 from dvrk_cmaes.track.deviations import FrameDeviations
 
-COUNT, SIZE, CONSTANTS = 6, 3, 2
+COUNT, SIZE, CONSTANTS, MASKS = 6, 3, 2, 2
+NO_MASKS = np.zeros((3, SIZE, 0))
 TIMES = np.array([0.0, 0.1, 0.2, 0.5, 0.6, 1.0])
 
 
@@ -24,9 +25,10 @@ def test_result_is_that_of_the_dense_system() -> None:
     prior = root @ root.T + np.eye(SIZE)
     information = np.array([a @ a.T for a in rng.standard_normal((COUNT, SIZE, SIZE))])
     optimum = rng.standard_normal((COUNT, SIZE))
-    jacobian = rng.standard_normal((COUNT, SIZE, CONSTANTS))
+    jacobian, by_masks = rng.standard_normal((COUNT, SIZE, CONSTANTS)), rng.standard_normal((COUNT, SIZE, MASKS))
     stacked = np.tile(prior, (COUNT, 1, 1))
-    deviations = FrameDeviations.of(TIMES, stacked, information, optimum, jacobian, slow_share=0.7, slow=1.0, fast=0.1)
+    of_frames = stacked, information, optimum, jacobian, by_masks
+    deviations = FrameDeviations.of(TIMES, *of_frames, slow_share=0.7, slow=1.0, fast=0.1)
     found, last = deviations.smoothed(), deviations.smoothed(only_last=True)
     told = np.zeros((COUNT * SIZE, COUNT * SIZE))
     for k in range(COUNT):
@@ -38,7 +40,9 @@ def test_result_is_that_of_the_dense_system() -> None:
     blocks = [covariance[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] for k in range(COUNT)]
     assert found.covariance == pytest.approx(np.array(blocks), abs=1e-6)
     moved = jacobian.reshape(-1, CONSTANTS)
-    assert found.response.reshape(-1, CONSTANTS) == pytest.approx(moved - covariance @ told @ moved, abs=1e-6)
+    by_calibration, of_masks = np.split(found.response.reshape(-1, CONSTANTS + MASKS), [CONSTANTS], axis=1)
+    assert by_calibration == pytest.approx(moved - covariance @ told @ moved, abs=1e-6)
+    assert of_masks == pytest.approx(covariance @ by_masks.reshape(-1, MASKS), abs=1e-6)
 
 
 def test_a_frame_without_evidence_takes_what_its_neighbours_show() -> None:
@@ -47,7 +51,7 @@ def test_a_frame_without_evidence_takes_what_its_neighbours_show() -> None:
     shown = np.array([0.5, -0.3, 0.1])
     optimum = information @ shown
     prior, jacobian = np.tile(np.eye(SIZE), (3, 1, 1)), np.zeros((3, SIZE, CONSTANTS))
-    found = FrameDeviations.of(np.array([0.0, 0.01, 0.02]), prior, information, optimum, jacobian).smoothed()
+    found = FrameDeviations.of(np.array([0.0, 0.01, 0.02]), prior, information, optimum, jacobian, NO_MASKS).smoothed()
     assert found.deviations[1] == pytest.approx(shown, rel=0.15)
     assert np.trace(found.covariance[1]) > np.trace(found.covariance[0])
 
@@ -55,7 +59,7 @@ def test_a_frame_without_evidence_takes_what_its_neighbours_show() -> None:
 def test_without_evidence_the_prediction_and_its_prior_remain() -> None:
     prior = np.array([(1 + k) * np.eye(SIZE) for k in range(3)])
     nothing, jacobian = np.zeros((3, SIZE, SIZE)), np.ones((3, SIZE, CONSTANTS))
-    found = FrameDeviations.of(np.arange(3.0), prior, nothing, np.zeros((3, SIZE)), jacobian).smoothed()
+    found = FrameDeviations.of(np.arange(3.0), prior, nothing, np.zeros((3, SIZE)), jacobian, NO_MASKS).smoothed()
     assert found.deviations == pytest.approx(np.zeros((3, SIZE)))
     assert found.covariance == pytest.approx(prior, rel=1e-6)
     assert found.response == pytest.approx(jacobian)
@@ -63,7 +67,7 @@ def test_without_evidence_the_prediction_and_its_prior_remain() -> None:
 
 def test_a_single_frame_is_weighed_with_its_prior() -> None:
     found = FrameDeviations.of(
-        np.zeros(1), np.eye(2)[None], np.eye(2)[None], np.array([[2.0, 0.0]]), np.zeros((1, 2, 1))
+        np.zeros(1), np.eye(2)[None], np.eye(2)[None], np.array([[2.0, 0.0]]), np.zeros((1, 2, 1)), np.zeros((1, 2, 0))
     ).smoothed()
     assert found.deviations[0] == pytest.approx([1.0, 0.0])
     assert found.covariance[0] == pytest.approx(0.5 * np.eye(2))

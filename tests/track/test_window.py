@@ -50,8 +50,8 @@ def images(of: SessionCalibration, instrument: Instrument, px: float = 0.0) -> l
     predicted = Prediction.of(of, model.outer, model.joints, NAMES)
     shown = []
     for k in range(IMAGES):
-        moved = px * changes_by_masks(predicted.at[k], SMALL, instrument)[:, SIDE]
-        told = FitEvidence(INFORMATION, INFORMATION @ moved, 0.0)
+        by_masks = INFORMATION @ changes_by_masks(predicted.at[k], SMALL, instrument)
+        told = FitEvidence(INFORMATION, px * by_masks[:, SIDE], by_masks, 0.0)
         shown.append(WindowImage(0.1 * k, predicted.at[k], predicted.prior[k], predicted.jacobian[k], told))
     return shown
 
@@ -63,10 +63,10 @@ def test_error_of_the_masks_is_in_the_covariance_as_far_as_the_poses_follow_it(
     """The covariance that the error adds is that of the distance by which the window moves with it."""
     instrument, response = bundled_body.instrument, np.zeros((11, 7))
     found, without = (
-        solve_window(images(own, instrument), own, SMALL, instrument, only_last=only_last)
+        solve_window(images(own, instrument), own, SMALL, only_last=only_last)
         for own in (calibration(response), calibration(response, px=0.0))
     )
-    off = solve_window(images(calibration(response), instrument, 0.5), calibration(response), SMALL, instrument)
+    off = solve_window(images(calibration(response), instrument, 0.5), calibration(response), SMALL)
     for (at, covariance), (_, alone), (moved, _) in zip(found, without, off[-len(found) :], strict=True):
         change = moved.minus(at)
         np.testing.assert_allclose(covariance - alone, np.outer(change, change), rtol=0.02, atol=1e-10)
@@ -80,9 +80,7 @@ def test_base_that_has_moved_with_the_masks_takes_the_pose_along(bundled_body: B
     image = images(calibration(still), instrument)[0]
     moves = changes_by_masks(image.at, SMALL, instrument)
     along[:, SIDE] = np.linalg.lstsq(image.jacobian, moves[:, SIDE], rcond=None)[0]
-    held, followed = (
-        solve_window([image], calibration(response), SMALL, instrument)[0][1] for response in (still, along)
-    )
+    held, followed = (solve_window([image], calibration(response), SMALL)[0][1] for response in (still, along))
     whole = 0.25 * np.outer(moves[:, SIDE], moves[:, SIDE])
     assert np.trace((followed - held)[:3, :3]) > 0
     assert np.trace(held[:3, :3]) < np.trace(whole[:3, :3]) + np.trace(image.prior[:3, :3])

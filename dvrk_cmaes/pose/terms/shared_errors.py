@@ -34,6 +34,9 @@ Bool = NDArray[np.bool_]
 LASTING = 2
 """Number of shared errors of a view, the first ones, that last from frame to frame: both sides of the shaft's."""
 
+DIRECTIONS = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
+"""Right, left, down and up in the image, (2, 4)."""
+
 _NODES = 0.008  # m along the shaft
 _LEAST_POINTS = 4  # of the outline that an error changes, for it to count
 _AHEAD = 0.004  # m, to another point of the shaft's axis
@@ -94,9 +97,8 @@ def shared_errors(
     normals = outline.normals / np.linalg.norm(outline.normals, axis=1)[:, None]
     axis = image_axis(instrument, camera, seen)
     ahead, aside = normals @ axis, normals @ np.array([-axis[1], axis[0]])
+    shaft, sides = _sides(outline, instrument, aside)
     side, link = side_deviation(noise), np.hypot(_LINK * noise.sigma, _LINK_OF_LONG * _long(noise))
-    shaft = outline.link == 0 if instrument.shaft is not None else np.zeros(len(ahead), dtype=np.bool_)
-    sides = [shaft & (sign * aside > 0) for sign in (1.0, -1.0)]
     groups = [(np.column_stack(sides).astype(np.float64), side), (np.ones((len(ahead), 1)), _MARGIN * noise.sigma)]
     groups += [(_between_nodes(outline, instrument, of_side), _NODE * noise.sigma) for of_side in sides]
     for number in np.flatnonzero(np.bincount(outline.link[~shaft])):
@@ -107,6 +109,25 @@ def shared_errors(
     counts = (columns > 0).sum(axis=0) >= _LEAST_POINTS
     counts[: LASTING + 1] = True  # the margin, too
     return SharedErrors(columns[:, counts], deviations[counts])
+
+
+def mean_errors(outline: OutlinePoints, instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
+    """Return the displacements of an outline's points by mean errors of all masks, times the normals' lengths, px.
+
+    They are (N, 7): by a margin all round, by the errors of both sides of the shaft, and by those of what faces right,
+    left, down and up in the image, px each. Arguments are as in `shared_errors`.
+    """
+    along, aside = image_axis(instrument, camera, seen)
+    _, sides = _sides(outline, instrument, outline.normals @ np.array([-aside, along]))
+    length = np.linalg.norm(outline.normals, axis=1)
+    facing = np.maximum(outline.normals @ DIRECTIONS, 0.0)
+    return np.column_stack([length, *(length * side for side in sides), facing])
+
+
+def _sides(outline: OutlinePoints, instrument: Instrument, aside: Float64) -> tuple[Bool, list[Bool]]:
+    """Return which points (N,) are of the shaft, and of each side of it; ``aside`` (N,) is how they face across it."""
+    shaft = outline.link == 0 if instrument.shaft is not None else np.zeros(len(aside), dtype=np.bool_)
+    return shaft, [shaft & (sign * aside > 0) for sign in (1.0, -1.0)]
 
 
 def side_deviation(noise: OutlineNoise) -> float:

@@ -13,7 +13,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, less_margin
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, shared_errors
+from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, mean_errors, shared_errors
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
@@ -165,6 +165,11 @@ class SizedView:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""
         seen = at.seen_from(self.view_from_camera)
         return shared_errors(outline, self._renderer.body.instrument, self.camera, seen, noise)
+
+    def mean_errors(self, outline: OutlinePoints, at: Posed) -> Float64:
+        """Return the displacements (N, 7) of the outline's points of one pose by the mean errors of all masks."""
+        seen = at.seen_from(self.view_from_camera)
+        return mean_errors(outline, self._renderer.body.instrument, self.camera, seen)
 
 
 def blur_filter(blur: float) -> list[float]:
