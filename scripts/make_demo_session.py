@@ -21,10 +21,10 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.atomic import write_image, write_json, write_text
+from dvrk_cmaes.io.atomic import write_image, write_text
 from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.files import rounded, rounded_truth, write_joints
+from dvrk_cmaes.synth.files import write_golden, write_joints
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.masks import MEDIUM, simulate_segmentation
 from dvrk_cmaes.synth.occluders import tissue_over_jaw
@@ -80,8 +80,7 @@ def main() -> int:
         write_image(out / "images" / f"{name}.jpg", image)
     write_camera_info(out / "camera.yaml", CAMERA, "demo")
     write_joints(out / "joints.csv", dict(zip(names, readings, strict=True)), (*OUTER_JOINTS, *WRIST_JOINTS))
-    frames = {n: rounded_truth(t) for n, t in zip(names, truths, strict=True)}
-    write_json(out / "golden.json", {"camera_from_base": rounded(camera_from_base), "frames": frames})
+    write_golden(out / "golden.json", camera_from_base, dict(zip(names, truths, strict=True)))
     write_text(out / "README.md", README)
     return 0
 

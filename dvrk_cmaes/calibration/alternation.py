@@ -15,7 +15,8 @@ import numpy as np
 
 from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus_at_any_roll
 from dvrk_cmaes.calibration.constants import few_of
-from dvrk_cmaes.calibration.endoscope_search import with_pieces
+from dvrk_cmaes.calibration.endoscope import Pieces
+from dvrk_cmaes.calibration.endoscope_search import describe_pieces, with_pieces, without_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import FitTask, fit_task, gather_task
@@ -81,14 +82,25 @@ def _less_lag(state: SessionState) -> SessionState:
 
 
 def _on_one_base(state: SessionState) -> tuple[SessionState, Consensus]:
-    """Return the consensus of the frames, in pieces if the base moved between them."""
-    offset_std = state.problem.offset_std
+    """Return the consensus of the frames, in pieces if the base moved between them.
+
+    Pieces in which the lag was found are looked for again with the lag taken out: with it, a moving arm seems to have
+    another base.
+    """
+    offset_std, lost = state.problem.offset_std, isinstance(state.model.endoscope, Pieces)
+    if lost:
+        state = without_pieces(state)
     consensus = find_consensus_at_any_roll(state.model, state.modes, offset_std)
-    check_arm(state.model, state.modes, offset_std, consensus)
-    if state.model.endoscope is not None:
-        return state, consensus
-    cut = with_pieces(state, consensus)
-    return (state, consensus) if cut is None else (cut, find_consensus_at_any_roll(cut.model, cut.modes, offset_std))
+    if not lost:
+        check_arm(state.model, state.modes, offset_std, consensus)
+    cut = with_pieces(state, consensus) if state.model.endoscope is None else None
+    if cut is not None:
+        state, consensus = cut, find_consensus_at_any_roll(cut.model, cut.modes, offset_std)
+        assert isinstance(cut.model.endoscope, Pieces)
+        state = cut.noted(remarks=[describe_pieces(cut.model.endoscope, cut.frames)])
+    if lost:
+        check_arm(state.model, state.modes, offset_std, consensus)
+    return state, consensus
 
 
 def solved(state: SessionState) -> SessionState:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -11,22 +10,13 @@ import numpy as np
 from dvrk_cmaes.draw.arms_overlay import arm_colours
 from dvrk_cmaes.draw.canvas import DARK, GREEN, SKY_BLUE, VERMILLION, YELLOW, Colour, beside
 from dvrk_cmaes.geometry import Bool, Image
+from dvrk_cmaes.results.tracked import TrackView
 
 _STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLION}
 _FAINT = 0.25  # brightness of the mask where there is no image
 _TINT = 0.35  # of an arm's colour within its tool
 _MASK_LINES, _LINES = 140, 480  # widths of a line in that of the picture: 5 and 1 px at 640 px, 9 and 3 px at 1280
 _STRIP = 22  # px, height of the strip with the status
-
-
-@dataclass(frozen=True, eq=False)
-class TrackView:
-    """A view of a frame: image (H, W, 3) BGR, mask and silhouette of the pose (H, W), each or None, of ``size`` px."""
-
-    image: Image | None
-    mask: Bool | None
-    silhouette: Bool | None
-    size: tuple[int, int]
 
 
 def draw_track(views: Sequence[TrackView], *, frame: str, status: str, reasons: Sequence[str]) -> Image:

@@ -77,24 +77,13 @@ class Comparison:
 
     def spreads(self, index: int) -> dict[str, Spread | None]:
         """Summarise the differences of a set by quantity: those of ``QUANTITIES``, then each joint's without sign."""
-        differences = self.differences[index]
-        joints = list(dict.fromkeys(name for difference in differences.values() for name in difference.joints_deg))
-        values = {
-            name: {
-                frame: value
-                for frame, difference in differences.items()
-                if (value := getattr(difference, name)) is not None
-            }
-            for name in QUANTITIES
-        }
-        values |= {
-            f"{name}_deg": {
-                frame: abs(difference.joints_deg[name])
-                for frame, difference in differences.items()
-                if name in difference.joints_deg
-            }
-            for name in joints
-        }
+        values: dict[str, dict[str, float]] = {name: {} for name in QUANTITIES}
+        for frame, found in self.differences[index].items():
+            own = {name: getattr(found, name) for name in QUANTITIES}
+            own |= {f"{joint}_deg": abs(value) for joint, value in found.joints_deg.items()}
+            for name, value in own.items():
+                if value is not None:
+                    values.setdefault(name, {})[frame] = value
         return {name: Spread.of(by_frame) for name, by_frame in values.items()}
 
     def within_90(self, index: int) -> tuple[int, int] | None:
@@ -104,12 +93,9 @@ class Comparison:
         """
         if self.sets[self.reference].kind != "truth":
             return None
-        stated = [
-            difference.farthest_tip_mm <= limit
-            for frame, difference in self.differences[index].items()
-            if (limit := self.sets[index].frames[frame].tip_90_mm) is not None
-            and difference.farthest_tip_mm is not None
-        ]
+        frames = self.sets[index].frames
+        known = [(d.farthest_tip_mm, frames[name].tip_90_mm) for name, d in self.differences[index].items()]
+        stated = [error <= limit for error, limit in known if error is not None and limit is not None]
         return (sum(stated), len(stated)) if stated else None
 
     def within_std(self, index: int) -> tuple[int, int, int] | None:
@@ -119,13 +105,9 @@ class Comparison:
         """
         if self.sets[self.reference].kind != "truth":
             return None
-        ratios = np.array(
-            [
-                difference.tip_mm / std
-                for frame, difference in self.differences[index].items()
-                if (std := self.sets[index].frames[frame].tip_std_mm) and difference.tip_mm is not None
-            ]
-        )
+        frames = self.sets[index].frames
+        known = [(d.tip_mm, frames[name].tip_std_mm) for name, d in self.differences[index].items()]
+        ratios = np.array([error / std for error, std in known if error is not None and std])
         return (int((ratios <= 1).sum()), int((ratios <= 2).sum()), len(ratios)) if len(ratios) else None
 
     def to_dict(self) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
+import cv2
 import numpy as np
 from msgspec import Struct
 
@@ -13,7 +14,6 @@ from dvrk_cmaes.camera.ros import camera_info_text
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.request import Exported, ExportRequest
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.io.yaml_file import yaml_text
 
@@ -71,33 +71,19 @@ def _plain(view: View) -> str:
 def _storage(views: Sequence[View]) -> str:
     """Return an OpenCV FileStorage in XML of one camera or a stereo pair."""
     first, *others = views
-    camera = first.camera
-    parts = {"image_width": str(camera.width), "image_height": str(camera.height)}
+    storage = cv2.FileStorage("cameras.xml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("image_width", first.camera.width)
+    storage.write("image_height", first.camera.height)
     if any(view.camera.model == "equidistant" for view in views):
-        parts["fisheye_model"] = "1"
-    if not others:
-        parts |= {"camera_matrix": _matrix(camera.matrix), "distortion_coefficients": _distortion(first)}
-    for number, view in enumerate(views if others else (), start=1):
-        parts |= {f"M{number}": _matrix(view.camera.matrix), f"D{number}": _distortion(view)}
+        storage.write("fisheye_model", 1)
+    for number, view in enumerate(views, start=1):
+        matrix, lens = (f"M{number}", f"D{number}") if others else ("camera_matrix", "distortion_coefficients")
+        storage.write(matrix, view.camera.matrix)
+        storage.write(lens, np.array([view.camera.distortion or (0.0,) * 5]))
     for view in others:
-        parts |= {"R": _matrix(view.view_from_camera[:3, :3]), "T": _matrix(view.view_from_camera[:3, 3:])}
-    lines = [
-        f'<{name} type_id="opencv-matrix">{value}</{name}>' if value.startswith("<") else f"<{name}>{value}</{name}>"
-        for name, value in parts.items()
-    ]
-    return "\n".join(['<?xml version="1.0"?>', "<opencv_storage>", *lines, "</opencv_storage>"]) + "\n"
-
-
-def _distortion(view: View) -> str:
-    """Return the coefficients of a view's lens as OpenCV states a matrix; five zeros of a pinhole."""
-    return _matrix(np.array([view.camera.distortion or (0.0,) * 5]))
-
-
-def _matrix(values: Float64) -> str:
-    """Return a matrix as OpenCV states it in XML."""
-    rows, columns = values.shape
-    data = " ".join(repr(value) for value in values.ravel().tolist())
-    return f"<rows>{rows}</rows><cols>{columns}</cols><dt>d</dt><data>{data}</data>"
+        storage.write("R", np.ascontiguousarray(view.view_from_camera[:3, :3]))
+        storage.write("T", np.ascontiguousarray(view.view_from_camera[:3, 3:]))
+    return storage.releaseAndGetString()
 
 
 def exported(request: ExportRequest) -> Exported:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,10 +18,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.geometry import Bool, Float64, inverse
+from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.handles import not_written
 from dvrk_cmaes.io.output import written_beside
+from dvrk_cmaes.results.tracked import TrackView
 
 EXTENSION: Final = ".rrd"
 _CAMERA: Final = "camera"
@@ -36,15 +36,6 @@ _EYE: Final = (0.09, -0.08, -0.09)  # m in the camera, from where the view in sp
 _LOOKED_AT: Final = (0.0, 0.0, 0.08)
 _LEVELS: Final = {"ok": "INFO", "doubtful": "WARN"}  # of a text; ERROR for other statuses
 _COLOURS: Final = {"ok": (0, 158, 115), "doubtful": (240, 228, 66), "lost": (213, 94, 0), "gone": (130, 130, 130)}
-
-
-@dataclass(frozen=True, eq=False)
-class ViewPictures:
-    """What a view shows of a frame: image (H, W, 3) BGR, mask and silhouette of the pose, (H, W); None if missing."""
-
-    image: NDArray[np.uint8] | None = None
-    mask: Bool | None = None
-    silhouette: Bool | None = None
 
 
 def check_rerun(option: str, path: Path) -> None:
@@ -121,9 +112,7 @@ class RerunFile:
             )
             self._static(f"instrument/{_part(link.name)}", mesh)
 
-    def add(
-        self, number: int, row: Mapping[str, Any], read: Mapping[str, float], views: Sequence[ViewPictures]
-    ) -> None:
+    def add(self, number: int, row: Mapping[str, Any], read: Mapping[str, float], views: Sequence[TrackView]) -> None:
         """Log a frame.
 
         Parameters
@@ -165,7 +154,7 @@ class RerunFile:
             self._log("reasons", self._rerun.TextLog(text, level="INFO"))
         self._solved = base["solved"]
 
-    def _pictures(self, entity: str, view: ViewPictures) -> None:
+    def _pictures(self, entity: str, view: TrackView) -> None:
         """Log image, mask and outline below a camera's entity; those that are missing are cleared."""
         jpeg, png = None, None
         if view.image is not None:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
@@ -15,7 +14,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import read_marker_table
 from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.inspection.cameras import inspect_camera
-from dvrk_cmaes.inspection.finding import Finding, Options, counted
+from dvrk_cmaes.inspection.finding import Finding, Options, counted, unit_of
 from dvrk_cmaes.inspection.instruments import inspect_kinematics, inspect_tool
 from dvrk_cmaes.instrument.dvrk_description import is_arm, is_description
 from dvrk_cmaes.io.json_file import read_json_object
@@ -144,12 +143,9 @@ def _session(path: Path, document: Mapping[str, Any]) -> Finding:
     session = convert_document(str(path), document, _SessionFields)
     base, offsets = session.camera_from_base, session.offsets or {}
     lines = [f"base in the camera: {'not known' if base is None else _pose_text(base)}"]
-    lines += [
-        f"offset of {name}: {1e3 * value:.2f} mm"
-        if name.endswith("insertion")
-        else f"offset of {name}: {np.degrees(value):.2f} deg"
-        for name, value in offsets.items()
-    ]
+    for name, value in offsets.items():
+        scale, unit = unit_of(name)
+        lines.append(f"offset of {name}: {scale * value:.2f} {unit}")
     return Finding("session calibration (session.json)", tuple(lines), {"offsets": offsets})
 
 

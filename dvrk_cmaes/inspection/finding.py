@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -47,6 +48,11 @@ class Options:
     camera: Path | None = None
     read_as: ReadAs = BY_THEMSELVES
     follow_links: bool = False
+
+
+def unit_of(joint: str) -> tuple[float, str]:
+    """Return the factor from m or rad to the unit in which a joint is described, and that unit, mm or deg."""
+    return (1e3, "mm") if joint.endswith("insertion") else (180 / math.pi, "deg")
 
 
 def counted(number: int, what: str) -> str:

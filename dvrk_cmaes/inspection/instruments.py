@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from dvrk_cmaes.inspection.finding import Finding, Options
+from dvrk_cmaes.inspection.finding import Finding, Options, unit_of
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.instrument.dvrk_description import read_kinematics, read_tool
 from dvrk_cmaes.instrument.meshes import read_mesh
@@ -91,6 +90,6 @@ def _limits(limits: Mapping[str, tuple[float, float]]) -> tuple[str, ...]:
     """Format the limits of joints, in mm or degrees."""
     texts = []
     for name, (low, high) in limits.items():
-        scale, unit = (1e3, "mm") if name == "insertion" else (180 / math.pi, "deg")
+        scale, unit = unit_of(name)
         texts.append(f"{name} from {scale * low:.1f} to {scale * high:.1f} {unit}")
     return (f"limits: {', '.join(texts)}",) if texts else ("no joints",)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.frames.keypoints import read_keypoints
 from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.published_poses import read_published_poses
-from dvrk_cmaes.inspection.finding import Finding, Options, counted
+from dvrk_cmaes.inspection.finding import Finding, Options, counted, unit_of
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.npy import read_small_array
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, read_joint_file
-from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.joints.times import read_image_times
 
 _LABEL_RULES = {
@@ -30,16 +27,14 @@ def inspect_joints(path: Path, options: Options) -> Finding:
     """Describe a file of joint readings of any format; InputError if it is not valid."""
     file = read_joint_file(path, read_as=options.read_as)
     rows = [row.readings() for row in file.rows.values()]
-    ranges = {name: _range([row[name] for row in rows if name in row]) for name in file.joints}
-    lines = [
-        f"{file.kind}: {counted(len(rows), 'row')}",
-        *(_range_text(name, *pair) for name, pair in ranges.items() if pair),
-    ]
-    without_readings = [name for name, pair in ranges.items() if pair is None]
-    if without_readings:
+    read_of = {name: [row[name] for row in rows if name in row] for name in file.joints}
+    ranges = {name: (min(values), max(values)) for name, values in read_of.items() if values}
+    lines = [f"{file.kind}: {counted(len(rows), 'row')}", *(_range_text(name, *pair) for name, pair in ranges.items())]
+    if without_readings := [name for name in file.joints if name not in ranges]:
         lines.append(f"no reading of {', '.join(without_readings)}")
     notes = list(file.notes)
-    span = _time_span(file)
+    times = [row.time for row in file.rows.values() if row.time is not None]
+    span = (min(times), max(times)) if times else None
     if span is not None:
         lines.append(f"times from {span[0] / NANOSECONDS:.3f} to {span[1] / NANOSECONDS:.3f} s")
         notes.append(
@@ -51,7 +46,7 @@ def inspect_joints(path: Path, options: Options) -> Finding:
         "form": file.kind,
         "rows": len(rows),
         "found_by": file.labels,
-        "ranges": {name: pair for name, pair in ranges.items() if pair},
+        "ranges": ranges,
         "time_ns": span,
     }
     if len(rows) == 1:
@@ -102,19 +97,8 @@ def inspect_published_poses(path: Path) -> Finding:
     return Finding("published poses", (line,), {"frames": list(poses)})
 
 
-def _range(values: Sequence[float]) -> tuple[float, float] | None:
-    """Return the smallest and the largest value; None without values."""
-    return (min(values), max(values)) if values else None
-
-
 def _range_text(name: str, low: float, high: float) -> str:
     """Format the range of a joint, in mm or degrees."""
-    scale, unit = (1e3, "mm") if name.endswith("insertion") else (180 / math.pi, "deg")
+    scale, unit = unit_of(name)
     low, high = scale * low, scale * high
     return f"{name} {low:.2f} {unit}" if low == high else f"{name} from {low:.2f} to {high:.2f} {unit}"
-
-
-def _time_span(file: JointFile) -> tuple[int, int] | None:
-    """Return the first and the last time of a file's rows, ns; None without times."""
-    times = [row.time for row in file.rows.values() if row.time is not None]
-    return (min(times), max(times)) if times else None

@@ -94,16 +94,12 @@ def _primitive(geometry: Any, where: str) -> Triangles | None:
     import trimesh
 
     if geometry.box is not None:
-        kind, sizes = "box", np.asarray(geometry.box.size, dtype=np.float64)
+        kind, count, sizes = "box", 3, np.asarray(geometry.box.size, dtype=np.float64)
     elif geometry.cylinder is not None:
-        kind, sizes = "cylinder", np.array([geometry.cylinder.radius, geometry.cylinder.length])
+        kind, count, sizes = "cylinder", 2, np.array([geometry.cylinder.radius, geometry.cylinder.length])
     else:
-        kind, sizes = "sphere", np.array([geometry.sphere.radius])
-    if (
-        not np.isfinite(sizes).all()
-        or np.any(sizes < 0)
-        or sizes.shape != ({"box": 3, "cylinder": 2, "sphere": 1}[kind],)
-    ):
+        kind, count, sizes = "sphere", 1, np.array([geometry.sphere.radius])
+    if sizes.shape != (count,) or not np.isfinite(sizes).all() or np.any(sizes < 0):
         raise InputError(f"{where}: {kind}: expected finite sizes, not negative, got {sizes.tolist()}")
     if np.any(sizes == 0):
         return None

@@ -313,12 +313,10 @@ def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[JointRow | No
 
 def _required_row(file: JointFile, frame: str | None) -> JointRow:
     """Find the row of a named frame, or the only row; InputError if there is none."""
-    if file.labels == "message" and len(file.rows) == 1:
-        return next(iter(file.rows.values()))
     labels = list(file.rows)
+    if len(labels) == 1 and (frame is None or file.labels == "message"):
+        return file.rows[labels[0]]
     if frame is None:
-        if len(labels) == 1:
-            return file.rows[labels[0]]
         raise InputError(
             f"{file.path}: frame: expected the name of one of its {len(labels)} frames ({listed(labels)}), got none"
         )

@@ -64,21 +64,9 @@ def environment() -> jinja2.Environment:
         lstrip_blocks=True,
         bytecode_cache=_compiled(),
     )
-    made.filters |= {
-        "fixed": fixed,
-        "kind": reason_kind,
-        "signed": signed,
-        "anchor": anchor,
-        "short": short,
-        "mark": mark_path,
-        "degrees": degrees,
-        "cells": cells,
-        "position_mm": position_mm,
-        "axis_angle_deg": axis_angle_deg,
-        "apart_from": apart_from,
-        "sort_keys": sort_keys,
-        "change_in_words": change_in_words,
-    }
+    numbers = fixed, signed, degrees, cells, position_mm, axis_angle_deg, apart_from, short
+    texts = anchor, reason_kind, mark_path, sort_keys, change_in_words
+    made.filters |= {each.__name__: each for each in (*numbers, *texts)}
     return made
 
 

@@ -8,12 +8,13 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from dvrk_cmaes.draw.track_overlay import TrackView, draw_outlines
+from dvrk_cmaes.draw.track_overlay import draw_outlines
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.report.page_thumbnails import Thumbnail, encoded_thumbnail
 from dvrk_cmaes.report.track_events import track_events
+from dvrk_cmaes.results.tracked import TrackView
 
 MEDIAN: Final = "median"
 HIGH: Final = "95 %"

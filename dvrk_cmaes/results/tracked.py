@@ -1,11 +1,11 @@
-"""The result of following an instrument to one image, and its line in tracks.jsonl."""
+"""The result of following an instrument to one image, its line in tracks.jsonl, and what the image shows of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from dvrk_cmaes.geometry import Float64, Image
+from dvrk_cmaes.geometry import Bool, Float64, Image
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded
 from dvrk_cmaes.results.data_frame import data_frame
@@ -142,12 +142,18 @@ class TrackResult:
             **encoded_fields(self, "tip_probability", "offsets", "tips"),
             "seconds": round(self.seconds, 5),
             **encoded_fields(self, "searched", "residual_px"),
-            **(
-                {}
-                if self.base is None
-                else {"base": encoded_fields(self.base, "keyframes", "solved", "tip_mm", "used")}
-            ),
+            **({} if self.base is None else {"base": encoded(self.base)}),
         }
+
+
+@dataclass(frozen=True, eq=False)
+class TrackView:
+    """A view of a frame: image (H, W, 3) BGR, mask and silhouette of the pose (H, W), each or None, of ``size`` px."""
+
+    image: Image | None
+    mask: Bool | None
+    silhouette: Bool | None
+    size: tuple[int, int]
 
 
 def without_pose(time: float, reason: str, *, searched: bool = False) -> TrackResult:

@@ -23,7 +23,7 @@ from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instrume
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to
-from dvrk_cmaes.segment.segmentation import GUESS, Hints, Segmentation
+from dvrk_cmaes.segment.segmentation import GUESS, Hints, Segmentation, noted
 from dvrk_cmaes.segment.shaft_pairs import pair_of_mask
 from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -125,12 +125,12 @@ def segment_by_model(
             masks.append(replace(mask, mask=mask.mask & ~before))
     if not masks:
         return otherwise()
-    first, others = masks[0], tuple(each for each in masks[1:] if each.confidence >= GUESS)
+    first, *others = masks
     if not others:
         return first
     sure = min(first.confidence, _UNDECIDED) if joints else first.confidence
     notes = *first.notes, _taken(first.mask, [each.mask for each in others])
-    return replace(first, confidence=sure, notes=notes, others=others)
+    return replace(first, confidence=sure, notes=notes, others=tuple(others))
 
 
 def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: Camera) -> bool:
@@ -162,7 +162,7 @@ def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, pr
     rough = resized(rough, (image.shape[1], image.shape[0]))
     mask = segmentation_around(image, rough, prompts, ROUGH, colours=_KNOWN * odds, straight=True)
     agreed = min(_overlap(found, mask.mask) / _AGREES, 1.0)
-    return replace(mask, confidence=agreed * min(mask.confidence, found.confidence), before=None)
+    return noted(replace(mask, confidence=agreed * min(mask.confidence, found.confidence), before=None))
 
 
 def _fits(found: Candidate, prompts: Prompts, image: Image) -> bool:

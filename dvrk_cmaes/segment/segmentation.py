@@ -46,7 +46,8 @@ class Segmentation:
 
 def noted(found: Segmentation) -> Segmentation:
     """Return a segmentation that says if it is a guess."""
-    return found if found.confidence >= GUESS else replace(found, notes=("a guess", *found.notes))
+    told = found.confidence >= GUESS or "a guess" in found.notes
+    return found if told else replace(found, notes=("a guess", *found.notes))
 
 
 @dataclass(frozen=True)

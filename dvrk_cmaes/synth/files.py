@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.io.atomic import write_text
+from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.synth.truth import Truth
 
@@ -31,6 +31,12 @@ def rounded_truth(truth: Truth, name_of_pose: str = "T_camera_roll_link") -> dic
         "joints": rounded_joints({**truth.joints, **truth.outer}, digits=9),
         "tips_camera_m": rounded(truth.tips),
     }
+
+
+def write_golden(path: str | Path, base: NDArray[np.floating] | None, truths: Mapping[str, Truth]) -> None:
+    """Write a golden.json of ``camera_from_base`` (4, 4), m, None if it is not known, and of frames by name."""
+    frames = {name: rounded_truth(truth) for name, truth in truths.items()}
+    write_json(path, {"camera_from_base": None if base is None else rounded(base), "frames": frames})
 
 
 def write_joints(path: str | Path, readings: Mapping[str, Mapping[str, float]], columns: Sequence[str]) -> None:

@@ -22,7 +22,7 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.io.output import whole_folder
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.synth.files import rounded, rounded_truth, write_joints
+from dvrk_cmaes.synth.files import write_golden, write_joints
 from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.occluders import outside_lens_circle
 from dvrk_cmaes.synth.readings import sample_readings
@@ -88,8 +88,7 @@ def write_two_arms(out: Path, plan: SessionPlan, tool: ToolEntry, *, overwrite: 
             readings = sample_readings(truths, rng, plan.level, one_session=True)
             columns = [*OUTER_JOINTS, *plan.body.instrument.joint_names]
             write_joints(folder / f"joints_{arm}.csv", dict(zip(names, readings, strict=True)), columns)
-            frames = {name: rounded_truth(truth) for name, truth in zip(names, truths, strict=True)}
-            write_json(folder / f"golden_{arm}.json", {"camera_from_base": rounded(base), "frames": frames})
+            write_golden(folder / f"golden_{arm}.json", base, dict(zip(names, truths, strict=True)))
         write_cameras(folder, plan, tools_of_arms(tool))
         write_json(folder / PLAN_FILE, {**plan.describe(), "arms": list(ARMS)})
 

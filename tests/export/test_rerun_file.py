@@ -16,11 +16,13 @@ from rerun.chunk import RrdReader
 
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.export.rerun_file import ViewPictures, check_rerun, rerun_file
+from dvrk_cmaes.export.rerun_file import check_rerun, rerun_file
 from dvrk_cmaes.geometry import exp_rotation, inverse, transform
+from dvrk_cmaes.results.tracked import TrackView
 from dvrk_cmaes.silhouette import Body
 
 SHAPE = (SMALL.height, SMALL.width)
+SIZE = (SMALL.width, SMALL.height)
 
 
 class Recording:
@@ -64,9 +66,9 @@ def recording(bundled_body: Body, image: np.ndarray, mask: np.ndarray, tmp_path_
     path = tmp_path_factory.mktemp("rerun") / "new" / "recording.rrd"
     rows = [row(0), row(1, "gone", "no mask"), row(2, "doubtful", "uncertain: x")]
     with rerun_file(path, SMALL, bundled_body.instrument, "made") as log:
-        log.add(0, rows[0], {"jaw": 0.5}, [ViewPictures(image, mask, mask)])
-        log.add(1, rows[1], {"jaw": 0.6}, [ViewPictures()])
-        log.add(2, rows[2], {"jaw": np.nan}, [ViewPictures(None, mask, mask)])
+        log.add(0, rows[0], {"jaw": 0.5}, [TrackView(image, mask, mask, SIZE)])
+        log.add(1, rows[1], {"jaw": 0.6}, [TrackView(None, None, None, SIZE)])
+        log.add(2, rows[2], {"jaw": np.nan}, [TrackView(None, mask, mask, SIZE)])
     assert [entry.name for entry in path.parent.iterdir()] == ["recording.rrd"]
     return Recording(path)
 
@@ -133,7 +135,7 @@ def test_status_and_reasons_are_told(recording: Recording) -> None:
 
 def test_frames_without_times_have_numbers_only(bundled_body: Body, tmp_path: Path) -> None:
     with rerun_file(tmp_path / "a.rrd", SMALL, bundled_body.instrument, "made") as log:
-        log.add(0, row(0, time=None), {}, [ViewPictures()])
+        log.add(0, row(0, time=None), {}, [TrackView(None, None, None, SIZE)])
     names = {name for chunk in Recording(tmp_path / "a.rrd").chunks for name in chunk.timeline_names}
     assert names == {"frame"}
 
@@ -145,7 +147,7 @@ def test_each_view_of_a_rig_has_its_camera_and_pictures(bundled_body: Body, mask
     with rerun_file(
         tmp_path / "a.rrd", Rig.stereo(SMALL, right, right_from_left), bundled_body.instrument, "made"
     ) as log:
-        log.add(0, row(0), {}, [ViewPictures(None, mask, mask), ViewPictures(None, moved, moved)])
+        log.add(0, row(0), {}, [TrackView(None, mask, mask, SIZE), TrackView(None, moved, moved, SIZE)])
     found = Recording(tmp_path / "a.rrd")
     assert {"/camera", "/camera_right"} <= found.entities(static=True)
     (place,) = found.column("/camera_right", "Transform3D:translation", static=True)

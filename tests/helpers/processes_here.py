@@ -30,11 +30,11 @@ class _CallsHere:
     def begin(self) -> None:
         pass
 
-    def run(self, call: Callable[[Any], Any], task: Any, time_limit: float | None) -> Any:
+    def run(self, call: Callable[..., Any], *arguments: Any, time_limit: float | None = None) -> Any:
         with _ONE_AT_A_TIME:
             pickle.loads(pickle.dumps(self._start))()  # each time, because another one's instrument may be prepared
-            function, argument = pickle.loads(pickle.dumps((call, task)))
-            return pickle.loads(pickle.dumps(function(argument)))
+            function, copies = pickle.loads(pickle.dumps((call, arguments)))
+            return pickle.loads(pickle.dumps(function(*copies)))
 
     def close(self) -> None:
         pass

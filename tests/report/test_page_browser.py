@@ -38,16 +38,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> str:
     return write_page(write_results(tmp_path_factory.mktemp("out é #1"), frames)).as_uri()
 
 
-@pytest.fixture
-def page(driver: WebDriver, report: str) -> WebDriver:
-    """Reload the report at a width of 1200 px."""
-    emulate(driver, width=1200)
-    driver.get("about:blank")
-    complaints(driver), requests(driver)
-    driver.get(report)
-    return driver
-
-
 def shown(page: WebDriver) -> list[str]:
     """Give the visible frames in order."""
     return page.execute_script(

@@ -33,16 +33,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> str:
     return write_page(write_calibrated(out, [*frames, failed("lost")], session, pictures=[*NAMES, LONG])).as_uri()
 
 
-@pytest.fixture
-def page(driver: WebDriver, report: str) -> WebDriver:
-    """Reload the report at a width of 1200 px."""
-    emulate(driver, width=1200)
-    driver.get("about:blank")
-    complaints(driver), requests(driver)
-    driver.get(report)
-    return driver
-
-
 def opened(page: WebDriver) -> list[str]:
     return page.execute_script(
         "return [...document.querySelectorAll('article details[open] h3')].map((h) => h.textContent)"

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from helpers.track_rows import JOINTS, recording, row
 
-from dvrk_cmaes.draw.track_overlay import TrackView
 from dvrk_cmaes.report.plots.track import track_charts
 from dvrk_cmaes.report.track_events import SWITCHED, track_events
 from dvrk_cmaes.report.track_page import render_track_page, write_track_page
 from dvrk_cmaes.report.track_pictures import TrackPictures, chosen_frames, contour_distances
+from dvrk_cmaes.results.tracked import TrackView
 
 LOST = "lost: the mask's edges do not support the predicted outline"
 SWITCH = "switched to the mirror twin: it explains the images better"

@@ -35,17 +35,8 @@ def page_of(folder: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> str:
+def report(tmp_path_factory: pytest.TempPathFactory) -> str:
     return page_of(tmp_path_factory.mktemp("tracks é #1"))
-
-
-@pytest.fixture
-def page(driver: WebDriver, address: str) -> WebDriver:
-    emulate(driver, width=1200)
-    driver.get("about:blank")
-    complaints(driver), requests(driver)
-    driver.get(address)
-    return driver
 
 
 def frame(page: WebDriver) -> str:
@@ -70,11 +61,11 @@ def press(page: WebDriver, *keys: str) -> None:
     ActionChains(page).send_keys(*keys).perform()
 
 
-def test_page_opens_without_errors_or_requests(page: WebDriver, address: str) -> None:
+def test_page_opens_without_errors_or_requests(page: WebDriver, report: str) -> None:
     assert page.title == "out é #1: 90 frames followed, 4 places to look at · dvrk-cmaes"
     assert frame(page) == "0000"
     assert complaints(page) == []
-    assert requests(page) == [address]
+    assert requests(page) == [report]
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -173,9 +164,9 @@ def test_curves_are_drawn_where_the_values_are(page: WebDriver) -> None:
     assert colours == wanted
 
 
-def test_page_can_be_read_without_scripts(address: str, tmp_path: Path) -> None:
+def test_page_can_be_read_without_scripts(report: str, tmp_path: Path) -> None:
     with chromium(tmp_path, scripts=False) as driver:
-        driver.get(address)
+        driver.get(report)
         assert "drawn by a script" in driver.find_element(By.TAG_NAME, "noscript").text
         assert not driver.find_element(By.ID, "player").is_displayed()
         assert len(driver.find_elements(By.CSS_SELECTOR, "#events tbody tr")) == 4

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from helpers.places import ROOT, SCRIPTS
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession
 from dvrk_cmaes.calibration.document import SessionCalibration
@@ -16,22 +14,11 @@ from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.results.result import Result
 
+pytestmark = pytest.mark.usefixtures("scripts_on_path")
+
 if TYPE_CHECKING:
     from measure.accuracy.sessions import Outcome
     from measure.cases import Case
-
-
-@pytest.fixture(autouse=True)
-def scripts_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    assert str(SCRIPTS) in sys.path
-
-
-@pytest.fixture
-def cases() -> list[Case]:
-    from measure.cases import Measurement
-
-    return Measurement([str(ROOT / "data" / "demo")]).cases()
 
 
 def outcome(cases: Sequence[Case], focal_scale: float | None, *, contradicts: bool) -> Outcome:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from helpers.places import ROOT, SCRIPTS
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession
 from dvrk_cmaes.calibration.document import SessionCalibration
@@ -22,23 +20,16 @@ from dvrk_cmaes.results.result import Result
 BASE = moved(np.eye(4), [0.01, 0.02, 0.15, 0.9, 1.8, -0.4])
 SPREAD = np.array([1e-4, 2e-4, 3e-4, 0.001, 0.002, 0.003])
 
+pytestmark = pytest.mark.usefixtures("scripts_on_path")
+
 if TYPE_CHECKING:
     from measure.accuracy.sessions import Outcome
     from measure.cases import Case
 
 
-@pytest.fixture(autouse=True)
-def scripts_on_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    assert str(SCRIPTS) in sys.path
-
-
-@pytest.fixture
-def cases() -> list[Case]:
-    from measure.cases import Measurement
-
-    demo = Measurement([str(ROOT / "data" / "demo")]).cases()
-    return [replace(demo[k % len(demo)], frame=f"{k:04d}") for k in range(10)]
+@pytest.fixture(name="cases")
+def ten_cases(cases: list[Case]) -> list[Case]:
+    return [replace(cases[k % len(cases)], frame=f"{k:04d}") for k in range(10)]
 
 
 def outcome(cases: Sequence[Case], off: np.ndarray, kind: str = "honest", **fields: Any) -> Outcome:

@@ -95,7 +95,8 @@ def shafts_plot(
     low, high = everything.min(axis=0), everything.max(axis=0)
     base = calibration.camera_from_base[:3, :3]
     across_base = base @ calibration.covariance[:3, :3] @ base.T * 1e6  # of the RCM, mm^2, along the camera's axes
-    away = np.array([_distance(rcm, origins[place], directions[place]) for place in sorted(used & poses.keys())])
+    lines = [(origins[place], directions[place]) for place in sorted(used & poses.keys())]
+    away = np.array([np.linalg.norm(np.cross(rcm - origin, direction)) for origin, direction in lines])
     near = away[away <= max(_FAR * float(np.median(away)), _LEAST_REACH)]
     reach = max(_LEAST_REACH, 1.4 * float(near.max()), 3 * float(np.sqrt(np.linalg.eigvalsh(across_base)[-1])))
 
@@ -110,11 +111,6 @@ def shafts_plot(
         near=views(rcm, reach, whole=False),
         many=len(poses) > _MANY,
     )
-
-
-def _distance(point: Float64, origin: Float64, direction: Float64) -> float:
-    """Return the distance of a point from the axis through ``origin`` along the unit vector ``direction``."""
-    return float(np.linalg.norm(np.cross(point - origin, direction)))
 
 
 def _view(

@@ -110,7 +110,7 @@ def _residual(rows: Sequence[Mapping[str, Any]], residuals: Mapping[str, Float64
     """Chart the distances between masks and outlines, and those that the tracker was left with."""
     curves = [Curve(f"mask, {name}", values, k) for k, (name, values) in enumerate(residuals.items())]
     curves.append(Curve("edges used", _column(row.get("residual_px") for row in rows), len(curves)))
-    known = tuple(curve for curve in curves if np.isfinite(curve.values).any())
+    known = tuple(filter(_is_known, curves))
     note = (
         "Distances of the mask's contour from the outline, and standard deviation of the edges that the tracker used."
     )

@@ -12,10 +12,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from dvrk_cmaes.draw.track_overlay import TrackView
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
 from dvrk_cmaes.report.track_pictures import TrackPictures, chosen_frames
+from dvrk_cmaes.results.tracked import TrackView
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MOTION_LEVELS, moving_arm
