@@ -14,8 +14,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed, adjoint, inverse
-from dvrk_cmaes.results.parts import posed
-from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.result import Result, modes_of
 
 _MAX_HYPOTHESIS_FRAMES = 60  # frames whose modes are used as hypotheses
 _MAX_TEST_FRAMES = 240  # frames on which each hypothesis is scored
@@ -42,7 +41,7 @@ class Mode:
     def all_of(cls, result: Result, joint_names: Sequence[str]) -> list[Mode]:
         """Return the modes of a frame's own result: its pose and its alternatives, all with the pose's covariance."""
         assert result.covariance is not None
-        return [cls(posed(each, joint_names), result.covariance) for each in (result, *result.alternatives)]
+        return [cls(at, result.covariance) for at in modes_of(result, joint_names)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,13 +12,12 @@ from typing import Final
 
 from cyclopts import App, CycloptsError, MissingArgumentError
 
-from dvrk_cmaes.cli.layout import HelpFormatter, TrimmedOutput
+from dvrk_cmaes.cli.layout import HelpFormatter, trimmed_console
 from dvrk_cmaes.cli.overview import ABOUT, SUMMARIES
-from dvrk_cmaes.cli.terminal import discard_stdout, prepare_streams, print_error
+from dvrk_cmaes.cli.terminal import INTERRUPTED, discard_stdout, prepare_streams, print_error
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
 
 _DEBUG = "--debug"
-_INTERRUPTED = 130  # as in shells: 128 + SIGINT
 
 _FUNCTIONS: Final = {"import": "import_recording:import_recording", "help": "help:help_topic"}
 """Module and function of the commands that are not named as these."""
@@ -47,9 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if tokens[:1] == ["help"] and len(tokens) == 2 and _is_only_command(tokens[1]):
         tokens = [tokens[1], "--help"]
     if not tokens or not {"--help", "-h"}.isdisjoint(tokens):
-        from rich.console import Console
-
-        app.console = Console(file=TrimmedOutput())
+        app.console = trimmed_console()
     with warnings.catch_warnings():
         if not (debug or sys.warnoptions):
             warnings.simplefilter("ignore")  # what a user has to know is said by the commands themselves
@@ -90,7 +87,7 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
             print_error("out of memory: try a smaller image, or fewer --threads")
         case KeyboardInterrupt():
             print_error("interrupted")
-            return _INTERRUPTED
+            return INTERRUPTED
         case BrokenPipeError():  # the reader closed stdout, e.g. ``| head``
             discard_stdout()
         case OSError():  # errors of files are InputError already: this is stdout on a full disk

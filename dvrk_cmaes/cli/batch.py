@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -37,7 +37,20 @@ from dvrk_cmaes.cli.options import (
     check_range,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, frames_text, print_error, show, warn
+from dvrk_cmaes.cli.terminal import (
+    DOUBTFUL,
+    FAILED,
+    INTERRUPTED,
+    STATUS_STYLES,
+    Line,
+    answer,
+    exit_code,
+    frames_text,
+    print_error,
+    show,
+    stopping_on_interrupt,
+    warn,
+)
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,7 +66,6 @@ if TYPE_CHECKING:
 
 _MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit
-_FAILED, _DOUBTFUL, _INTERRUPTED = 1, 3, 130
 
 
 def batch(
@@ -235,7 +247,7 @@ def batch(
                 for text in exchanged:
                     warn(text)
             if not exchanged:
-                finished = solve_crossing_tools(finished, scheduler, workers=workers, time_limit=time_limit)
+                finished = solve_crossing_tools(finished, scheduler, workers, time_limit)
         _report_all(finished, json, part)
         stopped = next((summary for summary in finished.values() if summary.interrupted), None)
         if stopped is not None:
@@ -244,21 +256,14 @@ def batch(
             if not stopped.counts["missing"]:
                 left = "frames in which tools cross are left"
             print_error(f"interrupted: {left}; {again} goes on from here")
-            return _INTERRUPTED
+            return INTERRUPTED
         if len(finished) > 1 and part is None:
             with output(results, "batch"):
                 page = write_arms(results, arms)
             if not json:
                 show([Line(f"all arms: {page}")])
-        code = _exit_code([summary.counts for summary in finished.values()])
-        return _DOUBTFUL if exchanged and code == 0 else code
-
-
-def _exit_code(counts: Sequence[Mapping[str, int]]) -> int:
-    """Return the exit code for the numbers of frames, by arm: 1 if all failed, 3 if a frame is doubtful or failed."""
-    if 0 < sum(arm["frames"] for arm in counts) == sum(arm["failed"] for arm in counts):
-        return _FAILED
-    return _DOUBTFUL if any(arm["doubtful"] or arm["failed"] for arm in counts) else 0
+        code = exit_code(frame["status"] for done in finished.values() for frame in done.document["frames"].values())
+        return DOUBTFUL if exchanged and code == 0 else code
 
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None) -> None:
@@ -308,9 +313,9 @@ def _run(
 
     ``own`` and ``options`` are arguments of `run_batch`, of which only the latter hold where a lag is found first.
     """
-    from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.cli.batch_progress import progress
     from dvrk_cmaes.runs.batch import run_batch
-    from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
+    from dvrk_cmaes.runs.batch_lag import find_batch_lag
     from dvrk_cmaes.runs.cluster import dask_executor
 
     session, model, used = arm.session, arm.body.instrument, {"config": settings, "arm": arm.kinematics, **options}
@@ -322,13 +327,12 @@ def _run(
             return run_batch(session, out, model, threads=settings.threads, **used, **more)
 
         if calibration is not None and lag in (None, AUTO):
-            session = with_calibrated_lag(session, calibration)
+            lag = calibration.applied_lag
         elif lag == AUTO:
             with progress() as reporter:
                 estimated = partial(run, progress=reporter)
-                found_lag = find_batch_lag(session, out, estimated, model, settings, arm.kinematics)
-            warn(found_lag.text)
-            lag = found_lag.lag
+                lag, text = find_batch_lag(session, out, estimated, model, settings, arm.kinematics)
+            warn(text)
         if lag is not None and not isinstance(lag, str):
             session = session.with_lag(lag)
         return run(session, out, progress=stack.enter_context(progress()), **own)
@@ -343,8 +347,8 @@ def _merge(out: Path, json: bool) -> int:
     counts = document["counts"]
     if counts["missing"]:
         print_error(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")
-        return _FAILED
-    return _exit_code([counts])
+        return FAILED
+    return exit_code(frame["status"] for frame in document["frames"].values())
 
 
 def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Iterator[Line]:

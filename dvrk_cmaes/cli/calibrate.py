@@ -28,7 +28,7 @@ from dvrk_cmaes.cli.options import (
     ReadingOptions,
     check_range,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, note, show, warn
+from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, show, stopping_on_interrupt, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
     Predictions = Mapping[str, tuple[float, float]]
 
-_DOUBTFUL, _INTERRUPTED = 3, 130
 _DOUBT = STATUS_STYLES["doubtful"].removeprefix("bold ")  # style of a line about a part
 _MOST_LISTED = 10
 _REFUSED = "session: "  # begins what is said of a session that cannot be solved
@@ -190,7 +189,7 @@ def calibrate(
         found = solved_together({name: partial(solving, name) for name in arms})
         solved = {name: solution for name, solution in found.items() if solution is not None}
         if len(solved) < len(arms):
-            return _INTERRUPTED
+            return INTERRUPTED
         for name, solution in solved.items():
             for text in solution.calibration.remarks if not json else solution.calibration.warnings:
                 warn(text, name)
@@ -209,7 +208,7 @@ def calibrate(
                 page = write_arms(target, arms)
             if not json:
                 show([Line(f"all arms: {page}")])
-        return _DOUBTFUL if exchanged or not agree or any(map(_is_doubtful, solved.values())) else 0
+        return DOUBTFUL if exchanged or not agree or any(map(_is_doubtful, solved.values())) else 0
 
 
 def _share(arm: ArmInSession, frames: str | None, every: int, keyframes: int | None) -> ArmInSession:
@@ -248,9 +247,6 @@ def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
 
     The frames are estimated again with that: with a guess that is far off, their poses disagree.
     """
-    from tempfile import TemporaryDirectory
-
-    from dvrk_cmaes.calibration.together import solved_alone
     from dvrk_cmaes.camera import Rig
 
     if not arm.session.guessed:
@@ -258,9 +254,7 @@ def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
     frames = arm.session.frames
     few = replace(arm, session=replace(arm.session, frames=frames[:: -(-len(frames) // _FIRST_FRAMES)]))
     note(f"finding the camera with {len(few.session.frames)} frames")
-    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
-        out = Path(folder) / "session"
-        solved = solved_alone(_solving_arm(few, out, replace(asked, refine_camera=True)))
+    solved = _solved_apart(few, replace(asked, refine_camera=True))
     if solved is None:
         return None
     rig = Rig(tuple(view.restored() for view in solved.calibration.views))
@@ -272,20 +266,24 @@ def _predicted_with(arm: ArmInSession, asked: _Asked) -> Predictions | str | Non
 
     None if it was interrupted.
     """
+    note(f"trying instrument {arm.body.instrument.name}")
+    try:
+        solved = _solved_apart(arm, asked)
+    except InputError as error:
+        if not str(error).startswith(_REFUSED):
+            raise
+        return str(error).removeprefix(_REFUSED)
+    return None if solved is None else solved.calibration.leave_one_out
+
+
+def _solved_apart(arm: ArmInSession, asked: _Asked) -> SolvedSession | None:
+    """Calibrate the session of an arm in a folder that is not kept; None if interrupted."""
     from tempfile import TemporaryDirectory
 
     from dvrk_cmaes.calibration.together import solved_alone
 
-    note(f"trying instrument {arm.body.instrument.name}")
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
-        out = Path(folder) / "session"
-        try:
-            solved = solved_alone(_solving_arm(arm, out, asked))
-        except InputError as error:
-            if not str(error).startswith(_REFUSED):
-                raise
-            return str(error).removeprefix(_REFUSED)
-    return None if solved is None else solved.calibration.leave_one_out
+        return solved_alone(_solving_arm(arm, Path(folder) / "session", asked))
 
 
 def _solving_arm(
@@ -312,7 +310,7 @@ def _solving_arm(
             alone = read_results(results).frames
             segment = segment_settings(session, results) if settings.session.masks_again else None
         else:
-            from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+            from dvrk_cmaes.cli.batch_progress import progress
             from dvrk_cmaes.runs.batch import run_batch
 
             results = target / ALONE

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import DEFAULT_METHOD, OUTPUT, Flag, MethodOptions
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, tracked
 from dvrk_cmaes.io.encode import encoded_fields
 
 if TYPE_CHECKING:
@@ -100,9 +100,6 @@ def demo(
 
 def _run(session: Session, out: Path, method: MethodOptions, tolerance: Tolerance) -> Iterator[DemoOutcome]:
     """Estimate the session's frames and compare them with the truth; show a progress bar if stderr is a terminal."""
-    from rich.console import Console
-    from rich.progress import track
-
     from dvrk_cmaes.estimation.one_tool import FrameMethod
     from dvrk_cmaes.evaluate.pose_error import compare_poses
     from dvrk_cmaes.frames.frame import read_frame
@@ -110,10 +107,9 @@ def _run(session: Session, out: Path, method: MethodOptions, tolerance: Toleranc
     from dvrk_cmaes.silhouette.prepare import prepare
 
     config, body = method.resolve(), prepare("lnd")
-    console = Console(stderr=True)
-    for files in track(session.frames, "Estimating", console=console, disable=not console.is_terminal):
+    for files in tracked(session.frames, "Estimating"):
         data, solved_as = read_frame(files, session.camera), FrameMethod("classic", config)
-        result = run_frame(files, data, body, solved_as, out, command="demo").result
+        result, _ = run_frame(files, data, body, solved_as, out, command="demo")
         assert result.camera_from_root is not None
         truth = session.truth.frames[files.name]
         error = compare_poses(

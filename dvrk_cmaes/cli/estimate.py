@@ -30,7 +30,7 @@ from dvrk_cmaes.cli.options import (
     joint_files,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import answer, warn
+from dvrk_cmaes.cli.terminal import answer, exit_code, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings, ReadAs
-
-EXIT_CODES = {"ok": 0, "failed": 1, "doubtful": 3}
 
 _Hyphens = Parameter(allow_leading_hyphen=True)
 
@@ -192,11 +190,11 @@ def estimate(
     data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
     shown = hints_within(prompts.resolve(), files.crop)
     solved_as = FrameMethod(instrument.kinematics, settings, known, model.resolve(), shown)
-    run = run_frame(files, data, body, solved_as, out)
-    for text in dict.fromkeys((*run.result.remarks, *run.result.warnings)):
+    result, written = run_frame(files, data, body, solved_as, out)
+    for text in dict.fromkeys((*result.remarks, *result.warnings)):
         warn(text)
-    answer(run.result.to_dict(), describe(run.result, run.written), json=json)
-    return EXIT_CODES[run.result.status]
+    answer(result.to_dict(), describe(result, written), json=json)
+    return exit_code([result.status])
 
 
 def _moment(time: str | None, image: str) -> float | None:

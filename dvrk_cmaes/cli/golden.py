@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Group, Parameter
 
@@ -21,15 +22,17 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
 )
 from dvrk_cmaes.cli.session_tools import single_tool
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, warn
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, tracked, warn
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.evaluate.pose_check import PoseCheck
     from dvrk_cmaes.evaluate.pose_error import Measured, Tolerance
+    from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.session_folder import Session
-    from dvrk_cmaes.runs.golden import FrameCheck
-
-T = TypeVar("T")
+    from dvrk_cmaes.results.result import Result
+    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 TOLERANCE = Group.create_ordered("Tolerance")
 
@@ -128,10 +131,9 @@ def record(
     json
         Print only a summary, as JSON, on stdout: the frames recorded and those left out.
     """
-    from dvrk_cmaes.frames.truth import write_golden
+    from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth, write_golden
+    from dvrk_cmaes.geometry import apply
     from dvrk_cmaes.results.paths import check_writable
-    from dvrk_cmaes.runs.golden import estimate_all
-    from dvrk_cmaes.runs.golden import record as recorded
 
     path = session / "golden.json" if golden is None else golden
     if path.exists() and not overwrite:
@@ -139,18 +141,24 @@ def record(
     check_writable(path.parent)
     config = method.resolve()
     arm = single_tool(session, instrument, follow_links=follow_links).read(session, camera)
-    frames = arm.session.frames
-    results = _tracked(estimate_all(frames, arm, config), len(frames))
-    recording = recorded(results, arm.body.instrument, allow_doubtful=allow_doubtful)
-    kept = list(recording.truth.frames)
+    frames, model = arm.session.frames, arm.body.instrument
+    kept: dict[str, FrameTruth] = {}
+    left_out: dict[str, str] = {}
+    for result in tracked(_estimated(frames, arm, config), "Estimating", len(frames)):
+        if result.camera_from_root is None or (result.status != "ok" and not allow_doubtful):
+            left_out[result.frame] = f"{result.status}: {'; '.join(result.reasons)}"
+            continue
+        ends = model.ends([result.joints[name] for name in model.joint_names])
+        tips = apply(result.camera_from_root, ends)
+        kept[result.frame] = FrameTruth(result.camera_from_root, result.joints, tips)
     if kept:
-        write_golden(path, recording.truth)
-    for frame, reason in recording.left_out.items():
+        write_golden(path, SessionTruth(kept))
+    for frame, reason in left_out.items():
         warn(f"left out {frame}: {reason}")
-    document = {"kept": kept, "left_out": dict(recording.left_out), "written": str(path) if kept else None}
+    document = {"kept": list(kept), "left_out": left_out, "written": str(path) if kept else None}
     written = f"written: {path}" if kept else "nothing to keep, nothing written"
     answer(document, [Line(f"kept {len(kept)} of {len(frames)} frames"), Line(written)], json=json)
-    return (3 if recording.left_out else 0) if kept else 1
+    return (3 if left_out else 0) if kept else 1
 
 
 @golden.command
@@ -195,9 +203,8 @@ def check(
     json
         Print only the comparison, as JSON, on stdout.
     """
+    from dvrk_cmaes.evaluate.pose_check import check_pose
     from dvrk_cmaes.frames.truth import read_golden
-    from dvrk_cmaes.runs.golden import check as checked
-    from dvrk_cmaes.runs.golden import estimate_all
 
     most, config = tolerance.resolve(), method.resolve()
     path = session / "golden.json" if golden is None else golden
@@ -205,14 +212,15 @@ def check(
     arm = single_tool(session, instrument, follow_links=follow_links).read(session, camera)
     _check_names(path, kept.frames, arm.session)
     frames = [files for files in arm.session.frames if files.name in kept.frames]
-    results = _tracked(estimate_all(frames, arm, config), len(frames))
-    checks = list(checked(results, kept, arm.body.instrument, most, modulo_twin=tolerance.modulo_twin))
-    right = all(frame.check.right for frame in checks)
+    compare = partial(check_pose, instrument=arm.body.instrument, tolerance=most, modulo_twin=tolerance.modulo_twin)
+    results = tracked(_estimated(frames, arm, config), "Estimating", len(frames))
+    checks = [(result, compare(result, kept.frames[result.frame])) for result in results]
+    right = all(check.right for _, check in checks)
     not_checked = [files.name for files in arm.session.frames if files.name not in kept.frames]
     document = {
         "right": right,
         "tolerance": asdict(most),
-        "frames": [frame.to_dict() for frame in checks],
+        "frames": [_document(*frame) for frame in checks],
         "not_checked": not_checked,
     }
     answer(document, _table(checks, asdict(most), not_checked), json=json)
@@ -232,13 +240,32 @@ def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
         raise InputError(f"{path}: frames: expected frames of {session.folder}, got {listed(gone)} too")
 
 
-def _tracked(items: Iterable[T], count: int) -> Iterable[T]:
-    """Iterate over items with a progress bar if stderr is a terminal."""
-    from rich.console import Console
-    from rich.progress import track
+def _estimated(frames: Iterable[FrameFiles], arm: ArmInSession, config: EstimateConfig) -> Iterator[Result]:
+    """Estimate frames of a session one after the other; a frame with an error gives a failed result with the reason."""
+    from dvrk_cmaes.estimation.one_tool import FrameMethod
+    from dvrk_cmaes.frames.frame import read_frame
+    from dvrk_cmaes.results.result import Result
+    from dvrk_cmaes.runs.frame import estimate_frame
 
-    console = Console(stderr=True)
-    return track(items, "Estimating", total=count, console=console, disable=not console.is_terminal)
+    for files in frames:
+        try:
+            data = read_frame(files, arm.session.camera)
+            yield estimate_frame(files, data, arm.body, FrameMethod(arm.kinematics, config))
+        except DvrkCmaesError as error:
+            yield Result.failed(files.name, str(error), files.readings, **arm.body.instrument.stated, time=files.time)
+
+
+def _document(result: Result, check: PoseCheck) -> dict[str, Any]:
+    """Return a comparison as plain values; keys of errors have the unit: ``root_mm``, ``wrist_pitch_deg`` and so on."""
+    from dvrk_cmaes.io.encode import encoded_fields
+
+    return {
+        **encoded_fields(result, "frame", "status", "reasons"),
+        "right": check.right,
+        "is_twin": check.is_twin,
+        "errors": {f"{measured.quantity}_{measured.unit}": measured.error for measured, _, _ in check.rows},
+        "off": [measured.quantity for measured, _, _ in check.rows if measured.exceeds],
+    }
 
 
 def _error_cell(error: Measured | None) -> str:
@@ -246,26 +273,26 @@ def _error_cell(error: Measured | None) -> str:
     return "- " if error is None else f"{error.error:.2f}{'!' if error.exceeds else ' '}"
 
 
-def _table(checks: Sequence[FrameCheck], tolerance: dict[str, float], not_checked: Sequence[str]) -> Iterator[Line]:
+def _table(
+    checks: Sequence[tuple[Result, PoseCheck]], tolerance: dict[str, float], not_checked: Sequence[str]
+) -> Iterator[Line]:
     """Yield one line of errors for each frame, then all errors of each frame that is not within tolerance."""
     from dvrk_cmaes.evaluate.pose_check import table
 
-    quantities = list(dict.fromkeys(row.measured.quantity for checked in checks for row in checked.check.rows))
-    width = max(6, *(len(checked.result.frame) for checked in checks))
+    quantities = list(dict.fromkeys(row.measured.quantity for _, check in checks for row in check.rows))
+    width = max(6, *(len(result.frame) for result, _ in checks))
     yield Line("Errors against the golden poses (root and tip in mm, all else in deg; ! is off)", "bold")
     yield Line(f"{'frame':<{width}}  {'status':<8}" + "".join(f"{name:>12}" for name in quantities), "bold")
-    for checked in checks:
-        cells = {row.measured.quantity: row.measured for row in checked.check.rows}
+    for result, check in checks:
+        cells = {row.measured.quantity: row.measured for row in check.rows}
         shown = "".join(f"{_error_cell(cells.get(name)):>12}" for name in quantities if cells)
-        style = "" if checked.check.right else STATUS_STYLES["failed"]
-        yield Line(
-            f"{checked.result.frame:<{width}}  {checked.result.status:<8}{shown}{checked.check.no_pose}".rstrip(), style
-        )
-    for checked in checks:
-        if not checked.check.right:
-            yield Line(f"{checked.result.frame}: not as the golden pose", STATUS_STYLES["failed"])
-            yield from (Line(f"  {text}") for text in table(checked.check))
-    right = sum(checked.check.right for checked in checks)
+        style = "" if check.right else STATUS_STYLES["failed"]
+        yield Line(f"{result.frame:<{width}}  {result.status:<8}{shown}{check.no_pose}".rstrip(), style)
+    for result, check in checks:
+        if not check.right:
+            yield Line(f"{result.frame}: not as the golden pose", STATUS_STYLES["failed"])
+            yield from (Line(f"  {text}") for text in table(check))
+    right = sum(check.right for _, check in checks)
     most = ", ".join(f"{name.rsplit('_', 1)[0].replace('_', '/')} {value:g}" for name, value in tolerance.items())
     yield Line(f"{right} of {len(checks)} frames within tolerance (at most: {most})")
     if not_checked:

@@ -70,12 +70,10 @@ def _print_markdown(text: str) -> None:
     if not sys.stdout.isatty():
         print(text, end="")
         return
-    from rich.console import Console
-
-    from dvrk_cmaes.cli.layout import TrimmedOutput
+    from dvrk_cmaes.cli.layout import trimmed_console
     from dvrk_cmaes.cli.markdown import fitted_markdown
 
-    console = Console(file=TrimmedOutput())
+    console = trimmed_console()
     from rich.markdown import Markdown
 
     console.print(Markdown(fitted_markdown(_RELATIVE_LINK.sub(r"\1", text), console.width)))

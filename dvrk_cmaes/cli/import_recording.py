@@ -22,7 +22,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
     joint_files,
 )
-from dvrk_cmaes.cli.terminal import Line, answer, warn
+from dvrk_cmaes.cli.terminal import Line, answer, tracked, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
@@ -234,8 +234,9 @@ def import_recording(
     asked = Asked("left", arm[0] if arm else None, camera, table, video_start)
     shown_part = Pictures(layout, "left", interlaced, None if crop is None else parse_crop("--crop", crop))
     with _opened(recording, topics, asked, shown_part, side, arm, episode) as opened:
+        shown = tracked(opened.images, "Importing", opened.total)
         summary = write_session(
-            replace(_with_progress(opened), rectified=topics.rectified),
+            replace(opened, images=iter(shown), rectified=topics.rectified),
             out,
             selection=ImageSelection(every, start, end),
             tolerance=tolerance,
@@ -314,7 +315,6 @@ def _opened(
     """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.frames.session_folder import is_session_layout
     from dvrk_cmaes.recording.bag import open_bag
-    from dvrk_cmaes.recording.bag_paths import SUFFIXES, is_bag
     from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
     from dvrk_cmaes.recording.pose_table import PoseTable
@@ -322,7 +322,7 @@ def _opened(
     from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
     from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
     from dvrk_cmaes.recording.surgsync_packed import is_packed, open_packed
-    from dvrk_cmaes.recording.topics import TopicRequest
+    from dvrk_cmaes.recording.topics import SUFFIXES, TopicRequest, is_bag
     from dvrk_cmaes.recording.video import Pictures, open_pictures, open_video
 
     arm, camera, joints = asked.arm, asked.camera, asked.joints
@@ -375,18 +375,6 @@ def _opened(
     if side == "both":
         return both_eyes(of_eye)
     return of_eye(side or "left", named=side is not None)
-
-
-def _with_progress(recording: Recording) -> Recording:
-    """Add a progress bar to the iteration over the images if stderr is a terminal."""
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console(stderr=True)
-    images: Iterator = iter(  # type: ignore[type-arg]
-        track(recording.images, "Importing", recording.total, console=console, disable=not console.is_terminal)
-    )
-    return replace(recording, images=images)
 
 
 def _lines(summary: ImportSummary) -> Iterator[Line]:

@@ -100,7 +100,7 @@ def _recording(path: Path) -> Finding | None:
         return None
     from dvrk_cmaes.inspection import Finding
     from dvrk_cmaes.recording.bag import list_topics
-    from dvrk_cmaes.recording.bag_paths import is_bag
+    from dvrk_cmaes.recording.topics import is_bag
 
     if not is_bag(path):
         return None

@@ -7,7 +7,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     from cyclopts.help import HelpEntry, HelpPanel
@@ -18,8 +18,14 @@ NARROW = 80
 
 _OPTION = re.compile(r" (?=--?[a-z])")
 _COMMENT = re.compile(r"^(\s*\S.*?)\s{2,}(#.*)$")
-_LAST_STYLE = re.compile(r"\x1b\[[0-9;]*m$")
-_LONGEST_STYLE = 40
+_LINE_END = re.compile(r"(?: |\x1b\[[0-9;]*m)+$", re.MULTILINE)
+
+
+def wrapped(text: str, width: int, first: str = "", rest: str = "") -> list[str]:
+    """Break a text into lines of at most ``width`` between its words; ``first`` and ``rest`` begin the lines."""
+    return textwrap.wrap(
+        text, width, initial_indent=first, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def fold(text: str, width: int) -> list[str]:
@@ -27,14 +33,7 @@ def fold(text: str, width: int) -> list[str]:
     if len(text) <= width:
         return [text]
     lead = len(text) - len(text.lstrip())
-    return textwrap.wrap(
-        text,
-        width,
-        subsequent_indent=" " * (lead + 2),
-        drop_whitespace=True,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    return wrapped(text, width, rest=" " * (lead + 2))
 
 
 def fold_code(line: str, width: int) -> list[str]:
@@ -47,9 +46,7 @@ def fold_code(line: str, width: int) -> list[str]:
     lead = " " * (len(line) - len(line.lstrip()))
     commented = _COMMENT.match(line)
     if commented is not None:
-        comment = textwrap.wrap(
-            commented[2][1:].strip(), width - len(lead) - 2, break_long_words=False, break_on_hyphens=False
-        )
+        comment = wrapped(commented[2][1:].strip(), width - len(lead) - 2)
         return [*(f"{lead}# {part}" for part in comment), *fold_code(commented[1], width)]
     if not re.match(r"\s*(\S*dvrk-cmaes|pip|curl|ros2) ", line):
         return [line]
@@ -65,43 +62,25 @@ def fold_code(line: str, width: int) -> list[str]:
 
 def without_trailing_spaces(text: str) -> str:
     """Remove the spaces at the ends of lines, which would follow a pasted backslash; styles stay."""
-    return "\n".join(_trimmed(line) for line in text.split("\n"))
+    return _LINE_END.sub(lambda end: end[0].replace(" ", ""), text)
 
 
-def _trimmed(line: str) -> str:
-    tail = ""
-    while True:
-        line = line.rstrip(" ")
-        style = _LAST_STYLE.search(line, max(0, len(line) - _LONGEST_STYLE))
-        if style is None:
-            return line + tail
-        tail = style[0] + tail
-        line = line[: style.start()]
-
-
-class TrimmedOutput(io.StringIO):
+class TrimmedOutput:
     """Stdout, whose lines end without spaces."""
 
     def write(self, text: str) -> int:
         """Write whole lines."""
         return sys.stdout.write(without_trailing_spaces(text))
 
-    def flush(self) -> None:
-        """Flush stdout."""
-        sys.stdout.flush()
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.stdout, name)
 
-    def isatty(self) -> bool:
-        """Whether stdout is a terminal."""
-        return sys.stdout.isatty()
 
-    def fileno(self) -> int:
-        """Return the descriptor of stdout."""
-        return sys.stdout.fileno()
+def trimmed_console() -> Console:
+    """Return a console on stdout, whose lines end without spaces."""
+    from rich.console import Console
 
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        """That of stdout."""
-        return sys.stdout.encoding
+    return Console(file=cast("IO[str]", TrimmedOutput()))
 
 
 class HelpFormatter:
@@ -137,14 +116,7 @@ class HelpFormatter:
         yield f"{_plain(panel.title)}:"
         for entry in panel.entries:
             yield f"  {' '.join(entry.display_labels_with_metavar)}"
-            yield from textwrap.wrap(
-                _described(entry),
-                console.width,
-                initial_indent=" " * 6,
-                subsequent_indent=" " * 6,
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
+            yield from wrapped(_described(entry), console.width, first=" " * 6, rest=" " * 6)
 
 
 def _described(entry: HelpEntry) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Event, Timer, current_thread, main_thread
+from threading import Event, Timer
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
@@ -30,7 +29,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
     SessionOption,
 )
-from dvrk_cmaes.cli.terminal import Line, note, show
+from dvrk_cmaes.cli.terminal import DOUBTFUL, Line, note, show, stopping_on_interrupt
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,7 +43,6 @@ SERVER = Group.create_ordered("Server")
 Each = Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative=(), show_default=False)]
 """One value for each arm."""
 
-_DOUBTFUL = 3  # exit code
 _FIRST_IMAGE = 10.0  # s, within which there must be something to follow
 _RENEWED, _LINES = 0.5, 10.0  # s, after which the state is shown again, on a terminal and elsewhere
 
@@ -97,28 +95,26 @@ class LiveTopics:
         right = (self.right_mask_topic, self.right_camera_topic)
         if self.right_image_topic is None and any(right):
             raise InputError("--right-image-topic: expected the topic of the right eye's images, got none")
-        names = ("mask_topic", "right_mask_topic", "joints_topic", "jaw_topic")
-        each: dict[str, tuple[str, ...]] = {f"--{name.replace('_', '-')}": getattr(self, name) for name in names}
-        for option, given in each.items():
-            if given and len(given) != len(arms):
-                raise InputError(f"{option}: expected a topic for each of {', '.join(arms)}, got {', '.join(given)}")
+        masks = _of_each("--mask-topic", self.mask_topic, arms)
+        right_masks = _of_each("--right-mask-topic", self.right_mask_topic, arms)
+        joints = _of_each("--joints-topic", self.joints_topic, arms, "/{}/measured_js")
+        jaws = _of_each("--jaw-topic", self.jaw_topic, arms, "/{}/jaw/measured_js")
         if self.right_image_topic is not None and bool(self.mask_topic) != bool(self.right_mask_topic):
             raise InputError("--right-mask-topic: expected masks of both eyes or of neither, got those of one")
         if len(arms) > 1 and not self.mask_topic:
             raise InputError("--mask-topic: expected a topic for each of several arms: colours do not tell them apart")
-        by_arm = {option: dict(zip(arms, given, strict=True)) if given else {} for option, given in each.items()}
-        eyes = {"left": EyeTopics.of(self.image_topic, self.camera_topic, by_arm["--mask-topic"])}
+        eyes = {"left": EyeTopics.of(self.image_topic, self.camera_topic, masks)}
         if self.right_image_topic is not None:
-            masks = by_arm["--right-mask-topic"]
-            eyes["right"] = EyeTopics.of(self.right_image_topic, self.right_camera_topic, masks)
-        joints = {
-            arm: (
-                by_arm["--joints-topic"].get(arm, f"/{arm}/measured_js"),
-                by_arm["--jaw-topic"].get(arm, f"/{arm}/jaw/measured_js"),
-            )
-            for arm in arms
-        }
-        return InputTopics(eyes, joints, self.ecm_topic)
+            eyes["right"] = EyeTopics.of(self.right_image_topic, self.right_camera_topic, right_masks)
+        return InputTopics(eyes, {arm: (joints[arm], jaws[arm]) for arm in arms}, self.ecm_topic)
+
+
+def _of_each(option: str, given: tuple[str, ...], arms: tuple[str, ...], default: str = "") -> dict[str, str]:
+    """Return the topics of arms, those by default where none are given; InputError where they are not one for each."""
+    if given and len(given) != len(arms):
+        raise InputError(f"{option}: expected a topic for each of {', '.join(arms)}, got {', '.join(given)}")
+    by_default = tuple(default.format(arm) for arm in arms) if default else ()
+    return dict(zip(arms, given or by_default, strict=False))
 
 
 DEFAULT_TOPICS = LiveTopics()
@@ -236,7 +232,7 @@ def live(
             options: dict[str, Any] = {"lag": lag, "calibration": given, "overlay": overlay, "show": shown}
             lines, ok = play(recorded, camera_frame, method.resolve(), **options)
         show(lines)
-        return 0 if ok else _DOUBTFUL
+        return 0 if ok else DOUBTFUL
     if len(set(psm)) < len(psm):
         raise InputError(f"--psm: expected different arms, got {', '.join(psm)}")
     if len(psm) > 1 and calibration is not None and not all((calibration / arm).is_dir() for arm in psm):
@@ -297,8 +293,11 @@ def _rig_of_files(camera: Path | None, right: Path | None, topics: InputTopics, 
 
 
 @contextmanager
-def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
-    """Yield a function that shows the state: on a terminal in one line that is renewed, elsewhere in new lines."""
+def shown_state(*, renewed: float = _RENEWED, lines: float = _LINES) -> Iterator[Callable[[Callable[[], str]], None]]:
+    """Yield a function that shows the state: on a terminal in one line that is renewed, elsewhere in new lines.
+
+    It is shown again after ``renewed`` or ``lines``, s.
+    """
     last = time.monotonic()
 
     def due(every: float) -> bool:
@@ -310,7 +309,7 @@ def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
         return True
 
     if not sys.stderr.isatty():
-        yield lambda state: note(state()) if due(_LINES) else None
+        yield lambda state: note(state()) if due(lines) else None
         return
     from rich.console import Console
     from rich.live import Live
@@ -319,7 +318,7 @@ def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
     with Live(console=Console(stderr=True), auto_refresh=False) as line:
 
         def renew(state: Callable[[], str]) -> None:
-            if due(_RENEWED):
+            if due(renewed):
                 line.update(Text(state(), no_wrap=True, overflow="ellipsis"), refresh=True)
 
         yield renew
@@ -328,16 +327,11 @@ def shown_state() -> Iterator[Callable[[Callable[[], str]], None]]:
 @contextmanager
 def _stopped(seconds: float) -> Iterator[Event]:
     """Yield an event that is set after some seconds, or by Ctrl-C."""
-    stop = Event()
-    timer = Timer(min(seconds, 1e8), stop.set)
-    timer.daemon = True
-    timer.start()
-    before: Any = None
-    if current_thread() is main_thread():
-        before = signal.signal(signal.SIGINT, lambda *_: stop.set())
-    try:
-        yield stop
-    finally:
-        timer.cancel()
-        if before is not None:
-            signal.signal(signal.SIGINT, before)
+    with stopping_on_interrupt("") as stop:
+        timer = Timer(min(seconds, 1e8), stop.set)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield stop
+        finally:
+            timer.cancel()

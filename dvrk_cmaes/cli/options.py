@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.csv_file import is_number
 from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
@@ -206,7 +207,7 @@ def joint_files(given: Sequence[Path], arm: str | None = None) -> Sequence[Path 
     """Return the files that --joints names, or None for none; the readings of an arm in a ROS recording are read."""
     if not given or tuple(given) == (Path(NO_READINGS),):
         return None if given else ()
-    from dvrk_cmaes.recording.bag_paths import is_bag
+    from dvrk_cmaes.recording.topics import is_bag
 
     return [_bag_joints(path, arm) if path.exists() and is_bag(path) else path for path in given]
 
@@ -418,10 +419,7 @@ class PromptOptions:
 
         box = None
         if self.box is not None:
-            try:
-                left, top, right, bottom = (float(part) for part in self.box.split(","))
-            except ValueError:
-                raise InputError(f"--box: expected x0,y0,x1,y1 in pixels, got {self.box!r}") from None
+            left, top, right, bottom = _numbers("box", self.box, "x0,y0,x1,y1 in pixels", 4)
             box = (left, top, right, bottom)
         points = tuple(parse_pixel("point", text) for text in self.point)
         return Hints(box, points, tuple(parse_pixel("not-point", text) for text in self.not_point))
@@ -458,8 +456,13 @@ def _split_package(text: str) -> tuple[str, Path]:
 
 def parse_pixel(option: str, text: str) -> tuple[float, float]:
     """Parse a pixel ``u,v``; InputError, which names the option, if it is not one."""
-    try:
-        u, v = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"--{option}: expected a pixel u,v, got {text!r}") from None
+    u, v = _numbers(option, text, "a pixel u,v", 2)
     return u, v
+
+
+def _numbers(option: str, text: str, expected: str, count: int) -> list[float]:
+    """Parse numbers with commas between them; InputError, which names the option, for others or another count."""
+    numbers = [float(part) for part in text.split(",") if is_number(part)]
+    if len(numbers) != count or text.count(",") != count - 1:
+        raise InputError(f"--{option}: expected {expected}, got {text!r}")
+    return numbers

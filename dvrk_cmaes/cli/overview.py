@@ -6,9 +6,10 @@ Importing these two takes most of the time of printing a list that hardly change
 from __future__ import annotations
 
 import shutil
-import textwrap
 from collections.abc import Sequence
 from typing import Final
+
+from dvrk_cmaes.cli.layout import NARROW, wrapped
 
 SUMMARIES: Final = {
     "estimate": "Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.",
@@ -42,7 +43,6 @@ Try "dvrk-cmaes demo" first; "dvrk-cmaes help" lists the reference pages.
 Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
 With --debug, any command shows where in the program an error was raised."""
 
-_NARROW: Final = 80  # columns, below which texts are below the names
 _COLUMNS: Final = 80  # where stdout is no terminal
 
 
@@ -61,19 +61,15 @@ def print_overview(arguments: Sequence[str]) -> bool:
 
 def overview(width: int) -> list[str]:
     """Return the lines of the list of commands for a terminal of ``width`` columns."""
-
-    def wrapped(text: str, width: int) -> list[str]:
-        return textwrap.wrap(text, max(width, 1), break_long_words=False, break_on_hyphens=False) or [""]
-
     entries = dict(sorted(SUMMARIES.items())) | {
         "--help, -h": "Display this message and exit.",
         "--version": "Display application version.",
     }
-    about = [part for line in ABOUT.splitlines() for part in wrapped(line, width)]
+    about = [part for line in ABOUT.splitlines() for part in wrapped(line, max(width, 1)) or [""]]
     lines = ["Usage: dvrk-cmaes COMMAND", "", *about, "", "Commands:"]
-    indent = 6 if width < _NARROW else 4 + max(map(len, entries))
+    indent = 6 if width < NARROW else 4 + max(map(len, entries))
     for name, text in entries.items():
-        texts = wrapped(text, width - indent)
-        lines += [f"  {name}"] if width < _NARROW else [f"  {name:<{indent - 2}}{texts.pop(0)}"]
+        texts = wrapped(text, max(width - indent, 1))
+        lines += [f"  {name}"] if width < NARROW else [f"  {name:<{indent - 2}}{texts.pop(0)}"]
         lines += [" " * indent + part for part in texts]
     return lines

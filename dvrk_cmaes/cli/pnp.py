@@ -18,7 +18,7 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
 )
 from dvrk_cmaes.cli.session_tools import single_tool
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, show
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, exit_code, show
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -86,10 +86,7 @@ def pnp(
         for result in results:
             write_json(result_path(out, result.frame), result.to_dict())
     show(_lines(results, out))
-    failed = sum(result.status == "failed" for result in results)
-    if failed == len(results):
-        return 1
-    return 3 if any(result.status != "ok" for result in results) else 0
+    return exit_code(result.status for result in results)
 
 
 def _by_markers(arm: ArmInSession, solver: Literal["sqpnp", "ransac"], markers: Path | None) -> Iterator[Result]:

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +26,7 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import header
 from dvrk_cmaes.geometry import Float64, change_between
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.live.connection import LocalConnection
+from dvrk_cmaes.live.connection import Connection
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.repeated_lines import RepeatedLines
@@ -96,10 +96,11 @@ class Rehearsed:
             eyes[eye] = EyeTopics(f"/{eye}/image" if has_images else "", f"/{eye}/camera_info", masks)
         return InputTopics(eyes, {arm: (f"/{arm}/measured_js",) for arm in self.arms})
 
-    def settings(self, arm: str, config: EstimateConfig, lag: float | None) -> TrackSettings:
+    def settings(self, arm: str, config: EstimateConfig, lag: float | None, known: CalibrationOf) -> TrackSettings:
         """Return the settings with which ``track --causal`` follows an arm."""
-        read, kinematics = self.clocks[arm].outer_read, self.arms[arm].kinematics
-        return TrackSettings(config, kinematics, lag=lag, causal=True, evidence=self.evidence, outer_read=read)
+        own, read = self.arms[arm], self.clocks[arm].outer_read
+        given = known(arm, own.body)
+        return TrackSettings(config, own.kinematics, given, lag, causal=True, evidence=self.evidence, outer_read=read)
 
     def arrays(self, number: int) -> Iterator[tuple[str, NDArray[np.uint8]]]:
         """Yield the image and masks of a frame by topic: (H, W, 3) BGR, and (H, W) of 0 and 255.
@@ -173,7 +174,7 @@ def _image(stamp: int, array: NDArray[np.uint8]) -> dict[str, Any]:
 
 
 @dataclass(eq=False)
-class Stage(LocalConnection):
+class Stage(Connection):
     """A connection within this process, which has the clock of what is sent, and counts what is published.
 
     ``stamp`` is the time of what was sent last, ns; ``poses`` (4, 4) and ``statuses`` are by arm and time, ns.
@@ -233,16 +234,13 @@ def play(
         A file of a frame is wrong.
     """
     stage, lines = Stage(stamp=recorded.stamps[0]), list[Line]()
+    settings = {arm: recorded.settings(arm, config, lag, calibration) for arm in recorded.arms}
     with ExitStack() as stack:
-
-        def solver(arm: str) -> Callable[[], SolverProcess] | None:
-            keeps = recorded.settings(arm, config, lag).keeps_keyframes
-            return partial(SolverProcess, recorded.arms[arm].body.instrument) if keeps else None
-
         arms = []
         for arm, own in recorded.arms.items():
-            frame_names, given = FrameNames(arm, camera_frame, f"{arm}_base"), calibration(arm, own.body)
-            arms.append(ArmSetup(frame_names, own.body, own.kinematics, given, solver(arm)))
+            names, known = FrameNames(arm, camera_frame, f"{arm}_base"), settings[arm].calibration
+            solver = partial(SolverProcess, own.body.instrument) if settings[arm].keeps_keyframes else None
+            arms.append(ArmSetup(names, own.body, own.kinematics, known, solver))
         rig = next(iter(recorded.arms.values())).session.rig
         setup = LiveSetup(
             recorded.topics, tuple(arms), config, lag, rig, overlay=overlay, waits=True, origin=recorded.origin
@@ -258,17 +256,14 @@ def play(
     note("following the recording as track --causal")
     lines += [Line(f"{topic}: {count}") for topic, count in sorted(stage.published.items()) if count]
     for arm in recorded.arms:
-        lines += _compared(recorded, arm, stage, config, lag, calibration)
+        lines += _compared(recorded, arm, stage, settings[arm])
     ok = all(stage.statuses[arm].get(stamp) == "ok" for arm in recorded.arms for stamp in recorded.stamps)
     return lines, ok
 
 
-def _compared(
-    recorded: Rehearsed, arm: str, stage: Stage, config: EstimateConfig, lag: float | None, calibration: CalibrationOf
-) -> list[Line]:
+def _compared(recorded: Rehearsed, arm: str, stage: Stage, settings: TrackSettings) -> list[Line]:
     """Follow an arm as ``track --causal``, and say how far what was published is from that."""
     own = recorded.arms[arm]
-    settings = replace(recorded.settings(arm, config, lag), calibration=calibration(arm, own.body))
     tracker = settings.tracker(own.session.rig, own.body)
     solving = SolverProcess(own.body.instrument) if settings.keeps_keyframes else nullcontext()
     same, apart, tracked, ok = 0, list[float](), 0, 0

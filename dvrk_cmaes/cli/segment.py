@@ -22,14 +22,12 @@ from dvrk_cmaes.cli.options import (
     SegmentOptions,
     check_range,
 )
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, note
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note
 from dvrk_cmaes.errors import DvrkCmaesError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.segment import Segmentation
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
-
-_FAILED, _DOUBTFUL = 1, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,9 +156,7 @@ def segment(
     outcomes = [outcome.moved(beside, out) for outcome in outcomes]
     document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}
     answer(document, (line for outcome in outcomes for line in _lines(outcome)), json=json)
-    if all(outcome.status == "failed" for outcome in outcomes):
-        return _FAILED
-    return 0 if all(outcome.status == "ok" for outcome in outcomes) else _DOUBTFUL
+    return exit_code(outcome.status for outcome in outcomes)
 
 
 def _by_view(frames: Iterable[str]) -> dict[str, list[str]]:

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
-from dvrk_cmaes.cli.terminal import Line, answer, show, warn
+from dvrk_cmaes.cli.terminal import Line, answer, show, stopping_on_interrupt, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.silhouette import Body
-
-T = TypeVar("T")
 
 
 def _options_of(options: InstrumentOptions, tool: ToolEntry) -> InstrumentOptions:
@@ -164,12 +162,7 @@ def single_tool(folder: Path, options: InstrumentOptions, *, follow_links: bool 
 def answer_by_arm(documents: Mapping[str, Any], lines: Mapping[str, Iterable[Line]], *, json: bool) -> None:
     """Print the documents of all arms as JSON, or else their lines, those of each of several below its name."""
     titled = ([*([Line(name, "bold")] if name else []), *own] for name, own in lines.items())
-    answer(alone_or_by_arm(documents), (line for own in titled for line in own), json=json)
-
-
-def alone_or_by_arm(values: Mapping[str, T]) -> T | Mapping[str, T]:
-    """Return what a command prints of a session's tools: the value of the only one, or those of several by arm."""
-    return values.get("", values)
+    answer(documents.get("", documents), (line for own in titled for line in own), json=json)
 
 
 def read_calibration_of(
@@ -206,10 +199,11 @@ def read_calibration_of(
 
 
 def solve_crossing_tools(
-    finished: Mapping[str, BatchSummary], scheduler: str | None, **options: Any
+    finished: Mapping[str, BatchSummary], scheduler: str | None, workers: int | None, time_limit: float
 ) -> dict[str, BatchSummary]:
     """Solve the frames of all arms again in which a tool is in front of another one, with progress on stderr."""
-    from dvrk_cmaes.cli.batch_progress import progress, stopping_on_interrupt
+    from dvrk_cmaes.cli.batch_progress import progress
+    from dvrk_cmaes.runs.batch import Workers
     from dvrk_cmaes.runs.cluster import dask_executor
     from dvrk_cmaes.runs.crossing_tools import solve_crossing
 
@@ -218,7 +212,7 @@ def solve_crossing_tools(
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, folder))
         stop = stack.enter_context(stopping_on_interrupt())
         reporter = stack.enter_context(progress())
-        return solve_crossing(finished, executor=executor, stop=stop, progress=reporter, **options)
+        return solve_crossing(finished, Workers(workers, executor, time_limit, stop, reporter))
 
 
 def write_bases(

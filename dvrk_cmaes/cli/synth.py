@@ -132,14 +132,11 @@ def synth(
     if not 1 <= frames <= _MOST_FRAMES:
         raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {frames}")
     check_range("--seed", seed, 0, LARGEST_SEED)
-    if lag is not None and motion != "video":
-        raise InputError(f"--lag: expected it with --motion video only, got --motion {motion}")
-    if cables is not None and motion != "video":
-        raise InputError(f"--cables: expected it with --motion video only, got --motion {motion}")
+    for option, given in (("--lag", lag is not None), ("--cables", cables is not None), ("--ecm", ecm)):
+        if given and motion != "video":
+            raise InputError(f"{option}: expected it with --motion video only, got --motion {motion}")
     if mp4 and (motion != "video" or not images or stereo):
         raise InputError("--mp4: expected it with --motion video, --images and one eye only")
-    if ecm and motion != "video":
-        raise InputError(f"--ecm: expected it with --motion video only, got --motion {motion}")
     if not _BASELINES[0] <= baseline <= _BASELINES[1]:
         raise InputError(f"--baseline: expected {_BASELINES[0]} to {_BASELINES[1]} m, got {baseline:g}")
     if arms > 1 and (motion == "free" or (stereo and motion == "rcm")):

@@ -1,16 +1,23 @@
-"""Text output on stdout and stderr; lines on stdout are styled if it is a terminal."""
+"""Text output on stdout and stderr, lines on stdout with styles if it is a terminal; exit codes and Ctrl-C."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import os
+import signal
 import sys
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+import threading
+from collections.abc import Iterable, Iterator
+from types import FrameType
+from typing import Any, NamedTuple, TypeVar
 
+T = TypeVar("T")
+
+FAILED, DOUBTFUL, INTERRUPTED = 1, 3, 130  # exit codes; the last one as in shells: 128 + SIGINT
 STATUS_STYLES = {"ok": "bold green", "doubtful": "bold yellow", "failed": "bold red"}
 
+_STOPPING = "stopping: the frames that are running are finished and written first (Ctrl-C again: at once)"
 _LONGEST = 900  # characters of an error message
 
 
@@ -91,6 +98,53 @@ def answer(document: Any, lines: Iterable[Line], *, json: bool) -> None:
         show(lines)
 
 
+def tracked(items: Iterable[T], what: str, total: int | None = None) -> Iterable[T]:
+    """Iterate over items with a progress bar if stderr is a terminal."""
+    from rich.console import Console
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    return track(items, what, total, console=console, disable=not console.is_terminal)
+
+
+def exit_code(statuses: Iterable[str]) -> int:
+    """Return the exit code of a command with the statuses of its frames: 1 if all failed, 3 if one is not ok."""
+    found = set(statuses)
+    return FAILED if found == {"failed"} else DOUBTFUL if found - {"ok"} else 0
+
+
 def frames_text(frames: int) -> str:
     """Return a number of frames as text: ``1 frame``, ``2 frames``."""
     return f"{frames} frame{'' if frames == 1 else 's'}"
+
+
+def _stopping() -> list[signal.Signals]:
+    """Return the signals that stop a run; SIGHUP, of a terminal that is closed, only where nohup does not ignore it."""
+    hang_up = [] if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else [signal.SIGHUP]
+    return [signal.SIGINT, signal.SIGTERM, *hang_up]
+
+
+@contextlib.contextmanager
+def stopping_on_interrupt(said: str = _STOPPING) -> Iterator[threading.Event]:
+    """Give an event that is set by the first Ctrl-C (or SIGTERM, SIGHUP); the second one raises KeyboardInterrupt.
+
+    Signals are not handled outside the main thread.
+    """
+    stop = threading.Event()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        if said:
+            warn(said)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = {number: signal.signal(number, handle) for number in _stopping()}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

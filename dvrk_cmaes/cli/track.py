@@ -34,7 +34,7 @@ from dvrk_cmaes.cli.options import (
     check_range,
 )
 from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_calibration_of, session_tools, write_bases
-from dvrk_cmaes.cli.terminal import Line, frames_text, note, show, warn
+from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, Line, frames_text, note, show, stopping_on_interrupt, warn
 from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 
-_DOUBTFUL, _INTERRUPTED = 3, 130
 _MOST_REASONS = 8
 _REPORT_EVERY = 5.0  # s
 
@@ -182,7 +181,6 @@ def track(
 
         check_rerun("--rerun", rerun)
     from dvrk_cmaes.calibration.together import solved_together
-    from dvrk_cmaes.cli.batch_progress import stopping_on_interrupt
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.joints.lag import Lag
@@ -275,9 +273,9 @@ def track(
         for text in exchanged:
             warn(text)
         if interrupted:
-            return _INTERRUPTED
+            return INTERRUPTED
         doubtful = exchanged or not agree or any(set(summary.counts) - {"ok"} for summary in finished.values())
-        return _DOUBTFUL if doubtful else 0
+        return DOUBTFUL if doubtful else 0
 
 
 def _check_of_several(of_one: Mapping[str, Path | None], calibration: Path | None, prompts: PromptOptions) -> None:

@@ -80,7 +80,7 @@ class Source:
         from dvrk_cmaes.frames.own_files import OwnFiles
         from dvrk_cmaes.frames.session_video import own_video
         from dvrk_cmaes.frames.video_frames import SUFFIXES
-        from dvrk_cmaes.recording.bag_paths import is_bag
+        from dvrk_cmaes.recording.topics import is_bag
 
         if path.suffix.lower() in SUFFIXES and not path.is_dir():
             return Source(path.parent, path)
@@ -105,11 +105,9 @@ class Source:
         ahead: bool,
     ) -> ArmInSession:
         """Read the session of a tool."""
-        if self.video is None:
-            if video != DEFAULT_VIDEO:
-                raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
-            return tool.read(self.folder, camera, joints=joints, reading=reading, ahead=ahead)
-        opened = video.open(self.video, camera.side)
+        if self.video is None and video != DEFAULT_VIDEO:
+            raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
+        opened = None if self.video is None else video.open(self.video, camera.side)
         return tool.read(self.folder, camera, joints=joints, reading=reading, video=opened, ahead=ahead)
 
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.results.layers import FrameLayers, Outline
-from dvrk_cmaes.results.parts import posed
-from dvrk_cmaes.results.result import Alternative, Result
+from dvrk_cmaes.results.result import Alternative, Result, modes_of
 from dvrk_cmaes.silhouette import Body, Renderer
 
 _WIDTH = 960  # px, larger pictures are reduced
@@ -42,7 +41,7 @@ def frame_layers(
     """
     regions = {"mask": mask}
     if result.camera_from_root is not None:
-        at = Posed.stacked(posed(each, body.instrument.joint_names) for each in (result, *result.alternatives))
+        at = Posed.stacked(modes_of(result, body.instrument.joint_names))
         drawn = Renderer(body, camera, threads=1).masks(at.pose, at.joints)
         regions |= dict(zip(("result", *alternative_names(result.alternatives)), drawn, strict=True))
     height, width = mask.shape

@@ -21,7 +21,7 @@ from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
-from dvrk_cmaes.segment.shaft_pairs import prompt_in
+from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -89,9 +89,8 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
     found: list[_FoundMask] = []
     for view in data.views:
         own = method.hints or Hints()
-        if found:  # the prompts are pixels of the first view
-            chosen = found[0].segmentation.others or own != Hints()
-            own = prompt_in(view, found[0].view.mask, found[0].view, body) if chosen else Hints()
+        if found:
+            own = prompts_in(view, found[0].view, own, body, several=bool(found[0].segmentation.others))
         try:
             found.append(_find_mask(view, body, files.readings, solve, settings, own, method.config.threads))
         except DvrkCmaesError as error:

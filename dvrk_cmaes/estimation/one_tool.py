@@ -28,8 +28,7 @@ from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
 from dvrk_cmaes.pose.search.modes import Candidate
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.results.parts import posed
-from dvrk_cmaes.results.result import Result, Source
+from dvrk_cmaes.results.result import Result, Source, modes_of
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, decimated_body, prepare
 from dvrk_cmaes.silhouette.threads import single_blas_thread
@@ -228,8 +227,8 @@ def _modes(start: Result, view: SeenView, model: Instrument) -> list[Candidate]:
     """Return the pose of a result and its alternatives, the best first, in a view's camera; none without a pose."""
     if start.camera_from_root is None:
         return []
-    modes = enumerate((start, *start.alternatives))
-    return [Candidate(posed(mode, model.joint_names).seen_from(view.view_from_camera), float(k)) for k, mode in modes]
+    modes = enumerate(modes_of(start, model.joint_names))
+    return [Candidate(mode.seen_from(view.view_from_camera), float(k)) for k, mode in modes]
 
 
 def _check_session(session: SessionCalibration, instrument: str, arm: Arm | None) -> None:

@@ -6,10 +6,10 @@ has only an image; both check that the sizes of the files fit each other and the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -28,6 +28,8 @@ from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.image_header import read_header
 from dvrk_cmaes.results.result import Result
+
+T = TypeVar("T")
 
 Window = tuple[int, int, int, int]
 """Left, top, width and height of a part of a picture, px."""
@@ -288,6 +290,14 @@ def image_of(files: FrameFiles) -> NDArray[np.uint8] | None:
     if files.image is None:
         return None if files.video is None else _cropped(files, files.video.image(), files.video.video.path)
     return _cropped(files, read_image(files.image), files.image)
+
+
+def readable(read: Callable[[], T]) -> T | None:
+    """Read a picture; None for one that cannot be read, as its frame says."""
+    try:
+        return read()
+    except InputError:
+        return None
 
 
 def _cropped(files: FrameFiles, pixels: NDArray[Any], path: Path) -> NDArray[Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.csv_file import read_csv_rows
+from dvrk_cmaes.io.csv_file import is_number, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 
 _COLUMNS = ("frame", "tip_1_u", "tip_1_v", "tip_2_u", "tip_2_v")
@@ -26,16 +26,10 @@ def parse_keypoints(text: str) -> Float64:
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 4:
         raise InputError(f"keypoints: expected four numbers u1,v1,u2,v2 in pixels, got {len(parts)} ({shown(text)})")
-    numbers = []
     for part in parts:
-        try:
-            number = float(part)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
+        if not (is_number(part) and math.isfinite(float(part))):
             raise InputError(f"keypoints: expected four finite numbers u1,v1,u2,v2 in pixels, got {shown(part)}")
-        numbers.append(number)
-    return np.array(numbers).reshape(2, 2)
+    return np.array([float(part) for part in parts]).reshape(2, 2)
 
 
 def read_keypoints(path: str | Path) -> dict[str, Float64]:

@@ -36,7 +36,7 @@ def parse_label(where: str, given: LabelText) -> Label:
     if isinstance(given, str):
         parts: Iterable[object] = given.split(",")
     else:
-        parts = [given] if isinstance(given, int) else given
+        parts = given if isinstance(given, Sequence) else [given]
     return tuple(dict.fromkeys(_parsed(where, part) for part in parts))
 
 

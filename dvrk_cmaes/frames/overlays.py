@@ -7,21 +7,18 @@ held still before what moves reaches the edge of the picture, or is in the masks
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Final, TypeVar
+from typing import Final
 
 import cv2
 import numpy as np
 
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of
+from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of, readable
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Float32, Image
-
-T = TypeVar("T")
 
 OVERLAID: Final = "what lies over all pictures and never changes, as texts or a border, is ignored"
 """Note on frames with such pixels."""
@@ -162,15 +159,7 @@ def _learned(frames: Sequence[FrameFiles]) -> Bool | None:
     if len(usable) < _FEWEST:
         return None
     chosen = [usable[int(k)] for k in np.unique(np.linspace(0, len(usable) - 1, _MOST).round())]
-    images = [image for files in chosen if (image := _readable(partial(image_of, files))) is not None]
+    images = [image for files in chosen if (image := readable(partial(image_of, files))) is not None]
     masked = [(files, files.mask) for files in chosen if files.mask is not None]
     read = [partial(mask_of, files, mask, blank=True) for files, mask in masked[:: max(1, len(masked) // _FEWEST)]]
-    return overlaid(images, [mask for each in read if (mask := _readable(each)) is not None])
-
-
-def _readable(read: Callable[[], T | None]) -> T | None:
-    """Read a picture; None for one that cannot be read: its frame says so."""
-    try:
-        return read()
-    except InputError:
-        return None
+    return overlaid(images, [mask for each in read if (mask := readable(each)) is not None])

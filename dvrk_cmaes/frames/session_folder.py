@@ -335,8 +335,8 @@ def _session_frames(
     tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
     boxes = read_boxes(root / "boxes.csv") if os.path.lexists(root / "boxes.csv") else {}
     films = {} if video is None else video.frames(files, tuple(masks))
-    if video is not None:
-        times = {name: video.time_of(film) for name, film in films.items()} if video.keeps_time(files) else times
+    if video is not None and all(file.labels != "frame" for file in files):  # else the times are those of the rows
+        times = {name: video.start + video.video.times[film.number] for name, film in films.items()}
     image_times = {
         name: times.get(name, time_in_name(name))
         for name in sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])), key=natural)

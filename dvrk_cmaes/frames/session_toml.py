@@ -23,11 +23,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Final, Literal
-
-from msgspec import Struct
+from typing import Any, Final, Literal, TypeVar
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import Window
@@ -39,7 +37,8 @@ from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.results.paths import check_frame_name
 
 SESSION_FILE: Final = "session.toml"
-_EXPECTED = {str: "text in quotes", dict: "a table", tuple: "a list of tables"}
+_EXPECTED = {str: "text in quotes", Path: "text in quotes", dict: "a table", tuple: "a list of tables"}
+Entry = TypeVar("Entry", "CameraEntry", "ToolEntry")
 
 
 @dataclass(frozen=True)
@@ -100,32 +99,10 @@ class SessionEntries:
         raise InputError(f"{self.path}: arm: expected one of {known}, got {arm!r}")
 
 
-class _Camera(Struct, forbid_unknown_fields=True, frozen=True):
-    file: str | None = None
-    left: str | None = None
-    right: str | None = None
-    rectified: bool = False
-    crop: tuple[int, int, int, int] | None = None
-    stretch: bool = False
-
-
-class _Tool(Struct, forbid_unknown_fields=True, frozen=True):
-    arm: str
-    kinematics: Literal["classic", "si"] | None = None
-    instrument: str | None = None
-    packages: dict[str, str] = {}
-    root_link: str | None = None
-    tool: str | None = None
-    label: int | str | tuple[int | str, ...] | None = None
-    pick: tuple[float, float] | None = None
-    masks: str | None = None
-    joints: str | None = None
-    columns: tuple[str, ...] = ()
-
-
-class _Document(Struct, forbid_unknown_fields=True, frozen=True):
-    camera: _Camera = _Camera()
-    tool: tuple[_Tool, ...] = ()
+@dataclass(frozen=True)
+class _Document:
+    camera: CameraEntry = CameraEntry()
+    tool: tuple[ToolEntry, ...] = ()
 
 
 def read_session_toml(folder: str | Path, *, follow_links: bool = False) -> SessionEntries | None:
@@ -143,20 +120,23 @@ def read_session_toml(folder: str | Path, *, follow_links: bool = False) -> Sess
     if not os.path.lexists(path):
         return None
     document = read_toml(OwnFiles(root, follow_links).check(path), expected="a session's description (TOML)")
-    _check_keys(path, document)
+    tables = document.get("tool")
+    tools: list[object] = tables if isinstance(tables, list) else []
+    for prefix, table, kind in [
+        ("", document, _Document),
+        ("camera.", document.get("camera"), CameraEntry),
+        *(("tool.", tool, ToolEntry) for tool in tools),
+    ]:
+        _check_keys(f"{path}: unknown key {prefix}", table, [field.name for field in fields(kind)])
+    for tool in tools:
+        if isinstance(tool, dict) and "label" in tool:
+            tool["label"] = parse_label(f"{path}: tool.label", tool["label"])
     read = convert_document(str(path), document, _Document, _EXPECTED)
-    own = read.camera
-    camera = CameraEntry(
-        _within(root, own.file),
-        _within(root, own.left),
-        _within(root, own.right),
-        own.rectified,
-        None if own.crop is None else parse_crop(f"{path}: camera.crop", own.crop),
-        own.stretch,
-    )
-    tools = tuple(_tool(root, tool) for tool in read.tool)
-    _check_tools(path, tools)
-    return SessionEntries(path, camera, tools)
+    entries = SessionEntries(path, _within(root, read.camera), tuple(_within(root, tool) for tool in read.tool))
+    if entries.camera.crop is not None:
+        parse_crop(f"{path}: camera.crop", entries.camera.crop)
+    _check_tools(path, entries.tools)
+    return entries
 
 
 def session_toml(camera: CameraEntry, tools: Sequence[ToolEntry]) -> str:
@@ -188,45 +168,21 @@ def _quoted(value: str | Path) -> str:
     return json.dumps(str(value), ensure_ascii=False)
 
 
-def _check_keys(path: Path, document: dict[str, object]) -> None:
-    """Raise an InputError for a key that no table has, with the nearest known ones."""
-    tables: list[tuple[str, object, tuple[str, ...]]] = [
-        ("", document, _Document.__struct_fields__),
-        ("camera.", document.get("camera"), _Camera.__struct_fields__),
-    ]
-    tools = document.get("tool")
-    if isinstance(tools, list):
-        tables += [("tool.", tool, _Tool.__struct_fields__) for tool in tools]
-    for prefix, table, known in tables:
-        for key in table if isinstance(table, dict) else ():
-            if key not in known:
-                near = ", ".join(nearest_first(key, known)[:3])
-                raise InputError(f"{path}: unknown key {prefix}{key}; the nearest known are {near}")
+def _check_keys(begin: str, table: object, known: Sequence[str]) -> None:
+    """Raise an InputError for a key that a table does not have, with the nearest known ones."""
+    for key in table if isinstance(table, dict) else ():
+        if key not in known:
+            raise InputError(f"{begin}{key}; the nearest known are {', '.join(nearest_first(key, known)[:3])}")
 
 
-def _tool(root: Path, read: _Tool) -> ToolEntry:
-    """Return a tool with its paths in the session's folder; the name of a bundled instrument is not a path."""
-    instrument = read.instrument
-    if instrument is not None and instrument.lower().endswith((".urdf", ".xml")):
-        instrument = str(root / instrument)
-    return ToolEntry(
-        arm=read.arm,
-        kinematics=read.kinematics,
-        instrument=instrument,
-        packages={name: root / folder for name, folder in read.packages.items()},
-        root_link=read.root_link,
-        tool=_within(root, read.tool),
-        label=None if read.label is None else parse_label(f"{root / SESSION_FILE}: tool.label", read.label),
-        pick=read.pick,
-        masks=_within(root, read.masks),
-        joints=_within(root, read.joints),
-        columns=read.columns,
-    )
-
-
-def _within(root: Path, name: str | None) -> Path | None:
-    """Return a path relative to a folder; None for none."""
-    return None if name is None else root / name
+def _within(root: Path, entry: Entry) -> Entry:
+    """Return an entry with its paths in the session's folder; the name of a bundled instrument is not a path."""
+    changed: dict[str, Any] = {name: root / value for name, value in vars(entry).items() if isinstance(value, Path)}
+    if isinstance(entry, ToolEntry):
+        changed["packages"] = {name: root / folder for name, folder in entry.packages.items()}
+        if entry.instrument is not None and entry.instrument.lower().endswith((".urdf", ".xml")):
+            changed["instrument"] = str(root / entry.instrument)
+    return replace(entry, **changed)
 
 
 def _check_tools(path: Path, tools: tuple[ToolEntry, ...]) -> None:

@@ -80,26 +80,6 @@ class SessionVideo:
         window = self.video.window(None, self.layout, self.side)
         return {name: VideoFrame(self.video, number, window) for number, name in enumerate(names)}
 
-    def keeps_time(self, files: Sequence[JointFile]) -> bool:
-        """Whether the times of images are the video's: no readings have rows of named frames.
-
-        Parameters
-        ----------
-        files
-            The files of readings.
-        """
-        return all(file.labels != "frame" for file in files)
-
-    def time_of(self, frame: VideoFrame) -> int:
-        """Return the time of a frame, ns, on the clock of the readings.
-
-        Parameters
-        ----------
-        frame
-            A frame of the video.
-        """
-        return self.start + self.video.times[frame.number]
-
     def fitted(self, frames: Sequence[FrameFiles], camera: Camera) -> tuple[FrameFiles, ...]:
         """Return frames with the part of the picture that is one camera's; InputError as in `Video.window`.
 
@@ -112,5 +92,6 @@ class SessionVideo:
         """
         window = self.video.window(camera, self.layout, self.side)
         return tuple(
-            files if files.video is None else replace(files, video=files.video.within(window)) for files in frames
+            files if files.video is None else replace(files, video=replace(files.video, window=window))
+            for files in frames
         )

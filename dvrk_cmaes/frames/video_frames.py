@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -214,7 +214,3 @@ class VideoFrame:
     def image(self) -> NDArray[np.uint8]:
         """Decode the frame's window, (H, W, 3) uint8 BGR."""
         return self.window.of(self.video.image(self.number))
-
-    def within(self, window: EyeWindow) -> VideoFrame:
-        """Return the frame with another window."""
-        return replace(self, window=window)

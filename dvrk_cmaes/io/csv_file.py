@@ -117,21 +117,13 @@ def cell_of(value: object) -> object:
 
     A frame's name may be ``=2+2``; numbers, also those given as texts, stay as they are.
     """
-    if not isinstance(value, str) or not value.startswith(_FORMULA):
-        return value
-    try:
-        float(value)
-    except ValueError:
-        return f"'{value}"
-    return value
+    is_formula = isinstance(value, str) and value.startswith(_FORMULA) and not is_number(value)
+    return f"'{value}" if is_formula else value
 
 
 def number_in(where: str, column: str, cells: dict[str, str], unit: str = "") -> float:
     """Convert a cell to a finite number; InputError, which begins with ``where`` and names the unit, otherwise."""
-    try:
-        value = float(cells[column])
-    except ValueError:
-        value = math.nan
+    value = float(cells[column]) if is_number(cells[column]) else math.nan
     if not math.isfinite(value):
         what = f"a finite number in {unit}" if unit else "a finite number"
         raise InputError(f"{where}: {column}: expected {what}, got {shown(cells[column])}")

@@ -15,6 +15,7 @@ import json
 import os
 import re
 import stat
+import threading
 import uuid
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -62,30 +63,36 @@ class _Place:
         return self._open()
 
 
-_places: dict[Path, _Place] = {}
+class _Places(threading.local):
+    """The folders that this thread has opened, by their path: another thread may close its own ones at any time."""
+
+    def __init__(self) -> None:
+        self.opened: dict[Path, _Place] = {}
+
+
+_places = _Places()
 
 
 def _nearest(path: Path) -> tuple[_Place | None, tuple[str, ...]]:
     """Return the innermost open folder that holds a path, or is it, and the parts of the path from there on."""
     place = Path(os.path.abspath(path))
     for folder in (place, *place.parents):
-        if folder in _places:
-            return _places[folder], place.relative_to(folder).parts
+        if folder in _places.opened:
+            return _places.opened[folder], place.relative_to(folder).parts
     return None, ()
 
 
 @contextlib.contextmanager
 def _placed(path: Path, place: _Place) -> Iterator[None]:
-    key = Path(os.path.abspath(path))
-    before = _places.get(key)
-    _places[key] = place
+    key, opened = Path(os.path.abspath(path)), _places.opened
+    before = opened.get(key)
+    opened[key] = place
     try:
         yield
     finally:
-        if before is None:
-            del _places[key]
-        else:
-            _places[key] = before
+        del opened[key]
+        if before is not None:
+            opened[key] = before
 
 
 @contextlib.contextmanager

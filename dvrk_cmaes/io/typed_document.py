@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 from abc import ABCMeta
 from collections.abc import Mapping
+from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -43,7 +44,7 @@ Texts = Annotated[tuple[str, ...], Meta(description="a list of texts")]
 
 
 def _array_type(*shape: int) -> ABCMeta:
-    """Return a class for annotations of arrays of one shape; msgspec passes values of such fields to `_read_array`."""
+    """Return a class for annotations of arrays of one shape; msgspec passes values of such fields to `_read_value`."""
     kind = ABCMeta("Array", (), {"shape": shape})
     kind.register(np.ndarray)
     return kind
@@ -53,13 +54,11 @@ if TYPE_CHECKING:  # arrays to a type checker, classes with a shape to msgspec
     Transform = Float64
     Point = Float64
     Pixel = Float64
-    PointPair = Float64
     SquareOfThree = Float64
 else:
     Transform = _array_type(4, 4)  # a rigid transform
     Point = _array_type(3)
     Pixel = _array_type(2)
-    PointPair = _array_type(2, 3)
     SquareOfThree = _array_type(3, 3)
 
 
@@ -85,7 +84,7 @@ def convert_document(where: str, document: object, kind: type[T], expected: Mapp
         value.
     """
     try:
-        return convert(document, prepared(kind), dec_hook=_read_array)
+        return convert(document, prepared(kind), dec_hook=_read_value)
     except _NOT_CONVERTED:
         name, value, wrong = _innermost_wrong("", document, kind)
         raise refused(where, name, _description(value, wrong, {**_EXPECTED, **(expected or {})}), value) from None
@@ -129,8 +128,10 @@ def read_covariance(where: str, entry: object, axes: tuple[str, ...], field: str
     return matrix
 
 
-def _read_array(kind: Any, value: object) -> Float64:
-    """Convert the value of a field that is annotated as an array; ValueError with what was expected."""
+def _read_value(kind: Any, value: object) -> Float64 | Path:
+    """Convert the value of a field that is annotated as an array or a path; ValueError with what was expected."""
+    if kind is Path:
+        return Path(convert(value, str))
     if isinstance(value, np.ndarray):
         return value
     array = _finite_array(value, kind.shape)
@@ -166,7 +167,7 @@ def _innermost_wrong(name: str, value: object, kind: Any) -> tuple[str, object, 
     """Find the innermost value that cannot be converted; return its name, the value and its declared type."""
     for part, inner, declared in _parts(value, kind):
         try:
-            convert(inner, declared, dec_hook=_read_array)
+            convert(inner, declared, dec_hook=_read_value)
         except _NOT_CONVERTED:
             return _innermost_wrong(f"{name}{part}", inner, declared)
     return name.removeprefix("."), value, kind
@@ -210,7 +211,7 @@ def _description(value: object, kind: Any, names: Mapping[Any, str]) -> str:
         return f"one of {', '.join(nearest_first(str(value)[:60], get_args(kind)))}"
     if hasattr(kind, "shape"):
         try:
-            _read_array(kind, value)
+            _read_value(kind, value)
         except ValueError as error:
             return str(error)
     return names.get(get_origin(kind) or kind, names[dict])

@@ -54,10 +54,7 @@ def read_yaml_mapping(path: str | Path, *, expected: str) -> dict[str, Any]:
         The file is not readable, larger than 1 MB, not YAML, has aliases, is nested too deeply, or is no mapping.
     """
     text = _OPENCV_HEADER.sub("", read_text(path, expected=expected, largest=_LARGEST))
-    for document in _documents(path, text, expected, _MatrixLoader, most=1):
-        if isinstance(document, dict):
-            return {str(key): value for key, value in document.items()}
-    raise InputError(f"{path}: expected {expected}, got no mapping of names to values")
+    return _mapping(path, next(_documents(path, text, expected, _MatrixLoader, most=1), None), expected)
 
 
 def read_yaml_by_frame(path: str | Path, *, expected: str) -> Any:
@@ -89,14 +86,15 @@ def yaml_documents(path: str | Path, text: str, *, expected: str) -> list[dict[s
     InputError
         The text is not YAML or has aliases; a document is nested too deeply, too large, or no mapping.
     """
-    documents = []
-    for document in _documents(path, text, expected, _Loader, most=_MOST_DOCUMENTS):
-        if document is None:
-            continue
-        if not isinstance(document, dict):
-            raise InputError(f"{path}: expected {expected}, got no mapping of names to values")
-        documents.append({str(key): value for key, value in document.items()})
-    return documents
+    documents = _documents(path, text, expected, _Loader, most=_MOST_DOCUMENTS)
+    return [_mapping(path, document, expected) for document in documents if document is not None]
+
+
+def _mapping(path: str | Path, document: object, expected: str) -> dict[str, Any]:
+    """Return a document with texts as keys; InputError if it is not a mapping."""
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: expected {expected}, got no mapping of names to values")
+    return {str(key): value for key, value in document.items()}
 
 
 def check_yaml(path: str | Path, *, expected: str, longest: int = _LONGEST) -> None:

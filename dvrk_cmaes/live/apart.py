@@ -20,6 +20,7 @@ Arrays = Mapping[str, NDArray[Any]] | None
 R = TypeVar("R")
 
 _OWN: Final = list["FollowedArm"]()  # the arm that this process follows
+_LINES: Final = list[str]()  # of this process for the user, until they are told
 
 
 class Process(Protocol):
@@ -84,9 +85,6 @@ class TrackerApart:
         assert result is not None
         return result
 
-    def before_step(self, time: float) -> None:
-        """Do nothing: the process does what is due before a step with it."""
-
     def after_step(self, time: float) -> None:
         """Begin what is due after the step to a time, s."""
         self._ask(_after, time)
@@ -124,19 +122,6 @@ class TrackerApart:
 # in the process
 
 
-class _Lines(list[str]):
-    """Lines for the user, until they are told."""
-
-    def told(self) -> tuple[str, ...]:
-        """Return the lines, and forget them."""
-        lines = tuple(self)
-        self.clear()
-        return lines
-
-
-_LINES: Final = _Lines()
-
-
 def _begin(make: Callable[[Report], FollowedArm] | None, rig: Rig) -> _Answer:
     if make is not None:
         _OWN[:] = [make(_LINES.append)]
@@ -150,11 +135,10 @@ def _step(
     (own,) = _OWN
     for at, joints in readings:
         try:
-            own.tracker.add_readings(at, joints)
+            own.add_readings(at, joints)
         except InputError as error:
             _LINES.append(str(error))
-    own.before_step(time)
-    return _answer(own.tracker.step(time, mask, image, ignore))
+    return _answer(own.step(time, mask, image, ignore))
 
 
 def _after(time: float) -> _Answer:
@@ -163,4 +147,6 @@ def _after(time: float) -> _Answer:
 
 
 def _answer(result: TrackResult | None = None) -> _Answer:
-    return _Answer(result, _OWN[0].state, _LINES.told())
+    lines = tuple(_LINES)
+    _LINES.clear()
+    return _Answer(result, _OWN[0].state, lines)

@@ -19,12 +19,13 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.live.connection import Report
 from dvrk_cmaes.live.inputs import Decoded, LiveFrame
 from dvrk_cmaes.live.messages import JointMessage
-from dvrk_cmaes.live.outputs import Outputs, StepResult
+from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.stamps import LONGEST_GAP
+from dvrk_cmaes.results.tracked import TrackResult
 
 Pixels = NDArray[np.uint8]
 Mask = Bool
-DrawOverlay = Callable[[Pixels, StepResult], Pixels]
+DrawOverlay = Callable[[Pixels, TrackResult], Pixels]
 
 OLD: Final = 1.0
 """Age, s, from which on a pose is doubtful."""
@@ -37,6 +38,10 @@ _STATE_EVERY: Final = 1.0  # s without a result, after which the status says why
 class LiveTracker(Protocol):
     """Follows an instrument; times are in seconds, arrays by eye."""
 
+    @property
+    def state(self) -> str:
+        """How far the arm's base is known, in words."""
+
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time: joints by name, rad (insertion: m)."""
 
@@ -46,29 +51,18 @@ class LiveTracker(Protocol):
         mask: Mapping[str, Mask] | None = None,
         image: Mapping[str, Pixels] | None = None,
         ignore: Mapping[str, Mask] | None = None,
-    ) -> StepResult:
+    ) -> TrackResult:
         """Follow the instrument to the images of a later time."""
 
-
-class Beside(Protocol):
-    """Work that goes on beside the steps."""
-
-    @property
-    def state(self) -> str:
-        """How far it is, in words."""
-
-    def before_step(self, time: float) -> None:
-        """Give the tracker what was found, before the step to the image of a time, s."""
-
     def after_step(self, time: float) -> None:
-        """Begin what is due."""
+        """Begin what is due beside the steps, after that to a time."""
 
 
 class LiveArm:
     """Follows an arm, and publishes what is found.
 
-    ``poses`` and ``ok`` count what was published; ``seconds`` is the usual time of a step, ``stepped`` when the last
-    one was, s.
+    ``poses`` and ``ok`` count what was published, ``base_state`` says how far the arm's base is known, ``seconds`` is
+    the usual time of a step, and ``stepped`` is when the last one was, s.
 
     Parameters
     ----------
@@ -84,8 +78,6 @@ class LiveArm:
         The clock, s.
     draw
         Makes, for cameras, a function that draws a result over the image of the first eye; None to publish no overlay.
-    beside
-        Is called before and after each step; its state is published.
     run
         Begins a step, and returns its future result; by default the step is done at once.
     origin
@@ -101,16 +93,15 @@ class LiveArm:
         now: Callable[[], float],
         *,
         draw: Callable[[Rig], DrawOverlay] | None = None,
-        beside: Beside | None = None,
-        run: Callable[[Callable[[], StepResult]], Future[StepResult]] | None = None,
+        run: Callable[[Callable[[], TrackResult]], Future[TrackResult]] | None = None,
         origin: int = 0,
     ) -> None:
-        self.name, self.state = name, "waiting for the camera"
+        self.name, self.state, self.base_state = name, "waiting for the camera", ""
         self.poses = self.ok = self.published = 0
         self.seconds, self.stepped = 0.0, 0.0
         self.draws = draw is not None
         self._make_tracker, self._make_drawing = make_tracker, draw
-        self._outputs, self._report, self._now, self._beside = outputs, report, now, beside
+        self._outputs, self._report, self._now = outputs, report, now
         self._run = _at_once if run is None else run
         self._reason, self._ros1, self._told = "", False, now()
         self._failures, self._origin = 0, origin
@@ -118,12 +109,8 @@ class LiveArm:
     def begin(self, rig: Rig) -> None:
         """Follow anew, by these cameras."""
         self._tracker, self._failures = self._make_tracker(rig), 0
+        self.base_state = self._tracker.state
         self._draw = None if self._make_drawing is None else self._make_drawing(rig)
-
-    @property
-    def base_state(self) -> str:
-        """How far the arm's base is known, in words."""
-        return "" if self._beside is None else self._beside.state
 
     def add_readings(self, readings: Sequence[JointMessage], time: int) -> int:
         """Give readings to the tracker; returns how many are left out, as they are far from the image's time, ns."""
@@ -149,13 +136,10 @@ class LiveArm:
         """Whether the step that was started goes on elsewhere."""
         return not self._result.done()
 
-    def _step(self, frame: LiveFrame, arrays: Decoded) -> StepResult:
+    def _step(self, frame: LiveFrame, arrays: Decoded) -> TrackResult:
         """Follow a frame."""
-        seconds = self._seconds(frame)
-        if self._beside is not None:
-            self._beside.before_step(seconds)
         masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)
-        return self._tracker.step(seconds, masks, arrays.images or None, ignored or None)
+        return self._tracker.step(self._seconds(frame), masks, arrays.images or None, ignored or None)
 
     def _seconds(self, frame: LiveFrame) -> float:
         """Return the time of a frame for the tracker, s."""
@@ -182,7 +166,7 @@ class LiveArm:
         return True, False
 
     def _publish(
-        self, result: StepResult, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]
+        self, result: TrackResult, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]
     ) -> None:
         image = next(iter(arrays.images.values()), None)
         overlay = None if self._draw is None or image is None else self._draw(image, result)
@@ -196,14 +180,14 @@ class LiveArm:
             doubts=reasons,
             silent=silent,
             overlay=overlay,
-            calibration=self.base_state,
+            calibration=self._tracker.state,
         )
         self.poses += result.camera_from_root is not None and result.status != "lost"
         self.ok += result.status == "ok" and not reasons
         self._told, self._ros1 = self._now(), frame.ros1
         self.wait("waiting for images")
-        if self._beside is not None:
-            self._beside.after_step(self._seconds(frame))
+        self._tracker.after_step(self._seconds(frame))
+        self.base_state = self._tracker.state
 
     def _fail(self, error: Exception) -> bool:
         """Leave out a frame whose step failed; returns whether that was the last of several in a row."""
@@ -233,9 +217,9 @@ class LiveArm:
             self._outputs.publish_state(self.state, self._reason, ros1=self._ros1, silent=silent)
 
 
-def _at_once(step: Callable[[], StepResult]) -> Future[StepResult]:
+def _at_once(step: Callable[[], TrackResult]) -> Future[TrackResult]:
     """Do a step, and return its result or what it raised as a future one."""
-    done = Future[StepResult]()
+    done = Future[TrackResult]()
     try:
         done.set_result(step())
     except Exception as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 Receive = Callable[[Mapping[str, Any]], None]
 Report = Callable[[str], None]
@@ -21,21 +21,24 @@ def too_large(topic: str, size: int, largest: int) -> str:
     return f"{topic}: expected a message of at most {largest / 2**20:.0f} MB, got {size / 2**20:.1f} MB; it is left out"
 
 
-class Connection(Protocol):
-    """A connection to ROS; messages are plain values with the field names of ROS 2, or on receipt those of ROS 1.
+@dataclass(eq=False)
+class Connection:
+    """A connection to ROS, and this class itself one within this process, whose ``receivers`` take what is sent.
 
-    Sequences of bytes are base64 when published; on receipt they are bytes or base64.
+    Messages are plain values with the field names of ROS 2, or on receipt those of ROS 1. Sequences of bytes are base64
+    when published; on receipt they are bytes or base64. ``name`` tells how ROS is reached, for messages.
     """
 
-    @property
-    def name(self) -> str:
-        """How ROS is reached, for messages."""
+    name: str
+    receivers: dict[str, Receive] = field(default_factory=dict)
 
     def topics(self, timeout: float) -> Mapping[str, str] | None:
         """Return the types of all topics by name, which may take ``timeout`` s; None without a connection."""
+        return dict.fromkeys(self.receivers, "")
 
     def open(self, timeout: float) -> bool:
         """Start to connect; returns whether there is a connection after ``timeout`` s. Attempts go on if not."""
+        return True
 
     def close(self) -> None:
         """Close the connection."""
@@ -48,42 +51,11 @@ class Connection(Protocol):
         A message of more than ``largest`` bytes is reported and dropped before it is read. ``newest`` allows to skip
         late ones.
         """
+        self.receivers[topic] = receive
 
     def advertise(self, topic: str, kind: str) -> None:
         """Announce a topic before messages are published on it."""
 
     def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
         """Send a message without waiting; returns whether it was sent, which it is not while there is no connection."""
-
-
-@dataclass(eq=False)
-class LocalConnection:
-    """A connection within this process: ``receivers`` take what is sent, by topic; what is published goes nowhere."""
-
-    name: str
-    receivers: dict[str, Receive] = field(default_factory=dict)
-
-    def topics(self, timeout: float) -> dict[str, str]:
-        """Return the topics that are read."""
-        return dict.fromkeys(self.receivers, "")
-
-    def open(self, timeout: float) -> bool:
-        """There is nothing to connect to."""
-        return True
-
-    def close(self) -> None:
-        """Forget the receivers."""
-        self.receivers.clear()
-
-    def subscribe(
-        self, topic: str, kind: str, receive: Receive, *, largest: int = LARGEST_MESSAGE, newest: bool = False
-    ) -> None:
-        """Keep the receiver of a topic."""
-        self.receivers[topic] = receive
-
-    def advertise(self, topic: str, kind: str) -> None:
-        """There is nobody to announce a topic to."""
-
-    def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
-        """Take a message."""
         return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, nearest_first
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.live.apart import Process, TrackerApart
+from dvrk_cmaes.live.apart import Arrays, Process, TrackerApart
 from dvrk_cmaes.live.arm import DrawOverlay, LiveArm
 from dvrk_cmaes.live.connection import Connection, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
@@ -27,6 +27,7 @@ from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.overlay import LiveOverlay
 from dvrk_cmaes.live.repeated_lines import RepeatedLines
 from dvrk_cmaes.live.solutions import LiveSolutions
+from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.solution_schedule import Solver
 from dvrk_cmaes.track.tracker import Tracker
@@ -90,7 +91,6 @@ class LiveSetup:
             report,
             inputs.now,
             draw=partial(_drawing, own.body, followed) if self.overlay else None,
-            beside=followed,
             run=run,
             origin=self.origin,
         )
@@ -112,8 +112,6 @@ class LiveSetup:
 class FollowedArm(ExitStack):
     """An arm that is followed in this process: its newest tracker, and the solution of its keyframes."""
 
-    tracker: Tracker
-
     def __init__(self, setup: LiveSetup, own: ArmSetup, report: Report) -> None:
         super().__init__()
         self._setup, self._own, self._solutions = setup, own, None
@@ -121,11 +119,11 @@ class FollowedArm(ExitStack):
             solver = self.enter_context(own.solver())
             self._solutions = LiveSolutions(solver, report, own.save, own.earlier, waits=setup.waits)
 
-    def begin(self, rig: Rig) -> Tracker:
+    def begin(self, rig: Rig) -> FollowedArm:
         """Follow anew, by these cameras."""
         own, solutions = self._own, self._solutions
         earlier = None if solutions is None or own.calibration is not None else solutions.earlier_of(rig)
-        self.tracker = Tracker(
+        self._tracker = Tracker(
             rig,
             own.body,
             earlier or own.calibration,
@@ -136,18 +134,23 @@ class FollowedArm(ExitStack):
             sliced=True,
         )
         if solutions is not None:
-            solutions.follow(self.tracker)
-        return self.tracker
+            solutions.follow(self._tracker)
+        return self
 
     @property
     def state(self) -> str:
         """How far the arm's base is known, in words."""
         return "" if self._solutions is None else self._solutions.state
 
-    def before_step(self, time: float) -> None:
-        """Do what is due before the step to a time, s."""
+    def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
+        """Add the readings of one time, as `Tracker.add_readings`."""
+        self._tracker.add_readings(time, joints)
+
+    def step(self, time: float, mask: Arrays = None, image: Arrays = None, ignore: Arrays = None) -> TrackResult:
+        """Use a solution that has come, and follow to the images of a later time, s, as `Tracker.step`."""
         if self._solutions is not None:
             self._solutions.before_step(time)
+        return self._tracker.step(time, mask, image, ignore)
 
     def after_step(self, time: float) -> None:
         """Do what is due after the step to a time, s."""

@@ -21,6 +21,7 @@ from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Report
 from dvrk_cmaes.live.mailbox import Mailbox
 from dvrk_cmaes.live.messages import JointMessage, read_joint_message, read_pixels, read_rig, read_stamp
+from dvrk_cmaes.recording.topics import camera_info_of
 
 Fields = Mapping[str, Any]
 
@@ -49,8 +50,7 @@ class EyeTopics:
     @staticmethod
     def of(image: str, camera: str | None = None, masks: Mapping[str, str] | None = None) -> EyeTopics:
         """Return the topics of an eye; the camera's is by default ``camera_info`` in the namespace of the images."""
-        namespace = image.removesuffix("/compressed").rpartition("/")[0]
-        return EyeTopics(image, camera or f"{namespace}/camera_info", masks or {})
+        return EyeTopics(image, camera or camera_info_of(image), masks or {})
 
     def remarked(self, camera: Camera, *, rectified: bool) -> Camera:
         """Return a camera with a remark if the topic's name says of images that they are rectified, or are not.
@@ -185,8 +185,7 @@ class Inputs:
 
     ``frames`` has the newest frame, ``readings`` by arm those not taken yet, ``rigs`` the newest cameras. A frame has
     the masks of all arms, or else the images, of all eyes, taken within 10 ms; with masks, it has the images of the
-    same times if they came before them. Topics that are silent are not waited for. ``endoscope`` has the last readings
-    of the arm that holds it.
+    same times if they came before them. Topics that are silent are not waited for.
 
     Parameters
     ----------
@@ -212,7 +211,6 @@ class Inputs:
         self.topics = topics
         self.frames = Mailbox[LiveFrame]()
         self.readings = {arm: Mailbox[JointMessage](_MOST_READINGS) for arm in topics.joints}
-        self.endoscope = Mailbox[JointMessage](_MOST_READINGS)
         self.rigs = Mailbox[Rig]()
         self.now = now
         self._report = report
@@ -349,9 +347,9 @@ class Inputs:
             mailbox.put(readings)
 
     def _on_endoscope(self, topic: str, fields: Fields) -> None:
-        """Keep the readings of the endoscope's arm, and give them to all arms beside their own."""
-        self._on_joints(topic, self.endoscope, fields)
+        """Give whole readings of the endoscope's arm to all arms beside their own."""
         readings = read_joint_message(topic, fields)
+        self._heard[topic] = self.now()
         joints = {f"ecm_{name}": value for name, value in readings.joints.items() if f"ecm_{name}" in ECM_JOINTS}
         if len(joints) == len(ECM_JOINTS):
             for mailbox in self.readings.values():

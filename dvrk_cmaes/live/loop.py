@@ -87,11 +87,14 @@ class LiveLoop:
         """Whether there was a camera and a frame."""
         return self.counts.followed + self.counts.refused > 0
 
-    def run(self, stop: Event, *, begin_within: float = np.inf) -> LiveCounts:
-        """Follow until ``stop`` is set, or for want of a frame in some seconds; returns the counts."""
+    def run(self, stop: Event, *, begin_within: float = np.inf, wait: float = _WAIT) -> LiveCounts:
+        """Follow until ``stop`` is set, or for want of a frame in some seconds; returns the counts.
+
+        Silence is looked for after each ``wait``, s, for an image.
+        """
         started = self._inputs.now()
         while not stop.is_set() and (self.began or self._inputs.now() - started < begin_within):
-            self.turn(_WAIT)
+            self.turn(wait)
         return self.counts
 
     def turn(self, wait: float = 0.0) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import base64
 import time as clock
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -20,45 +20,13 @@ from numpy.typing import NDArray
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import RosMessage, header, joint_message, pose_message, tf_message
 from dvrk_cmaes.export.ros_topics import FOUND
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.live.connection import Connection
+from dvrk_cmaes.results.tracked import TrackResult
 
 _DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 _COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
 _LEVELS: Final = {"ok": 0, "doubtful": 1, "lost": 2}  # OK, WARN and ERROR
 _JPEG_QUALITY: Final = 80
-
-
-class StepResult(Protocol):
-    """What a tracker found in an image."""
-
-    @property
-    def camera_from_root(self) -> Float64 | None:
-        """Pose (4, 4) of the root link in the camera, m; None without one."""
-
-    @property
-    def camera_from_base(self) -> Float64 | None:
-        """Pose (4, 4) of the arm's base in the camera, m; None where it is not known."""
-
-    @property
-    def joints(self) -> dict[str, float]:
-        """Corrected joints by name, rad."""
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Remarks on the camera and the session; they do not decide the status."""
-
-    @property
-    def status(self) -> str:
-        """One of ok, doubtful and lost."""
-
-    @property
-    def reasons(self) -> Sequence[str]:
-        """Reasons for another status than ok."""
-
-    @property
-    def tips(self) -> Float64 | None:
-        """Jaw tips (K, 3) in the camera, m; None without a pose."""
 
 
 class Outputs:
@@ -76,7 +44,7 @@ class Outputs:
     def publish(
         self,
         time: int,
-        result: StepResult,
+        result: TrackResult,
         *,
         ros1: bool = False,
         age: float = 0.0,
@@ -104,14 +72,16 @@ class Outputs:
         messages = [*self._found(time, result, status), self._status_message(time, level, status, values)]
         if overlay is not None:
             messages.append(self._overlay(time, overlay))
-        fields = [_as_ros1(message.fields) if ros1 else message.fields for message in messages]
-        sent = [self._connection.publish(message.topic, f) for message, f in zip(messages, fields, strict=True)]
+        sent = [self._send(message, ros1=ros1) for message in messages]
         return all(sent)
 
     def publish_state(self, state: str, reason: str, *, ros1: bool, silent: Sequence[str]) -> bool:
         """Publish a status without a result: why there is no pose now; returns whether it was sent."""
         values = {"reasons": reason, "silent_topics": " ".join(silent)}
-        message = self._status_message(clock.time_ns(), 2, state, values)
+        return self._send(self._status_message(clock.time_ns(), 2, state, values), ros1=ros1)
+
+    def _send(self, message: RosMessage, *, ros1: bool) -> bool:
+        """Publish a message; returns whether it was sent."""
         return self._connection.publish(message.topic, _as_ros1(message.fields) if ros1 else message.fields)
 
     def _topics(self) -> dict[str, str]:
@@ -124,7 +94,7 @@ class Outputs:
             "/diagnostics": _DIAGNOSTICS,
         }
 
-    def _found(self, time: int, result: StepResult, status: str) -> Iterator[RosMessage]:
+    def _found(self, time: int, result: TrackResult, status: str) -> Iterator[RosMessage]:
         """Yield the messages of a pose and joints that were found."""
         pose = result.camera_from_root
         if pose is None or result.status == "lost":

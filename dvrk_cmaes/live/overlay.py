@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.canvas import Canvas
 from dvrk_cmaes.draw.panels import SILHOUETTE
-from dvrk_cmaes.live.outputs import StepResult
+from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body, Renderer
 
 
@@ -22,7 +22,7 @@ class LiveOverlay:
         self._names = body.instrument.joint_names
         self._renderer = Renderer(body, camera, threads=1)
 
-    def __call__(self, image: NDArray[np.uint8], result: StepResult) -> NDArray[np.uint8]:
+    def __call__(self, image: NDArray[np.uint8], result: TrackResult) -> NDArray[np.uint8]:
         """Return a copy of an image (H, W, 3), BGR, with the outline of a result's silhouette and the status."""
         canvas = Canvas(image.copy(), 1.0)
         if result.camera_from_root is not None:

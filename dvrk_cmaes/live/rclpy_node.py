@@ -11,13 +11,13 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.errors import InputError, one_line
-from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Receive, Report, too_large
+from dvrk_cmaes.live.connection import LARGEST_MESSAGE, Connection, Receive, Report, too_large
 
 _NODE: Final = "dvrk_cmaes"
 _DEPTH: Final = 100  # of the queue of a topic whose messages all matter
 
 
-class RclpyConnection:
+class RclpyConnection(Connection):
     """A node of ROS 2 that is spun on a thread of its own.
 
     Parameters
@@ -31,8 +31,6 @@ class RclpyConnection:
         rclpy is not importable.
     """
 
-    name: Final = "ROS 2"
-
     def __init__(self, report: Report) -> None:
         try:
             import rclpy
@@ -43,6 +41,7 @@ class RclpyConnection:
             raise InputError(
                 f"rclpy: not importable ({one_line(error)}); source ROS 2 first, or use a rosbridge server"
             ) from None
+        super().__init__("ROS 2")
         self._executor, self._type_of = SingleThreadedExecutor, get_message
         self._profile, self._best_effort = QoSProfile, ReliabilityPolicy.BEST_EFFORT
         self._report = report

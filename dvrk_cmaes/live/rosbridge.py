@@ -20,7 +20,7 @@ import msgspec
 
 from dvrk_cmaes.errors import InputError, one_line
 from dvrk_cmaes.io.prepared_type import prepared
-from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Receive, Report, too_large
+from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Receive, Report, too_large
 
 _LONGEST_WAIT: Final = 2.0  # s, between attempts to connect
 _LARGEST_PAYLOAD: Final = LARGEST_IMAGE + 2**20  # bytes of a websocket message, beyond which the connection is closed
@@ -36,7 +36,7 @@ class _Operation(msgspec.Struct):
     level: str = ""
 
 
-class RosbridgeConnection:
+class RosbridgeConnection(Connection):
     """A connection to a rosbridge server; it is opened by ``open`` and kept open until ``close``.
 
     Parameters
@@ -61,7 +61,7 @@ class RosbridgeConnection:
             ) from None
         self._roslibpy = roslibpy
         self._address = host, port
-        self.name = self._name = f"rosbridge {host}:{port}"
+        super().__init__(f"rosbridge {host}:{port}")
         self._report = report
         self._receivers: dict[str, tuple[Receive, int]] = {}
         self._announcements: list[dict[str, Any]] = []
@@ -71,7 +71,7 @@ class RosbridgeConnection:
         self._protocol: Any = None
         self._ros: Any = None
         self._flow = _Flow(self._send)
-        self._log = _LogReports(self._name, report)
+        self._log = _LogReports(self.name, report)
 
     def open(self, timeout: float) -> bool:
         """Start to connect; returns whether there is a connection after ``timeout`` s. Attempts go on if not."""
@@ -85,7 +85,7 @@ class RosbridgeConnection:
         factory.manager.run()
         if self._ready.wait(timeout):
             return True
-        self._report(f"{self._name}: no connection yet; trying again")
+        self._report(f"{self.name}: no connection yet; trying again")
         return False
 
     def close(self) -> None:
@@ -159,20 +159,20 @@ class RosbridgeConnection:
         for message in self._announcements:
             self._send(message)
         self._ready.set()
-        self._report(f"{self._name}: connected")
+        self._report(f"{self.name}: connected")
 
     def _on_close(self, _protocol: Any) -> None:
         self._protocol = None
         if self._ready.is_set():
             self._ready.clear()
-            self._report(f"{self._name}: connection lost; trying again")
+            self._report(f"{self.name}: connection lost; trying again")
 
     def _on_message(self, payload: bytes) -> None:
         """Hand a message to the receiver of its topic; an error is reported by `_LogReports`."""
         operation, read = _read_operation(payload)
         if operation.op == "status":
             if operation.level in ("error", "warning"):
-                self._report(f"{self._name}: {' '.join(str(read()).split())[:200]}")
+                self._report(f"{self.name}: {' '.join(str(read()).split())[:200]}")
             return
         if operation.op == "service_response":
             values = operation.values if isinstance(operation.values, dict) else {}

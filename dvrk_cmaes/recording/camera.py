@@ -54,22 +54,18 @@ def camera_file(message: Any, name: str, where: str) -> bytes:
     size = {"width": int(message.width), "height": int(message.height)}
     model = str(message.distortion_model)
     read_camera_info(where, {**size, **fields, "distortion_model": model, "roi": region}, rectified=False, side="left")
-    shapes = {"D": (1, len(fields["D"])), "K": (3, 3), "R": (3, 3), "P": (3, 4)}
-    names = {
-        "D": "distortion_coefficients",
-        "K": "camera_matrix",
-        "R": "rectification_matrix",
-        "P": "projection_matrix",
-    }
+    matrices = (
+        ("distortion_coefficients", "D", 1, len(fields["D"])),
+        ("camera_matrix", "K", 3, 3),
+        ("rectification_matrix", "R", 3, 3),
+        ("projection_matrix", "P", 3, 4),
+    )
     document: dict[str, Any] = {
         "image_width": size["width"],
         "image_height": size["height"],
         "camera_name": name,
         "distortion_model": model,
-        **{
-            names[letter]: {"rows": rows, "cols": columns, "data": fields[letter]}
-            for letter, (rows, columns) in shapes.items()
-        },
+        **{name: {"rows": rows, "cols": cols, "data": fields[letter]} for name, letter, rows, cols in matrices},
     }
     if any(region.values()):
         document["roi"] = region

@@ -14,8 +14,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
-
 from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
@@ -27,14 +25,13 @@ from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.parquet_file import read_columns
 from dvrk_cmaes.recording.recording import Asked, Recording
-from dvrk_cmaes.recording.video import frames_at
+from dvrk_cmaes.recording.video import check_rate, frames_at
 
 _STATE: Final = "observation.state"
 _ROWS: Final = ("episode_index", "frame_index", "timestamp")
 _ARM: Final = re.compile(r"(?:(psm\d)[_./ ]+)?(.*)", re.IGNORECASE)
 _PREFIX: Final = re.compile(r"(measured_js|outer|joint|joints)_(?=[a-z])")
 _NUMBERED: Final = re.compile(r"(?:measured_js|joint|joints)_?([1-6])")
-_RATE_TOLERANCE: Final = 0.01
 
 
 def is_lerobot(path: Path) -> bool:
@@ -95,10 +92,8 @@ def open_lerobot(path: Path, asked: Asked, episode: int = 0) -> Iterator[Recordi
         readings = (_readings(where.table, names, times, [columns[_STATE][k] for k in rows], said[0]),)
     check_file(where.video, expected=EXPECTED)
     with open_capture(where.video) as capture:
-        rate = capture.get(cv2.CAP_PROP_FPS)
         fps = _number(file, "fps", info.get("fps"))
-        if not abs(rate - fps) < _RATE_TOLERANCE * fps:
-            raise InputError(f"{where.video}: expected {fps:g} images a second, as fps in info.json, got {rate:g}")
+        check_rate(where.video, capture, fps, "as fps in info.json")
         first = round(where.start * fps)
         notes = (
             f"episode {episode}: {where.table.relative_to(path)}, {where.video.relative_to(path)} from image {first}",

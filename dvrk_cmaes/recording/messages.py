@@ -52,12 +52,12 @@ def image_file(message: Any, where: str) -> ImageFile:
         The encoding is unknown, the data are too short or damaged, or the image has over 36 megapixels; the message
         begins with ``where``.
     """
-    return _raw(message, where) if hasattr(message, "encoding") else _compressed(message, where)
-
-
-def _raw(message: Any, where: str) -> ImageFile:
-    """Convert a sensor_msgs/Image to a PNG file."""
-    return encode_png(image_pixels(message, where))
+    if hasattr(message, "encoding"):
+        return encode_png(image_pixels(message, where))
+    data = bytes(np.asarray(message.data, np.uint8))
+    if read_header(data) is None:
+        raise InputError(f"{where}: format: expected a PNG or JPEG, got {shown(message.format)}")
+    return stored_image(data, where)
 
 
 def image_pixels(message: Any, where: str) -> NDArray[np.uint8]:
@@ -74,7 +74,7 @@ def image_pixels(message: Any, where: str) -> NDArray[np.uint8]:
             f"{where}: expected {width} x {height} pixels of {message.encoding}, "
             f"got {len(message.data)} bytes in rows of {step}"
         )
-    rows = np.asarray(message.data, np.uint8)[: step * height].reshape(height, step)
+    rows = np.frombuffer(message.data, np.uint8)[: step * height].reshape(height, step)
     pixels = rows[:, : width * channels].reshape((height, width, channels) if channels > 1 else (height, width))
     try:
         converted = pixels if conversion is None else cv2.cvtColor(pixels, conversion)
@@ -87,14 +87,6 @@ def encode_png(pixels: NDArray[np.uint8]) -> ImageFile:
     """Encode pixels, (H, W) grey or (H, W, 3) BGR uint8, as PNG."""
     _, data = cv2.imencode(".png", pixels)
     return ImageFile(data.tobytes(), ".png", pixels.shape[1], pixels.shape[0])
-
-
-def _compressed(message: Any, where: str) -> ImageFile:
-    """Return the file of a sensor_msgs/CompressedImage."""
-    data = bytes(np.asarray(message.data, np.uint8))
-    if read_header(data) is None:
-        raise InputError(f"{where}: format: expected a PNG or JPEG, got {shown(message.format)}")
-    return stored_image(data, where)
 
 
 def stored_image(data: bytes, where: str) -> ImageFile:

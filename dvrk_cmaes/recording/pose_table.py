@@ -70,7 +70,7 @@ class PoseTable:
         if missing or not rows:
             got = f"no {', '.join(missing)} in {listed(header)}" if missing else "a header only"
             raise InputError(f"{self.path}: header: expected {_EXPECTED}, got {got}")
-        rows = _in_order(rows)
+        rows = sorted(rows, key=lambda row: parse_time(row[0], row[1]["time"]))  # in which roll is continued
         times = [parse_time(where, cells["time"]) for where, cells in rows]
         found, said = self._joints(_poses(rows))
         series = [TimedReadings.of(f"{self.path} ({said})", POSED_JOINTS, times, found.tolist())]
@@ -101,11 +101,6 @@ class PoseTable:
         if beyond:
             said += f"; {len(beyond)} of {len(poses)} poses are not reached, e.g. {beyond[0]}"
         return found.joints, said
-
-
-def _in_order(rows: Rows) -> Rows:
-    """Sort the rows by time, in which roll is continued."""
-    return sorted(rows, key=lambda row: parse_time(row[0], row[1]["time"]))
 
 
 def _poses(rows: Rows) -> Float64:

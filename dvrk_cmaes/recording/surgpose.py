@@ -37,14 +37,13 @@ from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, frame_name
 from dvrk_cmaes.recording.stereo_ini import read_stereo_ini
 from dvrk_cmaes.recording.surgpose_labels import Labels, arm_boxes, arm_labels
-from dvrk_cmaes.recording.video import decoded_frame
+from dvrk_cmaes.recording.video import check_rate, decoded_frame
 
 _VIDEOS: Final = "regular"
 _READINGS: Final = "api_jp_data.yaml"
 _JAW: Final = "gripper_angle.yaml"
 _CALIBRATION: Final = "StereoCalibrationDVRK.ini"
 _RATE: Final = 30  # images a second, to which the frames of the other files refer
-_RATE_TOLERANCE: Final = 0.01
 
 
 def is_surgpose(path: Path) -> bool:
@@ -85,7 +84,7 @@ def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
     video = path / _VIDEOS / f"{side}_video.mp4"
     check_file(video, expected=EXPECTED)
     with open_capture(video) as capture:
-        _check_rate(video, capture.get(cv2.CAP_PROP_FPS))
+        check_rate(video, capture, _RATE, "which labels and readings count")
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         notes = [
             f"images: {_VIDEOS}/{video.name}, taken for raw ones",
@@ -190,15 +189,6 @@ def _labels(path: Path, side: Side, arm: str) -> tuple[dict[str, bytes], list[st
         kept["boxes.csv"] = csv_text(("frame", "x0", "y0", "x1", "y1"), boxes).encode()
         notes.append(f"boxes of {arm}: {file.name}, in {len(boxes)} frames that which has most of its labels")
     return kept, notes
-
-
-def _check_rate(path: Path, rate: float) -> None:
-    """Raise an InputError for a video whose images are not those that the frames refer to."""
-    if not abs(rate - _RATE) < _RATE_TOLERANCE * _RATE:
-        raise InputError(
-            f"{path}: expected {_RATE} images a second, which labels and readings count, got {rate:g}; "
-            f"convert it to {_RATE} first"
-        )
 
 
 def _images(path: Path, capture: Any) -> Iterator[RecordedImage]:

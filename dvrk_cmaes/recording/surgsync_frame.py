@@ -6,7 +6,6 @@ field is searched for by its name, at the outermost level first.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,16 +96,11 @@ def _field(document: Any, name: str) -> Any:
         for value in level:
             if isinstance(value, dict) and name in value:
                 return value[name]
-        level = [inner for value in level for inner in _inner(value)]
+        nested = (
+            value.values() if isinstance(value, dict) else value for value in level if isinstance(value, dict | list)
+        )
+        level = [inner for values in nested for inner in values]
     return None
-
-
-def _inner(value: Any) -> Iterator[Any]:
-    """Yield the values inside an object or a list."""
-    if isinstance(value, dict):
-        yield from value.values()
-    elif isinstance(value, list):
-        yield from value
 
 
 def _position(value: Any) -> list[Any] | None:

@@ -1,4 +1,6 @@
-"""Selection of the topics of a ROS recording by type and name; an ambiguous choice is an error that lists the topics.
+"""Which paths are ROS recordings, and the selection of their topics by type and name, without the reader.
+
+An ambiguous choice is an error that lists the topics.
 
 CRTK names (``/PSM1/measured_js``, ``/PSM1/jaw/measured_js``) and the dVRK's older names
 (``/dvrk/PSM1/state_joint_current``, ``/dvrk/PSM1/state_jaw_current``) are recognised.
@@ -6,12 +8,14 @@ CRTK names (``/PSM1/measured_js``, ``/PSM1/jaw/measured_js``) and the dVRK's old
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dvrk_cmaes.camera.files import Side
 from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.frames.session_folder import is_session_layout
 from dvrk_cmaes.io.short_text import listed
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -22,10 +26,23 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 POSE = "geometry_msgs/msg/PoseStamped"
 
+SUFFIXES_2 = (".mcap", ".db3")
+SUFFIXES = (".bag", *SUFFIXES_2)
+"""Suffixes of ROS recordings; a recording may also be a folder."""
+
 #: Given in place of a topic's name to use no topic.
 NONE = "none"
 
 _MOST_LISTED = 20
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a ROS recording: a file with its suffix, or a folder with such files that is no session."""
+    if not path.is_dir():
+        return path.suffix.lower() in SUFFIXES
+    if is_session_layout(path):
+        return False
+    return (path / "metadata.yaml").exists() or any(file.suffix in SUFFIXES_2 for file in path.iterdir())
 
 
 @dataclass(frozen=True)
@@ -97,13 +114,12 @@ def choose_topics(
     """
     image, info, side = None, None, requested.eye
     if images and requested.image != NONE:
-        eye = (
-            None if side is None else [name for name, kind in types.items() if kind in IMAGES and side in _words(name)]
-        )
+        shown = [name for name, kind in types.items() if kind in IMAGES]
+        eye = None if side is None else [name for name in shown if side in re.split("[/_]", name.lower())]
         what = "images" if side is None else f"images of the {side} eye"
         image = _one(path, types, requested.image, requested.option, IMAGES, what, eye)
     if camera and image is not None:
-        camera_info = _camera_info_of(image)
+        camera_info = camera_info_of(image)
         requested_camera = requested.camera or (camera_info if types.get(camera_info) == CAMERA_INFO else None)
         info = _one(path, types, requested_camera, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
     if not joints or requested.joints == NONE:
@@ -180,12 +196,7 @@ def _one(
     raise InputError(f"{path}: {option}: expected one topic of {what}, got several: {listed(suitable, _MOST_LISTED)}")
 
 
-def _words(name: str) -> list[str]:
-    """Split a topic's name into words, e.g. ``/endoscope/left_eye/image`` at slashes and underscores."""
-    return name.lower().replace("_", "/").split("/")
-
-
-def _camera_info_of(image: str) -> str:
+def camera_info_of(image: str) -> str:
     """Return the topic of an image topic's camera by image_transport's convention: ``camera_info`` in its namespace."""
     raw = image.removesuffix("/compressed")
     return f"{raw.rpartition('/')[0]}/camera_info"

@@ -26,6 +26,7 @@ from dvrk_cmaes.recording.messages import encode_png
 from dvrk_cmaes.recording.recording import Asked, ImageFile, RecordedImage, Recording
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
+_RATE_TOLERANCE = 0.01
 _JUDGED = 30  # frames of which some show combs if the video is interlaced
 
 
@@ -181,6 +182,15 @@ def frames_at(
             raise InputError(f"{path}: expected {count} images{expected}, got {number}")
         if number in times:
             yield RecordedImage(number - first, times[number], partial(decoded_frame, path, capture, number))
+
+
+def check_rate(path: Path, capture: Any, rate: float, why: str) -> None:
+    """Raise an InputError for a video that has another rate, images a second, than the one that is expected."""
+    found = capture.get(cv2.CAP_PROP_FPS)
+    if not abs(found - rate) < _RATE_TOLERANCE * rate:
+        raise InputError(
+            f"{path}: expected {rate:g} images a second, {why}, got {found:g}; convert it to {rate:g} first"
+        )
 
 
 def decoded_frame(path: Path, capture: Any, number: int) -> ImageFile:

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -131,61 +131,50 @@ def write_session(
     """
     names: list[str] = []
     times: list[int] = []
-    if not recording.has_images:
-        return _write_readings(recording, out, tolerance, overwrite=overwrite)
+    tools: list[ToolEntry] = []
+    summaries: list[InterpolationSummary] = []
+    warnings: tuple[str, ...] = ()
+    pairing: Pairing | None = None
+    numbers, size, lag = count(), (0, 0), lag if recording.has_images else None
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
-        counter = _ImageCounter(recording.images)
-        pairing = None if recording.right is None else Pairing(recording.right.images)
-        size = _write_images(folder / "images", recording, selection.of(counter.images()), names, times, pairing)
-        read_at = times if lag is None else _earlier(times, lag)
-        warnings = _check_times(recording.path, names, times)
-        time_cells = [_seconds_text(time) for time in times]
-        cameras = _write_cameras(folder, recording)
         for name, data in recording.kept.items():
             write_bytes(folder / name, data)
-        write_text(folder / "images.csv", csv_text(("frame", "time"), zip(names, time_cells, strict=True)))
-        tools: list[ToolEntry] = []
-        summaries: list[InterpolationSummary] = []
+        if recording.has_images:
+            pairing = None if recording.right is None else Pairing(recording.right.images)
+            images = (image for image, _ in zip(recording.images, numbers, strict=False))
+            size = _write_images(folder / "images", recording, selection.of(images), names, times, pairing)
+            warnings = _check_times(recording.path, names, times)
+            cells = zip(names, map(_seconds_text, times), strict=True)
+            write_text(folder / "images.csv", csv_text(("frame", "time"), cells))
+            cameras = _write_cameras(folder, recording)
         for number, (name, readings) in enumerate(recording.by_arm.items()):
-            file = f"joints_{name}.csv" if name else "joints.csv"
+            file, arm = f"joints_{name}.csv" if name else "joints.csv", name or _arm_of(readings)
+            at = times if names or not readings else readings[0].times.tolist()
+            if not at:
+                raise InputError(f"{recording.path}: expected images or readings, got neither")
+            read_at = at if lag is None else _earlier(at, lag)
             tables, columns, of_arm = _interpolate(recording.path, readings, read_at, round(tolerance * NANOSECONDS))
-            rows = ((frame, cell, *row) for frame, cell, row in zip(names, time_cells, tables, strict=True))
-            write_text(folder / file, csv_text(("frame", "time", *columns), rows))
+            keys = {**({"frame": names} if names else {}), "time": [_seconds_text(time) for time in at]}
+            rows = ((*key, *row) for *key, row in zip(*keys.values(), tables, strict=True))
+            write_text(folder / file, csv_text((*keys, *columns), rows))
             summaries += of_arm
-            arm = name or _arm_of(readings)
             if arm is not None:
                 tools.append(ToolEntry(arm, label=(number + 1,), joints=Path(file)) if name else ToolEntry(arm))
-            # raises InputError if the folder is not a valid session
-            session = read_session(folder, joints=[folder / file])
-        try:
-            match_size(session.camera, size[::-1], "image")
-        except InputError as error:
-            warnings = (*warnings, f"the images do not fit the camera: {error}")
-        write_text(folder / SESSION_FILE, session_toml(cameras, tools))
+            if names:  # raises InputError if the folder is not a valid session
+                session = read_session(folder, joints=[folder / file])
+        if names:
+            try:
+                match_size(session.camera, size[::-1], "image")
+            except InputError as error:
+                warnings = (*warnings, f"the images do not fit the camera: {error}")
+            write_text(folder / SESSION_FILE, session_toml(cameras, tools))
     seconds = 0.0 if lag is None else lag.in_unit("s")
     drift = f", drifting by {lag.drift:+z.3g} s a second" if lag is not None and lag.drift else ""
     notes = (*recording.notes, f"readings of {seconds:g} s before each image{drift}") if seconds else recording.notes
     if pairing is not None:
         apart = f"images at most {1e3 * pairing.farthest / NANOSECONDS:.1f} ms after or before those of the left"
         notes = (*notes, f"right eye: {len(names) - pairing.without} of {len(names)} frames, {apart}")
-    return ImportSummary(out, counter.number, len(names), size, tolerance, tuple(summaries), notes, seconds, warnings)
-
-
-def _write_readings(recording: Recording, out: Path, tolerance: float, *, overwrite: bool) -> ImportSummary:
-    """Write the readings of a recording without images, as joints.csv with the times of the arm's own."""
-    summaries: list[InterpolationSummary] = []
-    with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
-        for name, data in recording.kept.items():
-            write_bytes(folder / name, data)
-        for name, readings in recording.by_arm.items():
-            times = [] if not readings else readings[0].times.tolist()
-            if not times:
-                raise InputError(f"{recording.path}: expected images or readings, got neither")
-            tables, columns, of_arm = _interpolate(recording.path, readings, times, round(tolerance * NANOSECONDS))
-            rows = ((_seconds_text(time), *row) for time, row in zip(times, tables, strict=True))
-            write_text(folder / (f"joints_{name}.csv" if name else "joints.csv"), csv_text(("time", *columns), rows))
-            summaries += of_arm
-    return ImportSummary(out, 0, 0, (0, 0), tolerance, tuple(summaries), recording.notes)
+    return ImportSummary(out, next(numbers), len(names), size, tolerance, tuple(summaries), notes, seconds, warnings)
 
 
 def _seconds_text(time: int) -> str:
@@ -230,20 +219,6 @@ def _arm_of(readings: Sequence[TimedReadings]) -> str | None:
     """Return the name of the arm that the sources of all readings name, such as PSM1; None if there is not one."""
     arms = {name for source in readings for name in _ARM.findall(source.source)}
     return arms.pop() if len(arms) == 1 else None
-
-
-class _ImageCounter:
-    """Counts the images that it yields."""
-
-    def __init__(self, images: Iterator[RecordedImage]) -> None:
-        self._images = images
-        self.number = 0
-
-    def images(self) -> Iterator[RecordedImage]:
-        """Yield the images and count them in ``number``."""
-        for image in self._images:
-            self.number += 1
-            yield image
 
 
 def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:

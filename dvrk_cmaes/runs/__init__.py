@@ -20,5 +20,4 @@ track_folder, track_frames, track_clock, track_pictures : an instrument followed
 track_arms : what the followed arms of a session have in common.
 calibrate_folder : calibration of a session folder.
 calibration_pictures : drawings of a frame of a calibrated session.
-golden : recording of golden poses, and comparison of results with them.
 """

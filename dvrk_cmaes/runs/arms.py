@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.draw.arms_overlay import ArmDrawing, draw_arms, drawings
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of
+from dvrk_cmaes.frames.frame import FrameFiles, image_of, mask_of, readable
 from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.atomic import encoded_image
@@ -60,7 +61,7 @@ def _drawn(shown: Sequence[ArmDrawing], seen: Sequence[tuple[FrameFiles, Camera]
     ``seen`` are the frame's files and the camera of each arm that has the frame.
     """
     files = [own for own, _ in seen]
-    image, mask = _image(files[0]) if files else None, _all_masks(files)
+    image, mask = readable(partial(image_of, files[0])) if files else None, _all_masks(files)
     if mask is None and image is not None:
         mask = np.zeros(image.shape[:2], np.bool_)
     if mask is None:
@@ -72,23 +73,11 @@ def _drawn(shown: Sequence[ArmDrawing], seen: Sequence[tuple[FrameFiles, Camera]
     return draw_arms(shown, mask, camera, image)
 
 
-def _image(files: FrameFiles) -> NDArray[np.uint8] | None:
-    """Read the image of a frame; None if it has none that can be read."""
-    try:
-        return image_of(files)
-    except InputError:
-        return None
-
-
 def _all_masks(frames: list[FrameFiles]) -> Bool | None:
     """Return the union of the arms' masks of a frame; None if none can be read."""
     union: Bool | None = None
     for files in frames:
-        try:
-            if files.mask is None:
-                continue
-            mask = mask_of(files, files.mask, blank=True)
-        except InputError:
-            continue
-        union = mask if union is None or union.shape != mask.shape else union | mask
+        mask = None if files.mask is None else readable(partial(mask_of, files, files.mask, blank=True))
+        if mask is not None:
+            union = mask if union is None or union.shape != mask.shape else union | mask
     return union

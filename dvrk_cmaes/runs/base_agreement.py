@@ -7,7 +7,7 @@ wrongly turns the base about another axis in each frame.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +16,8 @@ import numpy as np
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.results.paths import result_path
-from dvrk_cmaes.results.result import Result, Status
+from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.output import update_result
 
 FEWEST = 5
 """Least number of frames whose bases are compared."""
@@ -38,16 +36,18 @@ def compare_bases(out: Path, results: Mapping[str, Result], limit_deg: float) ->
     doubts = base_doubts(results, limit_deg)
     compared = {}
     for name, result in results.items():
-        own = [reason for reason in result.reasons if not reason.startswith(PREFIX)]
-        reasons = (*own, *([doubts[name]] if name in doubts else ()))
-        compared[name] = result
-        if reasons != result.reasons:
-            status: Status = "doubtful" if reasons else "ok"
-            compared[name] = replace(result, status=status, reasons=reasons)
-            path = result_path(out, name)
-            document = read_json_object(path, expected="a result")
-            write_json(path, {**document, "status": status, "reasons": list(reasons)})
+        compared[name] = now = by_itself(result, [doubts[name]] if name in doubts else ())
+        if now is not result:
+            update_result(out, name, status=now.status, reasons=list(now.reasons))
     return compared
+
+
+def by_itself(result: Result, doubts: Sequence[str] = ()) -> Result:
+    """Return a result without the reasons that come from a comparison of all frames, and with others of these."""
+    reasons = (*(reason for reason in result.reasons if not reason.startswith(PREFIX)), *doubts)
+    if reasons == result.reasons:
+        return result
+    return replace(result, reasons=reasons, status="doubtful" if reasons else "ok")
 
 
 def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, str]:

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,17 @@ class BatchProgress:
 
     def on_frame(self, outcome: FrameOutcome) -> None:
         """Handle the end of a frame, after its files were written."""
+
+
+@dataclass(frozen=True, eq=False)
+class Workers:
+    """What estimates frames: ``count`` processes, or the ``executor``; when it stops, and who is told of each frame."""
+
+    count: int | None = None
+    executor: Executor | ExternalExecutor | Processes | None = None
+    time_limit: float = TIME_LIMIT
+    stop: threading.Event = field(default_factory=threading.Event)
+    progress: BatchProgress = field(default_factory=BatchProgress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +214,7 @@ def run_batch(
         )
         progress.on_start(len(todo), kept)
         ran = 0
-        for outcome in outcomes(setup, todo, workers, executor or processes, time_limit, stop):
+        for outcome in outcomes(setup, todo, Workers(workers, executor or processes, time_limit, stop)):
             write_outcome(folder, outcome)
             ran += 1
             progress.on_frame(outcome)
@@ -323,31 +334,20 @@ def _is_changed(name: str, old: Manifest, digests: FrameParts) -> bool:
     return now is not None and old["frames"].get(name) != now
 
 
-def outcomes(
-    setup: BatchSetup,
-    todo: Sequence[FrameFiles],
-    workers: int | None,
-    given: Executor | ExternalExecutor | Processes | None,
-    time_limit: float,
-    stop: threading.Event,
-) -> Iterator[FrameOutcome]:
-    """Yield the outcomes of frames in the order of completion, by the workers that are ``given`` or by its own."""
+def outcomes(setup: BatchSetup, todo: Sequence[FrameFiles], workers: Workers) -> Iterator[FrameOutcome]:
+    """Yield the outcomes of frames in the order of completion, by the workers that are given or by its own."""
     if not todo:
         return
+    given, stop, time_limit = workers.executor, workers.stop, workers.time_limit
     packed = PackedSetup.of(setup)
     call = functools.partial(run_task, packed)
     if isinstance(given, Processes):
         done = given.run(todo, call, time_limit=time_limit, stop=stop)
     elif given is None:
-        most = workers or max(1, usable_cores() // setup.config.threads)
-        done = run_in_processes(
-            todo,
-            call,
-            start=functools.partial(prepare_process, packed),
-            workers=min(most, len(todo)),
-            time_limit=time_limit,
-            stop=stop,
-        )
+        most = workers.count or max(1, usable_cores() // setup.config.threads)
+        start = functools.partial(prepare_process, packed)
+        most = min(most, len(todo))
+        done = run_in_processes(todo, call, start=start, workers=most, time_limit=time_limit, stop=stop)
     else:
         external = given if isinstance(given, ExternalExecutor) else ExternalExecutor(given, lambda: 2 * usable_cores())
         done = run_in_executor(todo, call, external=external, stop=stop)

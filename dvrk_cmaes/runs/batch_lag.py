@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.calibration.calibrate import find_lag
-from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError
@@ -30,20 +29,6 @@ LAG: Final = "lag"
 _FRAMES = 60  # from which a lag is found, evenly spaced
 
 
-def with_calibrated_lag(session: Session, calibration: SessionCalibration) -> Session:
-    """Take the lag of a calibration, if it differs from zero, out of a session's readings."""
-    lag = calibration.applied_lag
-    return session if lag is None else session.with_lag(lag)
-
-
-@dataclass(frozen=True)
-class BatchLag:
-    """The lag that was found, None if there is none to take out, and a text about it."""
-
-    lag: Lag | None
-    text: str
-
-
 def find_batch_lag(
     session: Session,
     out: Path,
@@ -51,8 +36,10 @@ def find_batch_lag(
     instrument: Instrument,
     config: EstimateConfig,
     arm: Arm,
-) -> BatchLag:
+) -> tuple[Lag | None, str]:
     """Estimate up to 60 frames of a session in OUT/lag, and find the lag of its images behind its readings from them.
+
+    Returns the lag, None if there is none to take out, and a text about it.
 
     ``run`` estimates the frames of a session with `run_batch` and writes them to a folder; the other parameters are
     those of `run_batch`.
@@ -76,7 +63,7 @@ def find_batch_lag(
     ]
     lag, untold = find_lag(frames, instrument, series=session.reading_series(), arm=arm, config=config)
     if lag is None:
-        return BatchLag(None, f"lag: not determined by these frames ({untold}): none is taken out")
+        return None, f"lag: not determined by these frames ({untold}): none is taken out"
     if not lag.applied:
-        return BatchLag(None, f"lag: zero within its standard deviation ({lag.describe()}): none is taken out")
-    return BatchLag(lag, f"lag: {lag.describe()}: taken out")
+        return None, f"lag: zero within its standard deviation ({lag.describe()}): none is taken out"
+    return lag, f"lag: {lag.describe()}: taken out"

@@ -7,30 +7,24 @@ only when it need not be solved again, or after it was: so an interrupted run go
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import replace
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.frames.tool_frames import with_start
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.output import output
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.pose.depth_order import OPPOSITE, place_of_other
-from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Place, Result
-from dvrk_cmaes.runs.base_agreement import PREFIX
-from dvrk_cmaes.runs.batch import TIME_LIMIT, BatchProgress, BatchSummary, finish, outcomes, summarize_shard
-from dvrk_cmaes.runs.executor import ExternalExecutor
+from dvrk_cmaes.runs.base_agreement import by_itself
+from dvrk_cmaes.runs.batch import BatchSummary, Workers, finish, outcomes, summarize_shard
 from dvrk_cmaes.runs.frame import as_calibrated
-from dvrk_cmaes.runs.output import COMMAND, write_outcome
+from dvrk_cmaes.runs.output import COMMAND, update_result, write_outcome
 from dvrk_cmaes.runs.summary import RunTiming
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -40,26 +34,17 @@ Places = dict[str, dict[str, Place]]
 _UNSOLVED: Final = "other tools behind this one as background: "
 
 
-def solve_crossing(
-    batches: Mapping[str, BatchSummary],
-    *,
-    workers: int | None = None,
-    executor: Executor | ExternalExecutor | None = None,
-    time_limit: float = TIME_LIMIT,
-    stop: threading.Event | None = None,
-    progress: BatchProgress | None = None,
-) -> dict[str, BatchSummary]:
+def solve_crossing(batches: Mapping[str, BatchSummary], workers: Workers) -> dict[str, BatchSummary]:
     """Solve the frames again in which a tool is in front of another one, and return the batches with their new results.
 
-    ``batches`` are those of a session's arms, by arm; the other arguments are those of `run_batch`. Results, tables and
-    pages are written anew where a frame was solved again. Errors as `run_batch`.
+    ``batches`` are those of a session's arms, by arm. Results, tables and pages are written anew where a frame was
+    solved again. Errors as `run_batch`.
     """
-    stop, progress = stop or threading.Event(), progress or BatchProgress()
     names = sorted({name for batch in batches.values() for name in batch.results}, key=natural)
     places = {name: _places_in_frame(name, batches) for name in names}
     asked = {
         arm: [
-            replace(_by_itself(batch.results[name]), other_tools=of_arms[arm])
+            replace(by_itself(batch.results[name]), other_tools=of_arms[arm])
             for name, of_arms in places.items()
             if arm in of_arms and batch.results[name].other_tools != of_arms[arm]
         ]
@@ -68,8 +53,8 @@ def solve_crossing(
     finished = {arm: _with_places(batch, asked[arm]) for arm, batch in batches.items()}
     for arm, batch in finished.items():
         again = [result for result in asked[arm] if "behind" in result.other_tools.values()]
-        if again and not stop.is_set():
-            finished[arm] = _solved_again(batch, again, workers, executor, time_limit, stop, progress)
+        if again and not workers.stop.is_set():
+            finished[arm] = _solved_again(batch, again, workers)
         elif again:
             finished[arm] = replace(batch, interrupted=True)
     return finished
@@ -119,12 +104,6 @@ def _views(batch: BatchSummary, name: str) -> tuple[SeenView, ...]:
     return as_calibrated(data, batch.setup.calibration).views
 
 
-def _by_itself(result: Result) -> Result:
-    """Return a result without the reasons that come from a comparison of all frames."""
-    own = tuple(reason for reason in result.reasons if not reason.startswith(PREFIX))
-    return result if own == result.reasons else replace(result, reasons=own, status="doubtful" if own else "ok")
-
-
 def _with_places(batch: BatchSummary, asked: Sequence[Result]) -> BatchSummary:
     """Write where the others are to the results of a batch that are not solved again."""
     results = dict(batch.results)
@@ -132,19 +111,11 @@ def _with_places(batch: BatchSummary, asked: Sequence[Result]) -> BatchSummary:
         for result in asked:
             if "behind" not in result.other_tools.values():
                 results[result.frame] = replace(results[result.frame], other_tools=result.other_tools)
-                _update(batch, result.frame, other_tools=result.other_tools)
+                update_result(batch.folder, result.frame, other_tools=result.other_tools)
     return replace(batch, results=results)
 
 
-def _solved_again(
-    batch: BatchSummary,
-    starts: Sequence[Result],
-    workers: int | None,
-    executor: Executor | ExternalExecutor | None,
-    time_limit: float,
-    stop: threading.Event,
-    progress: BatchProgress,
-) -> BatchSummary:
+def _solved_again(batch: BatchSummary, starts: Sequence[Result], workers: Workers) -> BatchSummary:
     """Solve frames of a batch again from their results, and write what is better; tables and page are made anew.
 
     A frame that cannot be solved again keeps its result.
@@ -152,29 +123,23 @@ def _solved_again(
     started, done = time.monotonic(), 0
     first = {start.frame: start for start in starts}
     todo = [with_start(batch.frames[name], start) for name, start in first.items()]
-    progress.on_start(len(todo), [])
+    workers.progress.on_start(len(todo), [])
     with output(batch.folder, COMMAND):
-        for outcome in outcomes(batch.setup, todo, workers, executor, time_limit, stop):
+        for outcome in outcomes(batch.setup, todo, workers):
             if outcome.status == "failed":
                 start = first[outcome.frame]
                 unused = [*start.unused, _UNSOLVED + outcome.reasons[0]]
-                _update(batch, outcome.frame, unused=unused, other_tools=start.other_tools)
+                update_result(batch.folder, outcome.frame, unused=unused, other_tools=start.other_tools)
             else:
                 write_outcome(batch.folder, outcome)
             done += 1
-            progress.on_frame(outcome)
+            workers.progress.on_frame(outcome)
         timing = _timing(batch, time.monotonic() - started)
         results = summarize_shard(batch.folder, timing) if batch.shard is not None else finish(batch.folder, timing)
     document = results.summary or {}
     return replace(
         batch, interrupted=done < len(todo), counts=document["counts"], document=document, results=results.frames
     )
-
-
-def _update(batch: BatchSummary, name: str, **fields: Any) -> None:
-    """Replace fields of a result that is there."""
-    path = result_path(batch.folder, name)
-    write_json(path, {**read_json_object(path, expected="a result"), **fields})
 
 
 def _timing(batch: BatchSummary, seconds: float) -> RunTiming | None:

@@ -11,13 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.files import file_digest
-from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 _FILES = ("mask", "image", "ignore")
 _LENGTH = 16
@@ -29,26 +26,12 @@ UNREADABLE = "unreadable"
 
 def instrument_digest(instrument: Instrument) -> str:
     """Compute the digest of an instrument's content; the paths of its files do not matter."""
-    return _digest(instrument)
-
-
-def calibration_digest(calibration: SessionCalibration) -> str:
-    """Compute the digest of a session's calibration."""
-    return _digest(json_text(calibration.to_dict()))
-
-
-def background_digests(settings: SegmentSettings) -> dict[str, str]:
-    """Compute the digests of the backgrounds before which masks are found, by view."""
-    return {view: _digest(background) for view, background in sorted(settings.backgrounds.items())}
+    return digest_of(instrument)
 
 
 def frame_digests(files: FrameFiles) -> dict[str, str]:
     """Compute the digests of the parts of a frame, by name of the part; `UNREADABLE` for a file that cannot be read."""
-    digests = {
-        name: _file_digest(path)
-        for name, path in (("mask", files.mask), ("image", files.image), ("ignore", files.ignore))
-        if path is not None
-    }
+    digests = {name: _file_digest(path) for name in _FILES if (path := getattr(files, name)) is not None}
     others_there = {
         f"other tool {k}": _file_digest(tool.mask) + str(tool.label or "") for k, tool in enumerate(files.other_tools)
     }
@@ -70,7 +53,7 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
         for part, digest in frame_digests(other).items()
         if part in _FILES
     }
-    return digests | {name: _digest(value) for name, value in rest.items()} | others | others_there
+    return digests | {name: digest_of(value) for name, value in rest.items()} | others | others_there
 
 
 def _file_digest(path: Path) -> str:
@@ -87,7 +70,7 @@ def _video_digest(video: Video) -> str:
     return _file_digest(video.path)
 
 
-def _digest(value: Any) -> str:
+def digest_of(value: Any) -> str:
     """Compute the digest of a tree of dataclasses, mappings, sequences, arrays and plain values."""
     sha256 = hashlib.sha256()
     for part in _parts(value):

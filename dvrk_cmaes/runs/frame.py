@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,10 +15,9 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.draw.frame_layers import frame_layers
 from dvrk_cmaes.draw.overlay import draw_failed
 from dvrk_cmaes.draw.view_overlays import draw_views
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import better_of, estimate_views
 from dvrk_cmaes.estimation.one_tool import FrameMethod
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image, readable
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.output import LONG, output
@@ -42,14 +42,6 @@ class SolvedFrame:
     found_masks: Mapping[str, Bool] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class FrameRun:
-    """A frame's result, and the files written: JSON, overlay and, if it was found in the image, the mask."""
-
-    result: Result
-    written: tuple[Path, ...]
-
-
 def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
     """Read a frame that has a mask, of a rig in at least one view, or only images.
 
@@ -60,7 +52,7 @@ def read_any_frame(files: FrameFiles, camera: Camera | Rig) -> FrameData:
 
 def run_frame(
     files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod, out: Path | None, command: str = "estimate"
-) -> FrameRun:
+) -> tuple[Result, tuple[Path, ...]]:
     """Estimate the pose in a frame that was read, and write its result and overlay to the folder ``out`` if given.
 
     Arguments as in `solve_frame`; ``command`` is that which writes.
@@ -74,10 +66,10 @@ def run_frame(
         check_output(out, files.name)
     solved = solve_frame(files, frame, body, method)
     if out is None:
-        return FrameRun(solved.result, ())
+        return solved.result, ()
     overlay = draw_views(solved.result, solved.data.views, body)
     with output(out, command, owns=False, wait=LONG):
-        return FrameRun(solved.result, write_frame(out, solved.result, overlay, solved.found_masks))
+        return solved.result, write_frame(out, solved.result, overlay, solved.found_masks)
 
 
 def solve_frame(files: FrameFiles, frame: FrameData, body: Body, method: FrameMethod) -> SolvedFrame:
@@ -126,10 +118,5 @@ def layers_of_frame(result: Result, data: FrameData, body: Body) -> FrameLayers:
 
 def draw_failed_frame(result: Result, files: FrameFiles) -> NDArray[np.uint8] | None:
     """Draw a frame without a pose: its image or else its mask, (H, W, 3) BGR; None if neither can be read."""
-    for path in (files.image, files.mask):
-        if path is not None:
-            try:
-                return draw_failed(result, read_image(path))
-            except InputError:
-                continue
-    return None
+    pictures = (readable(partial(read_image, path)) for path in (files.image, files.mask) if path is not None)
+    return next((draw_failed(result, picture) for picture in pictures if picture is not None), None)

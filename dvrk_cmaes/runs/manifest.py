@@ -18,12 +18,12 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import TrustConfig, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.atomic import json_text, write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, natural
 from dvrk_cmaes.io.typed_document import PositiveNumber, convert_document
 from dvrk_cmaes.results.folder import MANIFEST
-from dvrk_cmaes.runs.digests import background_digests, calibration_digest, frame_digests, instrument_digest
+from dvrk_cmaes.runs.digests import digest_of, frame_digests, instrument_digest
 from dvrk_cmaes.runs.worker import BatchSetup
 
 Manifest = dict[str, Any]
@@ -61,6 +61,7 @@ class _ManifestFields(Struct):
 
 def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
     """Return the manifest of a batch; ``frames`` are the digests of each frame's parts, None for other shards."""
+    backgrounds = {view: digest_of(background) for view, background in sorted(setup.segment.backgrounds.items())}
     return {
         "schema": _SCHEMA,
         "version": __version__,
@@ -71,9 +72,9 @@ def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
         "segment": {
             "model": setup.segment.model,
             "weights": None if setup.segment.weights is None else str(setup.segment.weights),
-            **({"backgrounds": backgrounds} if (backgrounds := background_digests(setup.segment)) else {}),
+            **({"backgrounds": backgrounds} if backgrounds else {}),
         },
-        "calibration": None if setup.calibration is None else calibration_digest(setup.calibration),
+        "calibration": None if setup.calibration is None else digest_of(json_text(setup.calibration.to_dict())),
         "session": str(setup.folder),
         **({"rig": _further_views(setup.rig)} if len(setup.rig.views) > 1 else {}),
         "frames": _sorted(frames),

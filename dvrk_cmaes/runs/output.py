@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.output import Output, output, remove, write_bytes
 from dvrk_cmaes.io.short_text import natural, shown
 from dvrk_cmaes.results.file import read_result
@@ -100,3 +102,9 @@ def write_outcome(out: Path, outcome: FrameOutcome) -> None:
         else:
             remove(path)
     write_bytes(result_path(out, outcome.frame), outcome.result)
+
+
+def update_result(out: Path, name: str, **fields: Any) -> None:
+    """Replace fields of a result that is there."""
+    path = result_path(out, name)
+    write_json(path, {**read_json_object(path, expected="a result"), **fields})

@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.runs.worker_process import CallTimeoutError, ProcessDiedError, WorkerProcess, single_library_threads
@@ -263,7 +263,7 @@ class _Driver(Generic[T, R]):
         """Run a task, ``tries`` times if its process dies, unless the run has been stopped by then."""
         for _ in range(tries):
             try:
-                return self.process.run(call, task, self.time_limit)
+                return self.process.run(call, task, time_limit=self.time_limit)
             except CallTimeoutError:
                 self.process.kill()
                 self.process.close()
@@ -299,12 +299,12 @@ class WorkerConnection:
         """Whether the process is being started by `begin`."""
         return self._beginning is not None and self._beginning.is_alive()
 
-    def run(self, call: Callable[[T], R], task: T, time_limit: float | None) -> R:
-        """Run a task; raises ProcessDiedError if the process died on it, CallTimeoutError if it takes too long."""
+    def run(self, call: Callable[..., R], *arguments: Any, time_limit: float | None = None) -> R:
+        """Call a function there; ProcessDiedError if the process died on it, CallTimeoutError if it takes too long."""
         if self._beginning is not None:
             self._beginning.join()
         process = self._process or self._started()
-        return process.call(call, task, time_limit=time_limit)
+        return process.call(call, *arguments, time_limit=time_limit)
 
     def _started(self) -> WorkerProcess:
         for _ in range(_STARTS):

@@ -36,7 +36,7 @@ from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
-from dvrk_cmaes.segment.shaft_pairs import prompt_in
+from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.histogram_ratio import ColourModel
@@ -103,10 +103,7 @@ def segment_task(body: Body, config: EstimateConfig, task: SegmentTask) -> Packe
     data = with_outside(data)
     views: list[SeenView] = []
     for number, view in enumerate(data.views):
-        hints = task.hints
-        if number:  # the prompts are pixels of the first view
-            chosen = hints != Hints() and views[0].given
-            hints = prompt_in(view, views[0].mask, views[0], body) if chosen else Hints()
+        hints = prompts_in(view, views[0], task.hints, body) if number else task.hints
         if view.image is None or (view.given and view.mask.any()):
             views.append(replace(view, image=None))
             continue

@@ -279,8 +279,13 @@ def _estimated(
     return [frame for _, frame in sorted((first | others).items())]
 
 
-def read_keyframes(path: Path) -> SessionCalibration | str | None:
-    """Read what an interrupted run has found, from its file; None if there is nothing."""
+def read_keyframes(
+    path: Path, *, colours: bool
+) -> tuple[SessionCalibration, dict[str, ColourModel] | None] | str | None:
+    """Read what a run has found, from its file, with the ``colours`` of a recording's images; None without a file.
+
+    A text says why nothing was found. InputError if the file has not what was to be found.
+    """
     if not path.exists():
         return None
     document = read_json_object(path, expected=_EXPECTED)
@@ -288,27 +293,17 @@ def read_keyframes(path: Path) -> SessionCalibration | str | None:
         return refused
     if not isinstance(calibration := document.get("calibration"), dict):
         raise InputError(f"{path}: calibration: expected a session's calibration, got none: begin with --overwrite")
-    return SessionCalibration.from_dict(calibration, where=str(path))
+    try:
+        models = read_colours(document["colours"]) if colours else None
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise InputError(f"{path}: colours: expected those of a recording's views: begin with --overwrite") from None
+    return SessionCalibration.from_dict(calibration, where=str(path)), models
 
 
 def write_keyframes(
     path: Path, found: SessionCalibration | str, colours: Mapping[str, ColourModel] | None = None
-) -> SessionCalibration | str:
-    """Write what was found, with the colours of a recording's images by view, and return it as it is read again."""
-    if isinstance(found, str):
-        write_json(path, {"refused": found, "calibration": None})
-        return found
-    document = found.to_dict()
+) -> None:
+    """Write what was found, with the colours of a recording's images by view."""
+    refused, calibration = (found, None) if isinstance(found, str) else (None, found.to_dict())
     more = {} if colours is None else {"colours": colours_document(colours)}
-    write_json(path, {"refused": None, "calibration": document, **more})
-    return SessionCalibration.from_dict(document)
-
-
-def read_kept_colours(path: Path) -> dict[str, ColourModel]:
-    """Read the colours that were written with a solution; InputError if there are none."""
-    document = read_json_object(path, expected=_EXPECTED)
-    try:
-        colours = read_colours(document["colours"])
-    except (KeyError, TypeError, ValueError, AttributeError):
-        raise InputError(f"{path}: colours: expected those of a recording's views: begin with --overwrite") from None
-    return colours
+    write_json(path, {"refused": refused, "calibration": calibration, **more})

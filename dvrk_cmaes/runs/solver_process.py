@@ -5,20 +5,26 @@ from __future__ import annotations
 import contextlib
 import os
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from threading import Lock
 from types import TracebackType
+from typing import TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.live_session import give_back_memory
-from dvrk_cmaes.runs.worker_process import ProcessDiedError, WorkerProcess
+from dvrk_cmaes.runs.processes import WorkerConnection
+from dvrk_cmaes.runs.worker_process import ProcessDiedError
 from dvrk_cmaes.silhouette.prepare import body_by
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
+
+R = TypeVar("R")
+T = TypeVar("T")
 
 _TRIES = 2  # of a problem that its process dies on
 
@@ -39,10 +45,10 @@ class SolverProcess:
     """
 
     def __init__(self, instrument: Instrument, *, threads: int = 1, background: bool = False) -> None:
-        self._instrument, self._threads, self._background = instrument, threads, background
+        self._threads, self._background = threads, background
         self._key = instrument_digest(instrument)
         self._driver = ThreadPoolExecutor(1)
-        self._process: WorkerProcess | None = None
+        self._process = WorkerConnection(partial(_prepare, instrument, background))
         self._futures: deque[Future[Solution]] = deque()
         self._problems: deque[tuple[KeyframeProblem, Future[Solution]]] = deque()  # not begun
         self._alone: dict[str, Result] = {}
@@ -52,11 +58,10 @@ class SolverProcess:
         self._turns = 0  # for which the driver was asked, each for a problem or one of those that wait then
         self._lock = Lock()
         self._solved_names: set[str] = set()  # of those of the last solution
-        self._closed = False
 
     def __enter__(self) -> SolverProcess:
         if self._background:
-            self._driver.submit(self._start)
+            self._process.begin()
         return self
 
     def __exit__(
@@ -107,35 +112,11 @@ class SolverProcess:
 
     def close(self) -> None:
         """End the process, whatever it is at."""
-        self._closed = True
-        process = self._process
-        if process is not None:
-            process.kill()
+        self._process.end()
         self._driver.shutdown(cancel_futures=True)
         for _, future in self._problems:
             future.cancel()
-        begun = self._process  # meanwhile
-        if begun is not None and begun is not process:
-            begun.kill()
-            begun.close()
-        if process is not None:
-            process.close()
-
-    def _start(self) -> WorkerProcess | None:
-        """Start the process, and prepare the instrument in it; None if it dies or is not wanted any more."""
-        if self._closed:
-            return None
-        self._process = process = WorkerProcess()
-        try:
-            process.call(_prepare, self._instrument, self._background)
-        except ProcessDiedError:
-            self._process = None
-        except Exception:
-            process.kill()
-            process.close()
-            self._process = None
-            raise
-        return self._process
+        self._process.close()
 
     def _turn(self) -> None:
         """Solve the first problem, or else estimate the first keyframe by itself."""
@@ -158,14 +139,9 @@ class SolverProcess:
         """Estimate a keyframe by itself in the process; what fails here is tried again, and raised, with a problem."""
         wanted = self._unsolved | self._solved_names
         self._alone = {other: result for other, result in self._alone.items() if other in wanted}
-        process = None if name in self._alone else self._process or self._start()
-        if process is None:
-            return
-        try:
-            with contextlib.suppress(InputError):
-                self._alone[name] = process.call(_estimate, self._key, task, self._threads)
-        except ProcessDiedError:
-            self._process = None
+        if name not in self._alone:
+            with contextlib.suppress(InputError, ProcessDiedError):
+                self._alone[name] = self._call(_estimate, task)
 
     def _solved(self, problem: KeyframeProblem) -> Solution:
         """Solve a problem in the process, and once more in a new one if that dies.
@@ -176,19 +152,21 @@ class SolverProcess:
         known = {name: result for name, result in self._alone.items() if name in names}
         problem = replace(problem, alone={**known, **problem.alone})
         for _ in range(_TRIES):
-            if self._closed:
-                break
-            process = self._process or self._start()
-            if process is None:
-                continue
             with contextlib.suppress(ProcessDiedError):
-                solution = process.call(_solve, self._key, problem, self._threads)
+                solution = self._call(_solve, problem)
                 give_back_memory()
                 self._alone = dict(solution.alone)
                 self._solved_names = set(solution.alone)
                 return solution
-            self._process = None
         raise DvrkCmaesError(f"keyframes: their process died {_TRIES} times: out of memory?")
+
+    def _call(self, function: Callable[[str, T, int], R], task: T) -> R:
+        """Call a function with the instrument in the process; one that dies on it is started again by the next call."""
+        try:
+            return self._process.run(function, self._key, task, self._threads)
+        except ProcessDiedError:
+            self._process.close()
+            raise
 
 
 def _prepare(instrument: Instrument, background: bool) -> None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +13,6 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.together import Solving
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.tracked import TrackResult
@@ -28,14 +26,12 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES_BY_IMAGES,
     RecordedFrames,
     RecordedWork,
-    read_kept_colours,
     read_keyframes,
     write_keyframes,
 )
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackRun
 from dvrk_cmaes.segment.segmentation import Hints
-from dvrk_cmaes.track.histogram_ratio import ColourModel
 
 _GROUP: Final = 24  # tasks after which a run looks whether it is to stop
 
@@ -73,15 +69,13 @@ def following_recorded(run: TrackRun) -> Solving[RecordedTracks | str | None]:
     frames, series = run.frames, series_of(run.session)
     if settings.lag is not None:
         frames, series = _less_lag(frames, series, run.clock, settings.lag)
-    times = np.array([run.clock.times[files.name] for files in frames])
     config = replace(settings.config, threads=1)
     with instrument_processes(body.instrument, settings.workers or usable_cores(), frames) as processes:
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         in_groups = partial(_in_groups, by_body, run.stop)
         work = RecordedWork(body, settings.arm, config, in_groups, lambda stage, n: run.notice(f"{stage}: {n} frames"))
-        of = _Recording(run, frames, series, times, work)
         try:
-            solved = yield from of.by_masks() if settings.evidence == "masks" else of.by_images()
+            solved = yield from _solving(run, frames, series, work)
             if isinstance(solved, str):
                 return solved
             if settings.evidence == "masks":
@@ -93,78 +87,44 @@ def following_recorded(run: TrackRun) -> Solving[RecordedTracks | str | None]:
     return RecordedTracks(results, with_lag(solved.calibration, settings.lag, run.clock))
 
 
-@dataclass(frozen=True, eq=False)
-class _Recording:
-    """A recording that is followed: its frames, their readings and times (N,) s, and how that is done."""
+def _solving(
+    run: TrackRun, frames: tuple[FrameFiles, ...], series: ReadingSeries | None, work: RecordedWork
+) -> Solving[RecordedSolution | str]:
+    """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
 
-    run: TrackRun
-    frames: tuple[FrameFiles, ...]
-    series: ReadingSeries | None
-    times: Float64
-    work: RecordedWork
-
-    def by_masks(self) -> Solving[RecordedSolution | str]:
-        """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
-
-        A text says why that is not possible.
-        """
-        if self.run.stop is not None and self.run.stop.is_set():
-            raise _StoppedError
-        recorded = RecordedFrames.of(self.frames, self.run.session.rig, self.series, self.times)
-        path = self.run.out / KEYFRAMES
-        found = self._given(recorded) or self._kept(path)
-        if found is None:
-            found = yield from self.run.among.solving(recorded, self.work)
-            found = yield from _written(path, found)
-        return found if isinstance(found, str) else RecordedSolution(recorded, found)
-
-    def by_images(self) -> Solving[RecordedSolution | str]:
-        """Return the same of frames without masks, with the colours of instrument and surroundings."""
-        recorded = RecordedFrames.of_readings(self.frames, self.run.session.rig, self.series, self.times)
-        path = self.run.out / KEYFRAMES_BY_IMAGES
-        given = self._given(recorded)
-        if isinstance(given, str):
-            return given
-        kept = self._kept(path)
-        if kept is None:
-            hints = self.run.settings.hints or Hints()
-            recorded, found = yield from solving_images(recorded, given, hints, self.work, self.run.among.places)
-            if isinstance(found, str):
-                kept = yield from _written(path, found)
-            else:
-                kept = yield from _written(path, found.calibration, found.colours)
-        if isinstance(kept, str):
-            return kept
-        return RecordedSolution(recorded, kept if given is None else given, read_kept_colours(path))
-
-    def _given(self, recorded: RecordedFrames) -> SessionCalibration | str | None:
-        """Return the calibration that was given; a text says why it cannot be used."""
-        given = self.run.settings.calibration
-        if given is None:
-            return None
+    That of frames without masks is with the colours of instrument and surroundings. A text says why there is none. What
+    was found is written once all arms are solved: an interrupted run leaves the solutions of all arms, or none.
+    """
+    if run.stop is not None and run.stop.is_set():
+        raise _StoppedError
+    settings, by_masks = run.settings, run.settings.evidence == "masks"
+    times = np.array([run.clock.times[files.name] for files in frames])
+    measured = RecordedFrames.of if by_masks else RecordedFrames.of_readings
+    recorded, given = measured(frames, run.session.rig, series, times), settings.calibration
+    if given is not None:
         if not recorded.trusted.any():
             return "no frame has readings of the outer joints that are not frozen"
-        return given if self.run.settings.lag is None else replace(given, lag=None)
-
-    def _kept(self, path: Path) -> SessionCalibration | str | None:
-        """Return what an interrupted run has found, from its file."""
-        kept = read_keyframes(path)
-        if kept is not None:
-            self.run.notice(f"keyframes: solved by an interrupted run ({path})")
-        return kept
-
-
-def _written(
-    path: Path, found: SessionCalibration | str, colours: Mapping[str, ColourModel] | None = None
-) -> Solving[SessionCalibration | str]:
-    """Do what `write_keyframes` does once all arms are solved, and wait until it is done of all.
-
-    An interrupted run thus leaves the solutions of all arms, or none.
-    """
-    yield None
-    kept = write_keyframes(path, found, colours)
-    yield None
-    return kept
+        given = given if settings.lag is None else replace(given, lag=None)
+        if by_masks:
+            return RecordedSolution(recorded, given)
+    path = run.out / (KEYFRAMES if by_masks else KEYFRAMES_BY_IMAGES)
+    kept = read_keyframes(path, colours=not by_masks)
+    if kept is not None:
+        run.notice(f"keyframes: solved by an interrupted run ({path})")
+    else:
+        found: SessionCalibration | RecordedSolution | str
+        if by_masks:
+            found = yield from run.among.solving(recorded, work)
+        else:
+            hints = settings.hints or Hints()
+            recorded, found = yield from solving_images(recorded, given, hints, work, run.among.places)
+        yield None
+        solved = found.calibration if isinstance(found, RecordedSolution) else found
+        write_keyframes(path, solved, found.colours if isinstance(found, RecordedSolution) else None)
+        yield None
+        kept = read_keyframes(path, colours=not by_masks)
+    assert kept is not None
+    return kept if isinstance(kept, str) else RecordedSolution(recorded, given or kept[0], kept[1])
 
 
 def _in_groups(

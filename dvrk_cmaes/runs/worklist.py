@@ -46,10 +46,9 @@ def shards_folder(out: Path) -> Path:
     return out / "shards"
 
 
-def shard_of(folder: Path) -> Shard | None:
-    """Return the shard that a folder's name states; None if it states none."""
-    match = re.fullmatch(r"(\d+)-of-(\d+)", folder.name)
-    return None if match is None else Shard(int(match[1]), int(match[2]))
+def is_shard(folder: Path) -> bool:
+    """Whether a folder's name is that of a shard's results."""
+    return re.fullmatch(r"\d+-of-\d+", folder.name) is not None
 
 
 def chosen_frames(frames: Sequence[FrameFiles], pattern: str | None) -> tuple[FrameFiles, ...]:

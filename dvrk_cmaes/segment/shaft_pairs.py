@@ -14,6 +14,7 @@ import numpy as np
 
 from dvrk_cmaes.camera import Camera, View
 from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges, shaft_axis
+from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Float64, Image, apply, inverse
 from dvrk_cmaes.segment.regions import distance_to
 from dvrk_cmaes.segment.segmentation import Hints
@@ -90,6 +91,14 @@ def pair_of_mask(mask: Bool, camera: Camera, radius: float) -> Pair | None:
         stretch = np.array([[-length / 2, length / 2]])
         lines.append(_Line((last - first) / max(length, 1e-9), (first + last) / 2, stretch))
     return _pair(lines[0], lines[1], camera, radius, np.array([camera.width - 1, camera.height - 1]))
+
+
+def prompts_in(other: View, first: SeenView, prompts: Hints, body: Body, *, several: bool = False) -> Hints:
+    """Return the prompts of a further view, given those of the first one, which are pixels of that.
+
+    They are where the instrument is that the prompts choose in the first view, or that is taken there of ``several``.
+    """
+    return prompt_in(other, first.mask, first, body) if several or prompts != Hints() else Hints()
 
 
 def prompt_in(other: View, mask: Bool, view: View, body: Body) -> Hints:

@@ -32,7 +32,7 @@ from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.results.parts import posed
-from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.result import Result, modes_of
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage
@@ -167,7 +167,7 @@ class UnknownBase:
         """
         assert result.covariance is not None
         names, others = self.given.instrument.joint_names, result.alternatives
-        modes = [posed(each, names) for each in (result, *others)]
+        modes = modes_of(result, names)
         chance = 1.0 if result.mode_probability is None else result.mode_probability
         chances = [chance, *[(1 - chance) / max(len(others), 1)] * len(others)]
         costs = [-math.log(max(each, _LEAST_CHANCE)) for each in chances]

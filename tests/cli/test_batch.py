@@ -148,7 +148,7 @@ def follow(reporter: BatchProgress) -> None:
 def test_progress_in_log_is_written_as_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seconds = iter(range(0, 1000, 20))
+    seconds = iter(range(0, 1000, 47))
     monkeypatch.setattr("time.monotonic", lambda: next(seconds))
     with progress() as reporter:
         follow(reporter)

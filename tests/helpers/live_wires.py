@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.live.connection import LocalConnection
+from dvrk_cmaes.live.connection import Connection
 
 SECOND = 10**9
 BEGIN = 1_795_000_000 * SECOND
 
 
 @dataclass(eq=False)
-class Wire(LocalConnection):
+class Wire(Connection):
     """A connection within this process, which keeps what is published."""
 
     name: str = "wire"
@@ -29,6 +29,14 @@ class Wire(LocalConnection):
     @property
     def states(self) -> list[dict[str, Any]]:
         return [fields["status"][0] for topic, fields in self.published if topic == "/diagnostics"]
+
+
+class NothingBeside:
+    """What a tracker has besides its steps, where nothing goes on beside them."""
+
+    state = ""
+
+    def after_step(self, time: float) -> None: ...
 
 
 @dataclass(frozen=True)

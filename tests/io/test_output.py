@@ -8,6 +8,7 @@ import json
 import multiprocessing
 import os
 import shutil
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -190,6 +191,30 @@ def test_check_of_a_folder_that_another_command_writes_to_never_fails(tmp_path: 
                 write_text(out / "frames/a.json", f"{number}")
         (tmp_path / "done").touch()
         assert all(checked.get())
+
+
+def test_folder_that_another_thread_closes_stays_open(tmp_path: Path) -> None:
+    folder, elsewhere = tmp_path / "results", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    opened, leave = threading.Event(), threading.Event()
+
+    def other() -> None:
+        with base(folder):
+            write_text(folder / "a.txt", "a")
+            opened.set()
+            leave.wait(30)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    assert opened.wait(30)
+    with output(folder, "batch", owns=False):
+        leave.set()
+        thread.join()
+        folder.rename(tmp_path / "moved")
+        folder.symlink_to(elsewhere)
+        write_text(folder / "b.txt", "b")
+    assert (tmp_path / "moved" / "b.txt").read_text() == "b"
+    assert not any(elsewhere.iterdir())
 
 
 def test_folder_whose_first_list_was_not_written_is_that_of_any_command(tmp_path: Path) -> None:

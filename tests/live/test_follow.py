@@ -6,6 +6,7 @@ import base64
 import sys
 import threading
 from collections.abc import Iterator
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from dvrk_cmaes import prepare
 from dvrk_cmaes.cli import live as cli_live
 from dvrk_cmaes.cli.terminal import note
+from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.bundled import bundled_path
@@ -31,6 +33,7 @@ from dvrk_cmaes.live.follow import ArmSetup, LiveSetup, follow
 from dvrk_cmaes.live.inputs import EyeTopics, InputTopics
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 
+BODY = prepare("lnd")
 DEMO = bundled_path("demo")
 READINGS = {"PSM1": ("/PSM1/measured_js",)}
 MASKED = {"left": EyeTopics.of("/left/image", masks={"PSM1": "/left/mask/compressed"})}
@@ -78,7 +81,7 @@ def test_pose_of_known_frame_is_published(masked: bool) -> None:
     assert connection.open(60)
     stop = threading.Event()
     topics = InputTopics(MASKED if masked else {"left": EyeTopics.of("/left/image")}, READINGS)
-    setup = LiveSetup(topics, (ArmSetup(FrameNames(), prepare("lnd")),), lag=0.0, overlay=True)
+    setup = LiveSetup(topics, (ArmSetup(FrameNames(), BODY),), lag=0.0, overlay=True)
     thread = threading.Thread(target=follow, args=(setup, connection, lines.append, stop), daemon=True)
     thread.start()
     wait_for(lambda: len(server.subscribed) == (4 if masked else 3))
@@ -144,12 +147,15 @@ def test_command_without_a_server_says_so(
     server: RosbridgeServer, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server.stop()  # a port that is free
-    monkeypatch.setattr(cli_live, "_FIRST_IMAGE", 0.2)
-    ran = run_command(capsys, "live", "--image-topic", "/left/image", "--port", server.port)
+    said = f"no image: rosbridge 127.0.0.1:{server.port}: no connection: is it running there"
+    ran = run_command(capsys, "live", "--image-topic", "/left/image", "--port", server.port, "--seconds", 0.5)
+    setup = LiveSetup(InputTopics({"left": EyeTopics.of("/left/image")}, READINGS), (ArmSetup(FrameNames(), BODY),))
+    with pytest.raises(DvrkCmaesError, match=said):
+        follow(setup, RosbridgeConnection("127.0.0.1", server.port, print), print, threading.Event(), begin_within=0.2)
     server.start()
     assert ran.code == 1
-    assert f"no image: rosbridge 127.0.0.1:{server.port}: no connection: is it running there" in ran.err
-    monkeypatch.setattr(cli_live, "_LINES", 0.3)
+    assert said in ran.err
+    monkeypatch.setattr(cli_live, "shown_state", partial(cli_live.shown_state, lines=0.3))
     waited = run_command(
         capsys, "live", "--image-topic", "/left/image", "--port", server.port, "--wait", "--seconds", 2
     )
@@ -164,9 +170,8 @@ def test_state_is_renewed_in_one_line_of_a_terminal_below_other_lines(monkeypatc
 
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setattr(cli_live, "_RENEWED", 0.0)
     monkeypatch.setenv("TERM", "xterm")
-    with cli_live.shown_state() as shown:
+    with cli_live.shown_state(renewed=0.0) as shown:
         shown(lambda: "1 image")
         shown(lambda: "2 images")
         note("a line")

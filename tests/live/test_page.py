@@ -5,11 +5,11 @@ from __future__ import annotations
 import base64
 import re
 import runpy
+import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -42,10 +42,10 @@ DEMO = read_session(bundled_path("demo"))
 
 
 class Robot:
-    """Sends a frame of the demo on all topics that are read, until each arm has a status of an image."""
+    """Sends a frame of the demo on all topics that are read, and Ctrl-C once each arm has a status of an image."""
 
-    def __init__(self, server: RosbridgeServer, stop: threading.Event, arms: int) -> None:
-        self._server, self._stop, self._arms = server, stop, arms
+    def __init__(self, server: RosbridgeServer, arms: int) -> None:
+        self._server, self._arms = server, arms
         files = DEMO.frames[1]
         self._readings = {"name": list(files.readings), "position": list(files.readings.values())}
         self._image, self._mask = cv2.imread(str(files.image)), cv2.imread(str(files.mask), cv2.IMREAD_GRAYSCALE)
@@ -65,7 +65,7 @@ class Robot:
 
     def run(self) -> None:
         end = time.monotonic() + 120
-        while not self._stop.is_set() and time.monotonic() < end:
+        while time.monotonic() < end:
             now = time.monotonic()
             for topic, one in sorted(self._server.subscribed.items(), key=lambda item: "mask" in item[0]):
                 self._server.send(topic, self.fields(topic, one["type"], now))
@@ -73,7 +73,8 @@ class Robot:
             statuses = [fields["status"][0] for _, fields in self._server.received.get("/diagnostics", [])]
             seen = {one["hardware_id"] for one in statuses if any(v["key"] == "age_ms" for v in one["values"])}
             if len(seen) == self._arms:
-                self._stop.set()
+                signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)  # Ctrl-C
+                return
 
 
 def encoded(data: bytes) -> str:
@@ -82,16 +83,10 @@ def encoded(data: bytes) -> str:
 
 @pytest.mark.parametrize("command", [one for one in COMMANDS if "--rehearse" not in one])
 def test_command_follows_what_a_server_sends(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    stop, server = threading.Event(), RosbridgeServer()
-
-    @contextmanager
-    def stopped(seconds: float) -> Iterator[threading.Event]:
-        yield stop
-
-    monkeypatch.setattr(cli_live, "_stopped", stopped)
-    monkeypatch.setattr(cli_live, "_LINES", 0.1)
+    server = RosbridgeServer()
+    monkeypatch.setattr(cli_live, "shown_state", partial(cli_live.shown_state, lines=0.1))
     server.start()
-    robot = threading.Thread(target=Robot(server, stop, 2 if "PSM2" in command else 1).run, daemon=True)
+    robot = threading.Thread(target=Robot(server, 2 if "PSM2" in command else 1).run, daemon=True)
     robot.start()
     ran = run(f"{command.replace('--host robot', '')} --port {server.port}")
     robot.join(60)

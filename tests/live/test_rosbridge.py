@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import roslibpy
+from helpers.live_wires import NothingBeside
 from helpers.made_recordings import ARM, BEGIN, HEIGHT, SECOND, WIDTH, pixels, sweep
 from helpers.rosbridge_server import RosbridgeServer
 from helpers.waiting import wait_for
@@ -54,7 +55,7 @@ class Step:
 
 
 @dataclass
-class Recorder:
+class Recorder(NothingBeside):
     """A tracker that gives the last readings as joints, and keeps what it was given."""
 
     readings: list[tuple[float, Mapping[str, float]]] = field(default_factory=list)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.live_wires import BEGIN, SECOND, Found, Wire, stamp
+from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, stamp
 from helpers.rosbridge_server import RosbridgeServer
 from helpers.waiting import wait_for
 
@@ -31,7 +31,7 @@ TOPICS = InputTopics({"left": EyeTopics.of(IMAGE)}, {"PSM1": (JOINTS,)})
 
 
 @dataclass
-class Follower:
+class Follower(NothingBeside):
     """A tracker that keeps the times it was given, and raises the errors it was told to."""
 
     errors: list[Exception]
@@ -76,10 +76,8 @@ class Live:
 
 @pytest.fixture
 def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
-    monkeypatch.setattr(live_arm, "_STATE_EVERY", 0.1)
     for module in (live_arm, live_loop):
         monkeypatch.setattr(module, "OLD", np.inf)  # the images' clock does not go with that of the computer
-    monkeypatch.setattr(live_loop, "_WAIT", 0.02)
     wire, lines, trackers, errors = Wire(), list[str](), list[Follower](), list[Exception]()
 
     def make_tracker(rig: Rig) -> Follower:
@@ -89,11 +87,12 @@ def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     say = RepeatedLines(lines.append)
     inputs = Inputs(TOPICS, say, longest_silence=1e6)
     inputs.subscribe(wire)
-    arm = LiveArm("PSM1", make_tracker, Outputs(wire, FrameNames()), say, inputs.now)
+    outputs = Outputs(wire, FrameNames())
+    arm = LiveArm("PSM1", make_tracker, outputs, say, lambda: 10 * clock.monotonic())  # states come ten times as often
     loop = LiveLoop([arm], inputs, say, rig=Rig.of_camera(Camera(4, 2, 4.0, 4.0, 2.0, 1.0)))
     lines.clear()
     stop = threading.Event()
-    thread = threading.Thread(target=loop.run, args=(stop,), daemon=True)
+    thread = threading.Thread(target=loop.run, args=(stop,), kwargs={"wait": 0.02}, daemon=True)
     thread.start()
     yield Live(wire, lines, trackers, errors, loop)
     stop.set()

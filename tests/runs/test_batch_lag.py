@@ -18,7 +18,7 @@ from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.runs.batch import BatchSummary, run_batch
-from dvrk_cmaes.runs.batch_lag import find_batch_lag, with_calibrated_lag
+from dvrk_cmaes.runs.batch_lag import find_batch_lag
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 
@@ -92,10 +92,10 @@ def test_lag_that_is_not_determined_is_said_and_not_taken_out(command: Command) 
 def test_lag_of_the_calibration_is_taken_out(tmp_path: Path) -> None:
     session = read_session(make_session(tmp_path / "session", NAMES))
     known: SessionCalibration = calibration(solved(NAMES))
-    late = with_calibrated_lag(session, replace(known, lag=Lag(1.0, 0.1)))
+    late = session.with_lag(replace(known, lag=Lag(1.0, 0.1)).applied_lag)
     assert late.frames[2].readings == pytest.approx(session.frames[1].readings)
-    assert with_calibrated_lag(session, replace(known, lag=Lag(0.1, 0.1, applied=False))) is session
-    assert with_calibrated_lag(session, replace(known, lag=None)) is session
+    assert replace(known, lag=Lag(0.1, 0.1, applied=False)).applied_lag is None
+    assert replace(known, lag=None).applied_lag is None
 
 
 def test_interrupted_search_of_the_lag_says_how_to_go_on(bundled_body: Body, tmp_path: Path) -> None:

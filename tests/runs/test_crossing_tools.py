@@ -19,7 +19,7 @@ from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.batch import BatchSummary, run_batch
+from dvrk_cmaes.runs.batch import BatchSummary, Workers, run_batch
 from dvrk_cmaes.runs.crossing_tools import solve_crossing
 from dvrk_cmaes.runs.worklist import Shard
 from dvrk_cmaes.silhouette import Body
@@ -63,7 +63,7 @@ def finished(solve, first: Path) -> Path:
     """Give the results after the frames in which the tools cross were solved again."""
     out = first.parent / "finished"
     shutil.copytree(first, out)
-    solve_crossing(solve(out), executor=EXECUTOR)
+    solve_crossing(solve(out), Workers(executor=EXECUTOR))
     return out
 
 
@@ -98,7 +98,7 @@ def test_only_the_tool_in_front_is_solved_again(solve, first: Path, finished: Pa
 
 def test_same_batch_again_changes_nothing(solve, finished: Path) -> None:
     there = comparable(finished)
-    progress = solve_crossing(solve(finished), executor=EXECUTOR)
+    progress = solve_crossing(solve(finished), Workers(executor=EXECUTOR))
     assert comparable(finished) == there
     assert not any(batch.interrupted for batch in progress.values())
 
@@ -108,12 +108,12 @@ def test_interrupted_run_goes_on_where_it_ended(solve, first: Path, finished: Pa
     shutil.copytree(first, out)
     stop = threading.Event()
     stop.set()
-    stopped = solve_crossing(solve(out), executor=EXECUTOR, stop=stop)
+    stopped = solve_crossing(solve(out), Workers(executor=EXECUTOR, stop=stop))
     assert all(batch.interrupted for batch in stopped.values())
     assert comparable(out) != comparable(finished)
     # one of the two frames is done, the other is not
     shutil.copytree(finished / "PSM1", out / "PSM1", dirs_exist_ok=True)
-    solve_crossing(solve(out), executor=EXECUTOR)
+    solve_crossing(solve(out), Workers(executor=EXECUTOR))
     assert comparable(out) == comparable(finished)
 
 
@@ -127,13 +127,13 @@ def test_frames_whose_masks_are_gone_are_unclear(solve, first: Path, tmp_path: P
         )
         for arm, batch in solve(out).items()
     }
-    found = results(solve_crossing(batches, executor=EXECUTOR))
+    found = results(solve_crossing(batches, Workers(executor=EXECUTOR)))
     assert found["PSM1"]["0000"].other_tools == {"PSM2": "unclear"}
 
 
 def test_shards_are_solved_by_themselves(solve, finished: Path, tmp_path: Path) -> None:
     for number in (1, 2):
-        solve_crossing(solve(tmp_path / "out", Shard(number, 2)), executor=EXECUTOR)
+        solve_crossing(solve(tmp_path / "out", Shard(number, 2)), Workers(executor=EXECUTOR))
     whole = results(solve(finished))
     for arm in ARMS:
         files = sorted((tmp_path / "out" / arm).rglob("frames/*.json"))

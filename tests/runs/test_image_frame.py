@@ -95,8 +95,8 @@ def test_result_equals_estimate_from_found_mask(session: Session, bundled_body: 
 def test_found_mask_is_written(session: Session, bundled_body: Body, found: Found, tmp_path: Path) -> None:
     files = replace(session.frames[0], mask=None)
     frame = read_frame_image(files, session.camera)
-    run = run_frame(files, frame, bundled_body, METHOD, tmp_path)
-    assert [str(path.relative_to(tmp_path)) for path in run.written] == [
+    _, written = run_frame(files, frame, bundled_body, METHOD, tmp_path)
+    assert [str(path.relative_to(tmp_path)) for path in written] == [
         "frames/0000.json",
         "overlays/0000.jpg",
         "masks/0000.png",

@@ -52,14 +52,14 @@ class FakeProcess:
         self.estimated: list[str] = []
         self.problems: list[dict[str, str]] = []
 
-    def call(self, function: Callable[..., Any], key: str, given: Any, threads: int) -> Any:
+    def run(self, function: Callable[..., Any], key: str, given: Any, threads: int) -> Any:
         if function.__name__ == "_estimate":
             self.estimated.append(given.keyframe.name)
             return f"result of {given.keyframe.name}"
         self.problems.append(dict(given.alone))
         return Solution(None, "", len(given.keyframes), {one.name: f"solved {one.name}" for one in given.keyframes})
 
-    def kill(self) -> None: ...
+    def end(self) -> None: ...
 
     def close(self) -> None: ...
 

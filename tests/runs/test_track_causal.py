@@ -39,7 +39,7 @@ def solved_once() -> Iterator[None]:
     def answer(process: WorkerProcess, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         if function not in (solver_process._estimate, solver_process._solve):
             return call(process, function, *arguments, **options)
-        key = digests._digest(arguments[1])
+        key = digests.digest_of(arguments[1])
         if key not in known:
             known[key] = call(process, function, *arguments, **options)
         return known[key]

@@ -62,7 +62,7 @@ def _timed_stages() -> Iterator[dict[str, list[float]]]:
 def estimated(session: Session, files: FrameFiles, instrument: str, config: EstimateConfig) -> Result:
     """Estimate one frame."""
     data = read_frame(files, session.camera)
-    return run_frame(files, data, prepare(instrument), FrameMethod("classic", config), None).result
+    return run_frame(files, data, prepare(instrument), FrameMethod("classic", config), None)[0]
 
 
 def _one_by_one(session: Session, instrument: str, config: EstimateConfig, frames: int | None) -> list[Result]:

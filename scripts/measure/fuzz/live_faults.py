@@ -23,11 +23,12 @@ import psutil
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.live.arm import LiveArm
-from dvrk_cmaes.live.connection import LocalConnection
+from dvrk_cmaes.live.connection import Connection
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveLoop
-from dvrk_cmaes.live.outputs import Outputs, StepResult
+from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.repeated_lines import RepeatedLines
+from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND
 from dvrk_cmaes.track import Tracker
 from measure.fuzz.tracker import CAMERA, SETTINGS, World
@@ -117,15 +118,20 @@ class _Follower:
     def __init__(self, world: World, feed: _Feed) -> None:
         self._tracker, self._feed = Tracker(CAMERA, world.body, config=SETTINGS, lag=0.0), feed
 
+    state = ""
+
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         self._tracker.add_readings(time, joints)
 
-    def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> StepResult:
+    def step(self, time: float, mask: Any = None, image: Any = None, ignore: Any = None) -> TrackResult:
         if self._feed.errors:
             raise self._feed.errors.pop()
         result = self._tracker.step(time, mask, image, ignore)
         self._feed.status = result.status
         return result
+
+    def after_step(self, time: float) -> None:
+        """Nothing is due."""
 
 
 class _Feed:
@@ -134,7 +140,7 @@ class _Feed:
     def __init__(self, world: World, report: LiveReport) -> None:
         self.status, self.errors = "", list[Exception]()
         self._world, self._report = world, report
-        self._wire, self._lines, self._stop = LocalConnection("wire"), _Lines(), threading.Event()
+        self._wire, self._lines, self._stop = Connection("wire"), _Lines(), threading.Event()
         self._frame, self._ahead = 0, 0.0  # s, by which the clocks of the messages were set
         inputs = Inputs(TOPICS, self._lines, longest_silence=1e6, now=lambda: self._frame / FRAMES_A_SECOND)
         inputs.subscribe(self._wire)
