@@ -221,7 +221,7 @@ def solving_arm(
     calibration = replace(calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     predicted = {name: report.leave_one_out for name, report in by_name.items()}
-    evidence = {frame.name: one.reference.evidence for frame, one in zip(state.frames, state.stored, strict=True)}
+    evidence = {frame.name: one.views[0].evidence for frame, one in zip(state.frames, state.stored, strict=True)}
     return SolvedSession(calibration, results, predicted, again.masks), evidence
 
 

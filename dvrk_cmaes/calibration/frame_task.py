@@ -190,7 +190,7 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
         task.expected,
         task.starts,
         task.stored.own,
-        own_cameras=None if task.change is None else [view.stored.evidence.camera for view in task.stored.views],
+        own_cameras=None if task.change is None else [view.evidence.camera for view in task.stored.views],
         margins=task.margins,
     )
     return fit

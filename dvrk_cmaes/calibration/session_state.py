@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.calibration.cable_estimate import CableEstimate
+from dvrk_cmaes.calibration.cables import CableFit
 from dvrk_cmaes.calibration.consensus import Mode
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
@@ -155,7 +155,8 @@ class SessionState:
     """How far the estimation of a session is.
 
     ``frames`` are the N frames in use, ``modes`` those of each and ``model`` the model of their readings; ``lag`` is
-    the estimate of the lag of the images behind the readings, ``cables`` that of what cables do to readings. ``stored``
+    the estimate of the lag of the images behind the readings, ``cables`` are the fits
+    of what cables do to readings, as of `fit_cables`, None before the first. ``stored``
     is the frames' evidence and ``fits`` are their current fits, both empty before the first round. ``found`` is the
     current solution, None before the first one. ``again`` are masks that were found again, None where they were not.
     """
@@ -165,8 +166,8 @@ class SessionState:
     modes: tuple[Sequence[Mode], ...]
     model: SessionModel
     lag: LagEstimate
-    cables: CableEstimate
     imaging: Imaging
+    cables: tuple[CableFit, CableFit] | None = None
     notes: Notes = Notes()
     stored: tuple[StoredFrame, ...] = ()
     fits: tuple[FrameFit, ...] = ()
@@ -197,7 +198,6 @@ class SessionState:
             tuple(Mode.all_of(frame.result, names) for frame in frames),
             model,
             LagEstimate.of(problem.series, [frame.name for frame in frames], model.deviations.outer),
-            CableEstimate.of(names, model.deviations, problem.offset_std[1:]),
             Imaging(np.zeros(3) if problem.refine_camera else None, rig=rig),
         )
 
