@@ -14,7 +14,7 @@ import numpy as np
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.packed_mask import PackedMask, overlap_of, packed
+from dvrk_cmaes.frames.packed_mask import PackedMask, overlap_of
 from dvrk_cmaes.geometry import Bool, Float64, Posed, change_between
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
@@ -136,8 +136,8 @@ def again_task(body: Body, config: EstimateConfig, task: AgainTask) -> FoundAgai
     first = {view.name: view.mask for view in given}
     found = task.find(silhouettes, first)
     overlaps = {name: overlap_of(mask, first[name]) for name, mask in found.items()}
-    changed_ones = {name: mask for name, mask in found.items() if overlaps[name] < _UNCHANGED}
-    return FoundAgain(packed(changed_ones), min(overlaps.values(), default=1.0))
+    masks = {name: PackedMask.of(mask) for name, mask in found.items() if overlaps[name] < _UNCHANGED}
+    return FoundAgain(masks, min(overlaps.values(), default=1.0))
 
 
 def predicted_task(body: Body, config: EstimateConfig, task: PredictedTask) -> list[tuple[float, float]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,16 +32,6 @@ class PackedMask:
         height, width = self.shape
         bits = np.unpackbits(np.frombuffer(self.bits, np.uint8), count=height * width)
         return bits.reshape(height, width).astype(np.bool_)
-
-
-def packed(masks: Mapping[str, Bool]) -> dict[str, PackedMask]:
-    """Pack masks (H, W) by view."""
-    return {name: PackedMask.of(mask) for name, mask in masks.items()}
-
-
-def restored(masks: Mapping[str, PackedMask]) -> dict[str, Bool]:
-    """Return masks (H, W) by view of packed ones."""
-    return {name: mask.restored() for name, mask in masks.items()}
 
 
 def overlap_of(first: Bool, second: Bool) -> float:

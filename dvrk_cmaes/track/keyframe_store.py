@@ -15,13 +15,12 @@ from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.packed_mask import packed
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem
+from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, packed
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, farthest_first, well_in_view
 from dvrk_cmaes.track.reading_buffer import ReadingRows
 
