@@ -11,9 +11,10 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile
 demo: $(VENV)/.package
 	$(BIN)/dvrk-cmaes demo
 
-# a process of tests for each core: more threads of BLAS in each would only wait for each other
+# a process of tests for each core: more threads of BLAS in each would only wait for each other; what one process has
+# compiled serves those that the tests start, also where the environment forbids to keep it
 test: $(VENV)/.tools
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=auto --dist=loadfile --no-loadscope-reorder $(TESTS)
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=auto --dist=loadfile --no-loadscope-reorder $(TESTS)
 
 lint: $(VENV)/.tools
 	$(BIN)/ruff check .

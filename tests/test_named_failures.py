@@ -26,6 +26,8 @@ def test_a_failed_test_is_named_before_the_summary(processes: str, tmp_path: Pat
         processes,
         "-p",
         "no:cacheprovider",
+        "-p",
+        "no:anyio",
         "-o",
         f"pythonpath={TESTS}",
     ]

@@ -14,10 +14,11 @@ import numpy as np
 
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed, adjoint, inverse
-from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.result import Result, modes_of
 
 _MAX_HYPOTHESIS_FRAMES = 60  # frames whose modes are used as hypotheses
 _MAX_TEST_FRAMES = 240  # frames on which each hypothesis is scored
+_MOST_AT_ONCE = 2000  # modes of test frames times hypotheses that are scored at once, in some 5 MB
 _ENOUGH = 0.5  # share of the frames that agree, from which on no other offset of roll is tried
 _MAX_ROLLED_FRAMES = 20  # frames whose modes are tried, and scored, at other offsets of roll
 _ROLL_STEP = np.deg2rad(20.0)  # between offsets of roll, and standard deviation of each frame's
@@ -40,13 +41,8 @@ class Mode:
     @classmethod
     def all_of(cls, result: Result, joint_names: Sequence[str]) -> list[Mode]:
         """Return the modes of a frame's own result: its pose and its alternatives, all with the pose's covariance."""
-        pose, covariance = result.camera_from_root, result.covariance
-        assert pose is not None
-        assert covariance is not None
-        poses = [(pose, result.joints), *((other.camera_from_root, other.joints) for other in result.alternatives)]
-        return [
-            cls(Posed(there, np.array([joints[name] for name in joint_names])), covariance) for there, joints in poses
-        ]
+        assert result.covariance is not None
+        return [cls(at, result.covariance) for at in modes_of(result, joint_names)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +103,9 @@ def find_consensus(
     proposing = evenly_spaced(len(modes), hypothesis_frames).tolist()
     tested = evenly_spaced(len(modes), test_frames)
     hypotheses = _Hypotheses(model, modes, offset_std, roll)
-    candidates = [(frame, k) for frame in proposing for k in range(len(modes[frame]))]
-    best = min(candidates, key=lambda source: float(hypotheses.tested(source, tested).cost.sum()))
-    return hypotheses.tested(best, np.arange(len(modes)))
+    candidates = np.array([(frame, k) for frame in proposing for k in range(len(modes[frame]))])
+    best = int(np.argmin(hypotheses.costs(candidates, tested)))
+    return hypotheses.consensus(candidates[best], np.arange(len(modes)))
 
 
 def agreement(
@@ -166,22 +162,22 @@ def _stacked(modes: Sequence[Sequence[Mode]]) -> tuple[Posed, Float64]:
 
 
 def _for_each_mode(at: Posed) -> Posed:
-    """Return N predictions with a second axis of length 1, for the modes of each frame."""
-    return Posed(at.pose[:, None], at.joints[:, None])
+    """Return predictions (..., N) with a further axis of length 1, for the modes of each frame."""
+    return Posed(at.pose[..., None, :, :], at.joints[..., None, :])
 
 
 def _distances(changes: Float64, covariance: Float64) -> tuple[Float64, Float64]:
-    """Return the squared Mahalanobis lengths (V, M) of changes (V, M, D), and the logarithms of the determinants.
+    """Return the squared Mahalanobis lengths (...) of changes (..., D), and the logarithms of the determinants.
 
-    Both follow from the Cholesky factors of the covariances (V, M, D, D), by forward substitution for all at once.
+    Both follow from the Cholesky factors of the covariances (..., D, D), by forward substitution for all at once.
     """
     factor = np.linalg.cholesky(covariance)
     whitened = np.empty_like(changes)
     for i in range(changes.shape[-1]):
-        known = np.einsum("vmi,vmi->vm", factor[..., i, :i], whitened[..., :i])
+        known = np.einsum("...i,...i->...", factor[..., i, :i], whitened[..., :i])
         whitened[..., i] = (changes[..., i] - known) / factor[..., i, i]
     determinants = 2 * np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.einsum("vmi,vmi->vm", whitened, whitened), determinants
+    return np.einsum("...i,...i->...", whitened, whitened), determinants
 
 
 class _Hypotheses:
@@ -192,7 +188,6 @@ class _Hypotheses:
 
     def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, roll: float) -> None:
         self._model = model
-        self._modes = modes
         self._at, self._covariance = _stacked(modes)
         # All hypotheses have the same offsets of insertion and roll, so the kinematics and their errors are the same.
         self._offsets = np.zeros(len(offset_std))
@@ -204,55 +199,72 @@ class _Hypotheses:
         self._of_readings = model.covariance(same)
         self._of_readings[:, 5, 5] += offset_std[1] ** 2
 
-    def _calibration(self, frame: int, k: int) -> Calibration:
-        """Return the calibration that predicts mode ``k`` of a frame, with the same offsets of insertion and roll.
+    def _calibrations(self, sources: Indices) -> tuple[Float64, Float64]:
+        """Return the bases (H, 4, 4) and offsets (H, 2 + J) of the calibrations that predict modes of frames.
 
-        Joints without a reading have an offset of zero, too.
+        ``sources`` (H, 2) are the numbers of a frame and of its mode. The offsets of insertion and roll are the same
+        for all; joints without a reading have an offset of zero, too.
         """
-        at = self._modes[frame][k].at
-        offsets = self._offsets.copy()
-        offsets[2:] = np.nan_to_num(at.joints - self._model.joints[frame])
-        base = inverse(self._relative[frame]) @ at.pose @ self._root_from_base[frame]
-        return Calibration(base, offsets, endoscope=self._model.start)
+        frame, k = sources.T
+        at = Posed(self._at.pose[frame, k], self._at.joints[frame, k])
+        offsets = np.tile(self._offsets, (len(sources), 1))
+        offsets[:, 2:] = np.nan_to_num(at.joints - self._model.joints[frame])
+        return inverse(self._relative[frame]) @ at.pose @ self._root_from_base[frame], offsets
 
-    def tested(self, source: tuple[int, int], test_frames: Indices) -> Consensus:
-        """Test the calibration that is made from a frame and one of its modes, ``source``, on test frames (V,)."""
-        frame, k = source
-        hypothesis = self._calibration(frame, k)
+    def costs(self, sources: Indices, test_frames: Indices) -> Float64:
+        """Return the sums (H,) of the costs of test frames (V,) by the calibrations from ``sources`` (H, 2)."""
+        at_once = max(1, _MOST_AT_ONCE // (len(test_frames) * self._covariance.shape[1]))
+        parts = (sources[first : first + at_once] for first in range(0, len(sources), at_once))
+        return np.concatenate([self._tested(part, test_frames)[2].sum(axis=1) for part in parts])
+
+    def consensus(self, source: Indices, test_frames: Indices) -> Consensus:
+        """Return what test frames (V,) say of the calibration that is made from a frame and one of its modes (2,)."""
+        ((base,), (offsets,)), tested = self._calibrations(source[None]), self._tested(source[None], test_frames)
+        return Consensus(Calibration(base, offsets, endoscope=self._model.start), *(one[0] for one in tested))
+
+    def _tested(self, sources: Indices, test_frames: Indices) -> tuple[Indices, Float64, Float64]:
+        """Test the calibrations from ``sources`` (H, 2) on test frames (V,): chosen, misfit and cost, (H, V) each."""
+        bases, offsets = self._calibrations(sources)
+        frame, k = sources.T
         read = self._read[test_frames]
-        pose = self._relative[test_frames] @ hypothesis.camera_from_base @ read.pose
-        expected = Posed(pose, read.joints + hypothesis.offsets[2:])
-        dimension = 6 + expected.joints.shape[1]
+        pose = self._relative[test_frames] @ bases[:, None] @ read.pose
+        expected = Posed(pose, read.joints + offsets[:, None, 2:])
+        dimension = 6 + expected.joints.shape[-1]
         # covariance of the hypothesis: of the mode that it was made from, and of that frame's readings
         own = self._covariance[frame, k] + self._of_readings[frame]
-        transport = np.tile(np.eye(dimension), (len(test_frames), 1, 1))
-        transport[:, :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame])
-        predicted = transport @ own @ np.swapaxes(transport, 1, 2) + self._of_readings[test_frames]
+        transport = np.tile(np.eye(dimension), (len(sources), len(test_frames), 1, 1))
+        transport[..., :6, :6] = adjoint(self._root_from_base[test_frames] @ self._read.pose[frame][:, None])
+        predicted = transport @ own[:, None] @ np.swapaxes(transport, -1, -2) + self._of_readings[test_frames]
         if (endoscope := self._model.endoscope) is not None:
-            of_both = endoscope.subset(np.append(test_frames, frame))
-            moves = of_both.jacobian(endoscope.start, hypothesis.camera_from_base) * endoscope.loose
-            loads = of_both.loadings(endoscope.start, hypothesis.camera_from_base)
-            own_load = np.broadcast_to(loads[-1:], loads[:-1].shape)
-            moves = np.concatenate([moves[:-1] - moves[-1], loads[:-1], own_load], axis=2)
-            moves = adjoint(self._root_from_base[test_frames]) @ moves
-            predicted[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
+            for base, source, covariance in zip(bases, frame.tolist(), predicted, strict=True):
+                of_both = endoscope.subset(np.append(test_frames, source))
+                moves = of_both.jacobian(endoscope.start, base) * endoscope.loose
+                loads = of_both.loadings(endoscope.start, base)
+                own_load = np.broadcast_to(loads[-1:], loads[:-1].shape)
+                moves = np.concatenate([moves[:-1] - moves[-1], loads[:-1], own_load], axis=2)
+                moves = adjoint(self._root_from_base[test_frames]) @ moves
+                covariance[:, :6, :6] += moves @ np.swapaxes(moves, 1, 2)
         changes = self._at[test_frames].minus(_for_each_mode(expected))
-        return self._judged(hypothesis, predicted, changes, test_frames)
+        return self._judged(predicted, changes, test_frames)
 
     def against(self, calibration: Calibration, test_frames: Indices) -> Consensus:
         """Test a calibration that is known on test frames (V,)."""
         expected = self._model.predict(replace(calibration, endoscope=self._model.start))
         changes = self._at[test_frames].minus(_for_each_mode(expected)[test_frames])
-        return self._judged(calibration, self._of_readings[test_frames], changes, test_frames)
+        return Consensus(calibration, *self._judged(self._of_readings[test_frames], changes, test_frames))
 
-    def _judged(self, hypothesis: Calibration, predicted: Float64, changes: Float64, test_frames: Indices) -> Consensus:
-        """Judge a calibration by the changes (V, M, D) of modes from what it predicts, with covariance (V, D, D)."""
+    def _judged(self, predicted: Float64, changes: Float64, test_frames: Indices) -> tuple[Indices, Float64, Float64]:
+        """Judge calibrations by the changes (..., V, M, D) of modes from what they predict.
+
+        ``predicted`` (..., V, D, D) is the covariance of the prediction. Returns the most likely mode of each frame,
+        its misfit and its cost, (..., V) each.
+        """
         dimension = changes.shape[-1]
-        total = predicted[:, None] + self._covariance[test_frames]
+        total = predicted[..., None, :, :] + self._covariance[test_frames]
         misfit, log_determinant = (one / dimension for one in _distances(changes, total))
         outlier_std = np.concatenate([_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)])
         outlier_cost = 2 * np.log(outlier_std).sum() / dimension + 1
         cost = np.minimum(misfit + log_determinant, outlier_cost)
-        chosen = (misfit + log_determinant).argmin(axis=1)
-        of_chosen = np.arange(len(test_frames)), chosen
-        return Consensus(hypothesis, chosen, misfit[of_chosen], cost[of_chosen])
+        chosen = (misfit + log_determinant).argmin(axis=-1)
+        misfit, cost = (np.take_along_axis(one, chosen[..., None], -1)[..., 0] for one in (misfit, cost))
+        return chosen, misfit, cost

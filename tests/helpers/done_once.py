@@ -25,6 +25,8 @@ from dvrk_cmaes.silhouette import Body, prepare
 _BODIES = 8
 """Most prepared instruments that are kept."""
 
+SEGMENT_CLASSIC = segmentation._segment_classic
+
 
 @contextmanager
 def done_once() -> Iterator[None]:
@@ -91,16 +93,25 @@ def _instruments_prepared_once(patch: pytest.MonkeyPatch) -> None:
 
 
 def _images_segmented_once(patch: pytest.MonkeyPatch) -> None:
-    """Let commands, which import the function when they run, segment an image once; its own tests have the original."""
-    segment = segmentation.segment
     known: dict[str, segmentation.Segmentation] = {}
 
-    def segmented(image: Any, *, instrument: Any = None, **options: Any) -> segmentation.Segmentation:
-        if instrument != "lnd" or options.get("weights") is not None:
-            return segment(image, instrument=instrument, **options)
-        key = hashlib.sha256(pickle.dumps((image, sorted(options.items())))).hexdigest()
+    def segmented(
+        image: Any, background: Any, hints: Any, instrument: Any, camera: Any, joints: Any
+    ) -> segmentation.Segmentation:
+        body = None if instrument is None else prepare.prepare(instrument)
+        of_body = () if body is None else (instrument_digest(body.instrument), body.method)
+        given = image, background, hints, of_body, camera, None if joints is None else sorted(joints.items())
+        key = hashlib.sha256(pickle.dumps(given)).hexdigest()
         if key not in known:
-            known[key] = segment(image, instrument=instrument, **options)
+            known[key] = SEGMENT_CLASSIC(image, background, hints, instrument, camera, joints)
         return replace(known[key], mask=known[key].mask.copy())
 
-    patch.setattr(segmentation, "segment", segmented)
+    patch.setattr(segmentation, "_segment_classic", segmented)
+
+
+@contextmanager
+def segmented_anew() -> Iterator[None]:
+    """Let images be segmented each time, for tests of that."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(segmentation, "_segment_classic", SEGMENT_CLASSIC)
+        yield

@@ -22,10 +22,10 @@ from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.worker_process import WorkerProcess
 
-ARMS = {"PSM1": moving_world(seed=3), "PSM2": moving_world(seed=4)}
-MASKS = {arm: f"/left/{arm}/mask" for arm in ARMS}
+SEEDS = {"PSM1": 3, "PSM2": 4}
+MASKS = {arm: f"/left/{arm}/mask" for arm in SEEDS}
 TOPICS = InputTopics(
-    {"left": EyeTopics("", "/left/camera_info", MASKS)}, {arm: (f"/{arm}/measured_js",) for arm in ARMS}
+    {"left": EyeTopics("", "/left/camera_info", MASKS)}, {arm: (f"/{arm}/measured_js",) for arm in SEEDS}
 )
 BEGIN = 10**9  # ns
 
@@ -33,6 +33,7 @@ BEGIN = 10**9  # ns
 def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None = None) -> tuple[Stage, list[str]]:
     """Play images of two arms through the loop, before one of which all processes are killed; also returns lines."""
     stage, lines, others = Stage(stamp=BEGIN), list[str](), workers()
+    arms = {arm: moving_world(seed=seed) for arm, seed in SEEDS.items()}
     setup = LiveSetup(
         TOPICS,
         tuple(
@@ -41,7 +42,7 @@ def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None
                 world.body,
                 solver=partial(SolverProcess, world.body.instrument) if dies_at is None else None,
             )
-            for arm, world in ARMS.items()
+            for arm, world in arms.items()
         ),
         rig=Rig.of(SMALL),
         waits=True,
@@ -56,12 +57,12 @@ def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None
                 for child in workers(others):
                     child.kill()
             stamp = BEGIN + round(1e9 * k / 30)
-            for arm, world in ARMS.items():
+            for arm, world in arms.items():
                 readings = {"name": list(world.readings[k]), "position": list(world.readings[k].values())}
                 stage.send(stamp, {f"/{arm}/measured_js": {"header": header(stamp), **readings}})
             size = {"width": SMALL.width, "height": SMALL.height, "step": SMALL.width, "encoding": "mono8"}
-            data = {arm: np.asarray(255 * world.masks[k], np.uint8).tobytes() for arm, world in ARMS.items()}
-            stage.send(stamp, {MASKS[arm]: {"header": header(stamp), **size, "data": data[arm]} for arm in ARMS})
+            data = {arm: np.asarray(255 * world.masks[k], np.uint8).tobytes() for arm, world in arms.items()}
+            stage.send(stamp, {MASKS[arm]: {"header": header(stamp), **size, "data": data[arm]} for arm in SEEDS})
             loop.turn()
         started = workers(others)
     _, alive = psutil.wait_procs(started, 30)  # those that solve keyframes are not killed, but end with their arm's
@@ -79,7 +80,7 @@ def test_arms_in_processes_of_their_own_have_the_same_poses() -> None:
     (here, lines), (apart, same_lines) = (played(start, 26) for start in (None, partial(WorkerProcess, for_long=True)))
     assert lines == same_lines
     assert here.statuses == apart.statuses
-    assert {arm: len(poses) for arm, poses in here.poses.items()} == {arm: len(apart.poses[arm]) for arm in ARMS}
+    assert {arm: len(poses) for arm, poses in here.poses.items()} == {arm: len(apart.poses[arm]) for arm in SEEDS}
     for arm, poses in here.poses.items():
         assert len(poses) >= 3
         assert all(np.array_equal(pose, apart.poses[arm][stamp]) for stamp, pose in poses.items())
@@ -111,8 +112,8 @@ def test_step_that_fails_does_not_end_the_process() -> None:
 
 def test_process_that_dies_costs_three_images_and_its_arm_begins_anew() -> None:
     stage, lines = played(partial(WorkerProcess, for_long=True), 40, dies_at=18)
-    assert sum("ProcessDiedError" in line for line in lines) == len(ARMS)
-    assert sum("the process of this arm has ended" in line for line in lines) == 2 * len(ARMS)
+    assert sum("ProcessDiedError" in line for line in lines) == len(SEEDS)
+    assert sum("the process of this arm has ended" in line for line in lines) == 2 * len(SEEDS)
     for arm, poses in stage.poses.items():
         assert min(poses) < BEGIN + 18e9 / 30, arm
         assert max(poses) == stage.stamp, arm
