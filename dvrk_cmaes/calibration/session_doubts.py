@@ -85,12 +85,24 @@ class FrameLimits:
                 f"mask not explained: IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour, "
                 f"expected at least {least:.3f} and at most {largest_px:.1f} px"
             )
-        if misfit > config.largest_misfit:
-            reasons.append(
-                f"disagrees with the {self.what}: the mask is {misfit**0.5:.1f} times the expected error from what the "
-                "calibration and the readings expect"
-            )
-        return reasons
+        return reasons + self.disagreement(misfit, config)
+
+    def disagreement(self, misfit: float, config: SessionConfig, source: str = "mask") -> list[str]:
+        """List the reason, in words, for which a pose is too far from what its session expects; empty if it is not.
+
+        Parameters
+        ----------
+        misfit, config
+            As in `doubts`.
+        source
+            What of the image tells the pose: its mask, or the image itself.
+        """
+        if misfit <= config.largest_misfit:
+            return []
+        return [
+            f"disagrees with the {self.what}: the {source} is {misfit**0.5:.1f} times the expected error from what the "
+            "calibration and the readings expect"
+        ]
 
 
 OF_FRAMES: Final = {
