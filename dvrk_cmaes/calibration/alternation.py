@@ -13,15 +13,17 @@ from functools import partial
 
 import numpy as np
 
+from dvrk_cmaes.calibration.cables import estimate_cables
 from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus_at_any_roll
 from dvrk_cmaes.calibration.constants import few_of
-from dvrk_cmaes.calibration.endoscope_search import with_pieces
+from dvrk_cmaes.calibration.endoscope import Pieces
+from dvrk_cmaes.calibration.endoscope_search import describe_pieces, with_pieces, without_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import FitTask, fit_task, gather_task
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
-from dvrk_cmaes.calibration.masks_again import PackedMask, with_masks
+from dvrk_cmaes.calibration.masks_again import with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations
 from dvrk_cmaes.calibration.session_camera import camera_undetermined
 from dvrk_cmaes.calibration.session_masks import margins_of
@@ -30,6 +32,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_wi
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 
@@ -80,14 +83,25 @@ def _less_lag(state: SessionState) -> SessionState:
 
 
 def _on_one_base(state: SessionState) -> tuple[SessionState, Consensus]:
-    """Return the consensus of the frames, in pieces if the base moved between them."""
-    offset_std = state.problem.offset_std
+    """Return the consensus of the frames, in pieces if the base moved between them.
+
+    Pieces in which the lag was found are looked for again with the lag taken out: with it, a moving arm seems to have
+    another base.
+    """
+    offset_std, lost = state.problem.offset_std, isinstance(state.model.endoscope, Pieces)
+    if lost:
+        state = without_pieces(state)
     consensus = find_consensus_at_any_roll(state.model, state.modes, offset_std)
-    check_arm(state.model, state.modes, offset_std, consensus)
-    if state.model.endoscope is not None:
-        return state, consensus
-    cut = with_pieces(state, consensus)
-    return (state, consensus) if cut is None else (cut, find_consensus_at_any_roll(cut.model, cut.modes, offset_std))
+    if not lost:
+        check_arm(state.model, state.modes, offset_std, consensus)
+    cut = with_pieces(state, consensus) if state.model.endoscope is None else None
+    if cut is not None:
+        state, consensus = cut, find_consensus_at_any_roll(cut.model, cut.modes, offset_std)
+        assert isinstance(cut.model.endoscope, Pieces)
+        state = cut.noted(remarks=[describe_pieces(cut.model.endoscope, cut.frames)])
+    if lost:
+        check_arm(state.model, state.modes, offset_std, consensus)
+    return state, consensus
 
 
 def solved(state: SessionState) -> SessionState:
@@ -174,10 +188,13 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
     fits, problem = state.outlines(keep_all=keep_all), state.problem
     state = _with_calibration(state, fits, calibration)
     if not keep_all and problem.config.session.cables:
-        cables = state.cables.estimated(state.model, fits, state.solution, state.lag)
-        state = replace(state, cables=cables, model=cables.corrected(state.model))
-        if (initial := cables.deviations(state.model.deviations)) is not None:
-            state = replace(state, model=replace(state.model, deviations=initial))
+        usual = Deviations.of(problem.config.session, state.model.names)
+        std = problem.offset_std[1:]
+        cables, alone = estimate_cables(state.model, fits, state.solution, state.lag, usual, std)
+        own = cables.deviations(state.model.deviations)
+        model = replace(state.model, correction=cables.correction, deviations=own)
+        state = replace(state, cables=(cables, alone), model=model)
+        if cables.parts:
             state = _with_calibration(state, fits, state.solution.calibration)
     lag = state.lag.refined(state.model, fits, state.solution.calibration, problem.prior)
     return replace(state, lag=lag, model=lag.corrected(state.model)), fits.at
@@ -186,7 +203,9 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
 def _with_calibration(state: SessionState, fits: FrameFits, start: Calibration) -> SessionState:
     """Estimate the calibration together with the variances."""
     session = state.problem.config.session
-    initial = state.cables.deviations(Deviations.of(session, state.model.names))
+    initial = Deviations.of(session, state.model.names)
+    if state.cables is not None:
+        initial = state.cables[0].deviations(initial)
     model, solution = solve_with_variances(state.model, fits, start, state.problem.prior, session, initial)
     return replace(state, model=model, found=solution)
 

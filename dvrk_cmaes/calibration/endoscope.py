@@ -196,8 +196,10 @@ class Steered(Endoscope):
             return None
         if not places:  # it moves all the time
             places = (Place(np.median(read, axis=0), np.zeros(4)),)
-        if len(places) == 1 and (np.abs(read - places[0].readings) <= np.maximum(places[0].within, _NOISE)).all():
-            return None
+        if len(places) == 1:
+            away = (np.abs(read - places[0].readings) > np.maximum(places[0].within, _NOISE)).any(axis=1)
+            if np.convolve(away, np.ones(_STANDS), "valid").max(initial=0.0) != _STANDS:  # single ones are noise
+                return None
         start = EndoscopeValues.read(STRAIGHT, STRAIGHT, np.zeros(4), np.zeros((len(places) - 1, 4)))
         return cls(read, places, start, start.std)
 
@@ -388,10 +390,9 @@ def find_places(read: Float64) -> tuple[Place, ...]:
         return ()
     groups: list[list[int]] = []
     for frame, row in enumerate(read):
-        for group in reversed(groups):
-            if (np.abs(row - read[group].mean(axis=0)) <= _SAME * noise).all():
-                group.append(frame)
-                break
+        near = [group for group in groups if (np.abs(row - read[group].mean(axis=0)) <= _SAME * noise).all()]
+        if near:
+            max(near, key=len).append(frame)
         else:
             groups.append([frame])
     return tuple(Place(read[group].mean(axis=0), _SAME * noise) for group in groups if len(group) >= _STANDS)

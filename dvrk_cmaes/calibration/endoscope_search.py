@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
-from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
+from dvrk_cmaes.calibration.endoscope import Endoscope, Pieces, Place, Steered
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lasting_errors import frames_alike
 from dvrk_cmaes.calibration.model import Calibration, SessionModel, ecm_readings
@@ -29,7 +29,9 @@ LEAST_PIECE: Final = 3
 """Frames that agree on the base of a piece."""
 _LEAST_WINDOW, _MOST_WINDOWS = 4, 30  # frames of a run that is solved by itself, and number of these
 _JOIN: Final = 40.0  # increase of the robust cost up to which one base explains two runs
+_NEEDED: Final = 70.0  # the same of two pieces, with shared offsets: some frames while the endoscope moves are none
 _AGREE: Final = 0.75  # share of a run's frames that agree on one base
+_UNTOLD: Final = 0.5  # of such a cost, within which frames do not tell between which of them the base changes
 _CUT: Final = 4.0  # cost of a change of the base from one frame to the next
 
 
@@ -63,12 +65,17 @@ def with_pieces(state: SessionState, consensus: Consensus | None = None) -> Sess
     if found is None:
         return None
     pieces, _ = found
-    state = state.noted(remarks=[describe_pieces(pieces, state.frames)])
     return replace(
         state,
         model=replace(state.model, endoscope=pieces),
         problem=replace(problem, endoscope_prior=pieces.start.information),
     )
+
+
+def without_pieces(state: SessionState) -> SessionState:
+    """Return a session that was cut into pieces in one again."""
+    problem = replace(state.problem, endoscope_prior=np.zeros((0, 0)))
+    return replace(state, model=replace(state.model, endoscope=None), problem=problem)
 
 
 def find_hand_eye(
@@ -97,9 +104,7 @@ def find_hand_eye(
         of_few = replace(model, endoscope=offered.subset(few))
         consensus = find_consensus(of_few, modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES)
         tried.append((consensus.mean_misfit, offered, consensus))
-    of_endoscope = steered.start.information
-    prior = np.pad(prior, (0, len(of_endoscope)))
-    prior[-len(of_endoscope) :, -len(of_endoscope) :] = of_endoscope
+    prior = with_prior_of(steered, prior)
     refined: list[tuple[float, Steered]] = []
     for _, offered, consensus in sorted(tried, key=lambda one: one[0])[:_TRIED]:
         of_few = replace(model, endoscope=offered.subset(few))
@@ -114,6 +119,14 @@ def find_hand_eye(
     return min(refined, key=lambda one: one[0])[1]
 
 
+def with_prior_of(endoscope: Endoscope, prior: Float64) -> Float64:
+    """Return a prior's information (K, K) with that of the M unknowns of an endoscope, (K + M, K + M)."""
+    count = len(prior)
+    out = np.pad(prior, (0, len(endoscope.start.information)))
+    out[count:, count:] = endoscope.start.information
+    return out
+
+
 def find_pieces(
     model: SessionModel,
     modes: Sequence[Sequence[Mode]],
@@ -126,7 +139,9 @@ def find_pieces(
     """Find the pieces of a session whose base or camera moved without readings that tell, None if it stood still.
 
     Short runs of consecutive frames are solved by themselves. Those whose frames agree are joined with their neighbours
-    where one base explains both as well, and each base so found then holds for consecutive frames.
+    where one base explains both as well, and each base so found then holds for consecutive frames. Runs differ in their
+    offsets as well, as where cables wander. So all pieces are then solved with shared offsets, two are joined where one
+    base explains all frames nearly as well, and the frames between which the base moved are found again.
 
     Parameters
     ----------
@@ -174,15 +189,74 @@ def find_pieces(
     found = [agreement(model, modes, offset_std, run.solution.calibration) for run in runs]
     if not found:
         return None
-    held, place = np.unique(_fewest_changes(np.array([one.cost for one in found]) / alike), return_inverse=True)
-    if len(held) < 2:
-        return None
-    kept, found = [runs[number].solution.calibration for number in held], [found[number] for number in held]
-    order = sorted(range(len(kept)), key=lambda number: -int((place == number).sum()))
-    reference = kept[order[0]].camera_from_base
-    cameras = np.array([kept[number].camera_from_base @ inverse(reference) for number in order[1:]])
-    agree = np.array([one.agree for one in found])[place, np.arange(count)]
-    return Pieces.of(np.argsort(order)[place], cameras), np.flatnonzero(agree)
+    place = _fewest_changes(np.array([one.cost for one in found]) / alike)
+    cut = _Cut.of(model, modes, prior, [run.solution.calibration for run in runs], place)
+
+    def placed(cut: _Cut) -> _Cut:
+        bases = cut.bases
+        costs = np.array([agreement(model, modes, offset_std, base).cost for base in bases]) / alike
+        return _Cut.of(model, modes, prior, bases, _in_the_middle(_fewest_changes(costs), costs))
+
+    while cut.pieces is not None:
+        piece, bases = cut.pieces.piece, cut.bases
+        pairs = {(int(one), int(other)) for one, other in pairwise(piece) if one != other}
+        places = [np.where(np.isin(piece, pair), held, piece) for pair in sorted(pairs) for held in pair]
+        less = min((_Cut.of(model, modes, prior, bases, place) for place in places), key=lambda one: one.cost)
+        if less.cost - cut.cost > _NEEDED * alike:
+            break
+        cut = placed(less)
+    cut = placed(cut)
+    return None if cut.pieces is None else (cut.pieces, np.flatnonzero(cut.agree))
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """All frames solved with a base for each piece, and all else shared; ``pieces`` is None where there is one."""
+
+    pieces: Pieces | None
+    solution: Solution
+
+    @classmethod
+    def of(
+        cls,
+        model: SessionModel,
+        modes: Sequence[Sequence[Mode]],
+        prior: Float64,
+        bases: Sequence[Calibration],
+        place: Indices,
+    ) -> _Cut:
+        """Solve frames, each of which is at one of some bases (N,); the piece with most frames is the reference."""
+        held, number, counts = np.unique(place, return_inverse=True, return_counts=True)
+        order = np.argsort(-counts, kind="stable")
+        start, pieces = bases[held[order[0]]], None
+        if len(held) > 1:
+            cameras = [bases[k].camera_from_base @ inverse(start.camera_from_base) for k in held[order[1:]]]
+            pieces = Pieces.of(np.argsort(order)[number], np.array(cameras))
+            start, prior = replace(start, endoscope=pieces.start), with_prior_of(pieces, prior)
+        solution = solve_with_modes(replace(model, endoscope=pieces), modes, start, prior)
+        return cls(pieces, solution)
+
+    @property
+    def bases(self) -> list[Calibration]:
+        """The base of each piece, with the shared offsets."""
+        found = replace(self.solution.calibration, endoscope=None)
+        values = self.solution.calibration.endoscope
+        moves = [] if values is None else list(values.poses)
+        return [found, *(replace(found, camera_from_base=move @ found.camera_from_base) for move in moves)]
+
+    @property
+    def cost(self) -> float:
+        """Robust cost of the frames."""
+        return float(robust_costs(self.solution.misfit, self._dimension).sum())
+
+    @property
+    def agree(self) -> NDArray[np.bool_]:
+        """Which frames (N,) agree with the base of their piece."""
+        return np.asarray(self.solution.misfit < INLIER_MISFIT * self._dimension)
+
+    @property
+    def _dimension(self) -> int:
+        return 4 + len(self.solution.calibration.offsets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,4 +316,22 @@ def _fewest_changes(costs: Float64) -> Indices:
     out[-1] = total.argmin()
     for frame in range(frames - 1, 0, -1):
         out[frame - 1] = came[frame, out[frame]]
+    return out
+
+
+def _in_the_middle(held: Indices, costs: Float64) -> Indices:
+    """Return which of B bases holds for each of N frames, with each change amid the frames that do not tell its place.
+
+    ``held`` (N,) is that with fewest costs (B, N). Frames while the camera moves fit neither base.
+    """
+    out, ends = held.copy(), [-1, *np.flatnonzero(np.diff(held)).tolist(), len(held) - 1]
+    for before, last, after in zip(ends, ends[1:], ends[2:], strict=False):
+        one, other = held[last], held[last + 1]
+        more = np.cumsum(costs[one, before + 1 : after] - costs[other, before + 1 : after])  # if it changes after each
+        at = last - before - 1
+        untold = more > more[at] + _UNTOLD
+        first = at - int(np.argmax(untold[: at + 1][::-1])) + 1 if untold[: at + 1].any() else 0
+        beyond = at + int(np.argmax(untold[at:])) - 1 if untold[at:].any() else len(more) - 1
+        middle = before + 1 + (first + beyond) // 2
+        out[min(last, middle) + 1 : last + 1], out[last + 1 : max(last, middle) + 1] = other, one
     return out

@@ -173,6 +173,19 @@ def test_readings_of_an_endoscope_that_stands_change_nothing() -> None:
     assert Steered.of(np.full((30, 4), np.nan)) is None
 
 
+@pytest.mark.parametrize("noise", [1e-3, 5e-3])
+def test_single_readings_that_are_off_make_no_place(noise: float) -> None:
+    """Of many readings some are beyond four standard deviations of what the most scatter."""
+    rng, kinds = np.random.default_rng(5), []
+    for _ in range(20):
+        scatter = noise * rng.standard_normal((100, 4)) * [1, 1, 0.1, 1]
+        read = np.array([0.1, 0.2, 0.1, 0.3]) + scatter
+        moved_once = read + np.where(np.arange(100) < 60, 0, 1)[:, None] * [0.09, 0, 0.005, 0]
+        kinds.append((Steered.of(read) is None, len(find_places(moved_once))))
+    assert sum(still for still, _ in kinds) >= 19
+    assert all(places == 2 for _, places in kinds)
+
+
 def test_readings_with_noise_are_of_few_places() -> None:
     """Noise of 0.3 deg and 0.5 mm from frame to frame does not make places of its own."""
     rng = np.random.default_rng(4)
@@ -199,10 +212,11 @@ def test_a_session_without_readings_is_cut_where_the_camera_moved(seed: int) -> 
     assert np.linalg.norm(apart[:, :3], axis=1).max() < 4e-3
 
 
-def test_frames_that_err_alike_count_as_one_where_a_session_is_cut() -> None:
+def test_frames_that_err_alike_make_no_pieces_of_their_own() -> None:
     """The modes of a hundred frames err as masks do: those near each other by nearly as much.
 
-    Taken as independent they make more pieces than there are, each with some frames; ten of them as one do not.
+    Runs of them by themselves tell more bases than there are, as they tell other offsets, too. With shared offsets they
+    do not, however many frames are taken to err alike.
     """
     world, rng = steered_world(1, frames=100), np.random.default_rng(1)
     error, modes = np.zeros(9), []
@@ -210,8 +224,7 @@ def test_frames_that_err_alike_count_as_one_where_a_session_is_cut() -> None:
         error = 0.9 * error + np.sqrt(1 - 0.9**2) * rng.standard_normal(9)
         modes.append([replace(mode, at=mode.at.moved(2 * SEEN * error)) for mode in of_frame])
     consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    numbers = []
-    for alike in (1.0, 10.0):
+    for alike in (1.0, 5.0):
         found = find_pieces(world.model, modes, EXPECTED_OFFSETS, PRIOR, consensus, alike=alike)
         assert found is not None
         pieces, _ = found
@@ -219,8 +232,23 @@ def test_frames_that_err_alike_count_as_one_where_a_session_is_cut() -> None:
         assert len(counts) == len(pieces.start.poses) + 1
         assert counts.min() > 0
         assert counts[0] == counts.max()
-        numbers.append(len(counts))
-    assert numbers[0] > numbers[1] == 4
+        assert len(counts) == 4
+        np.testing.assert_allclose(np.flatnonzero(np.diff(pieces.piece)) + 1, [25, 50, 75], atol=3)
+
+
+def test_frames_while_the_camera_moves_are_no_piece() -> None:
+    """The camera takes some frames for its way: these fit no base, and the cut is amid them."""
+    world, rng = steered_world(5, frames=100), np.random.default_rng(2)
+    modes = [list(of_frame) for of_frame in world.modes]
+    for cut in (25, 50, 75):
+        for k in range(cut - 3, cut + 3):
+            way = np.concatenate([0.02 * rng.standard_normal(3), np.deg2rad(8) * rng.standard_normal(3)])
+            modes[k] = [replace(mode, at=mode.at.moved(np.concatenate([way, np.zeros(3)]))) for mode in modes[k]]
+    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    found = find_pieces(world.model, modes, EXPECTED_OFFSETS, PRIOR, consensus, alike=5.0)
+    assert found is not None
+    cuts = np.flatnonzero(np.diff(found[0].piece)) + 1
+    np.testing.assert_allclose(cuts, [25, 50, 75], atol=2)
 
 
 def test_a_session_whose_camera_stands_still_is_not_cut() -> None:
