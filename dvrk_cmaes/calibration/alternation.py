@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from dvrk_cmaes.calibration.cables import estimate_cables
 from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus_at_any_roll
 from dvrk_cmaes.calibration.constants import few_of
 from dvrk_cmaes.calibration.endoscope import Pieces
@@ -22,7 +23,7 @@ from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import FitTask, fit_task, gather_task
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
-from dvrk_cmaes.calibration.masks_again import PackedMask, with_masks
+from dvrk_cmaes.calibration.masks_again import with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations
 from dvrk_cmaes.calibration.session_camera import camera_undetermined
 from dvrk_cmaes.calibration.session_masks import margins_of
@@ -31,6 +32,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_wi
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 
@@ -186,10 +188,13 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
     fits, problem = state.outlines(keep_all=keep_all), state.problem
     state = _with_calibration(state, fits, calibration)
     if not keep_all and problem.config.session.cables:
-        cables = state.cables.estimated(state.model, fits, state.solution, state.lag)
-        state = replace(state, cables=cables, model=cables.corrected(state.model))
-        if (initial := cables.deviations(state.model.deviations)) is not None:
-            state = replace(state, model=replace(state.model, deviations=initial))
+        usual = Deviations.of(problem.config.session, state.model.names)
+        std = problem.offset_std[1:]
+        cables, alone = estimate_cables(state.model, fits, state.solution, state.lag, usual, std)
+        own = cables.deviations(state.model.deviations)
+        model = replace(state.model, correction=cables.correction, deviations=own)
+        state = replace(state, cables=(cables, alone), model=model)
+        if cables.parts:
             state = _with_calibration(state, fits, state.solution.calibration)
     lag = state.lag.refined(state.model, fits, state.solution.calibration, problem.prior)
     return replace(state, lag=lag, model=lag.corrected(state.model)), fits.at
@@ -198,7 +203,9 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
 def _with_calibration(state: SessionState, fits: FrameFits, start: Calibration) -> SessionState:
     """Estimate the calibration together with the variances."""
     session = state.problem.config.session
-    initial = state.cables.deviations(Deviations.of(session, state.model.names))
+    initial = Deviations.of(session, state.model.names)
+    if state.cables is not None:
+        initial = state.cables[0].deviations(initial)
     model, solution = solve_with_variances(state.model, fits, start, state.problem.prior, session, initial)
     return replace(state, model=model, found=solution)
 

@@ -14,8 +14,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from dvrk_cmaes.calibration.model import Calibration, Correction, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.calibration.lag_estimate import LagEstimate
+from dvrk_cmaes.calibration.lasting_errors import frames_alike
+from dvrk_cmaes.calibration.model import Calibration, Correction, Deviations, SessionModel
+from dvrk_cmaes.calibration.solve import FrameFits, Solution
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.joints.cable_inference import (
     Assumed,
@@ -25,7 +27,7 @@ from dvrk_cmaes.joints.cable_inference import (
     log_likelihood,
     run_filters,
 )
-from dvrk_cmaes.joints.cable_prior import CablePrior
+from dvrk_cmaes.joints.cable_prior import CablePrior, cable_prior
 from dvrk_cmaes.joints.cables import features
 from dvrk_cmaes.joints.play import Play
 
@@ -46,6 +48,8 @@ _ORDERED: Final = {"play", "wander"}
 """Parts that need the order of the frames in time."""
 
 _ROLL_AXIS: Final = 5  # of a small change of the root's pose
+_ROLL: Final = 3  # index among the outer joints
+_ALIKE_SECONDS: Final = 1.0  # over which masks err alike, so that their frames count as one
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +82,14 @@ class CableSession:
 class CableFit:
     """A model of the errors of a session's cables, fitted to its frames.
 
-    ``parts`` are those beside the offsets; ``gain`` is the logarithm of the ratio of its likelihood to that of offsets
-    alone. ``reference`` (C,) are the readings at which coupling adds nothing. ``coefficients`` and ``std`` (C, 2 C + 1)
-    are those of `joints.cables.features` with their standard deviations, zero where a part is missing. ``wander`` and
-    ``noise`` (C,), rad, are standard deviations. ``offset`` (C,), rad, are the mean errors at the reference.
-    ``correction`` is that of each frame by the others.
+    ``names`` are the joints. ``parts`` are those beside the offsets; ``gain`` is the logarithm of the ratio of its
+    likelihood to that of offsets alone. ``reference`` (C,) are the readings at which coupling adds nothing.
+    ``coefficients`` and ``std`` (C, 2 C + 1) are those of `joints.cables.features` with their standard deviations, zero
+    where a part is missing. ``wander`` and ``noise`` (C,), rad, are standard deviations. ``offset`` (C,), rad, are the
+    mean errors at the reference. ``correction`` is that of each frame by the others.
     """
 
+    names: tuple[str, ...]
     parts: tuple[Part, ...]
     gain: float
     reference: Float64
@@ -94,6 +99,43 @@ class CableFit:
     noise: Float64
     offset: Float64
     correction: Correction
+
+    def deviations(self, usual: Deviations) -> Deviations:
+        """Return the standard deviations of corrected readings from frame to frame; the usual ones without parts."""
+        if not self.parts:
+            return usual
+        return Deviations(np.concatenate([usual.outer[:_ROLL], self.noise[:1]]), self.noise[1:], usual.slack)
+
+
+def estimate_cables(
+    model: SessionModel,
+    fits: FrameFits,
+    solution: Solution,
+    lag: LagEstimate,
+    usual: Deviations,
+    offset_std: Float64,
+) -> tuple[CableFit, CableFit]:
+    """Fit the cables of a session; returns the fits of `fit_cables`.
+
+    Parameters
+    ----------
+    model, fits, solution
+        The model of the frames, their fits and the solution.
+    lag
+        Has the frames' times, and the readings between them.
+    usual
+        Standard deviations of readings from frame to frame without corrections.
+    offset_std : (1 + J,)
+        Standard deviations of the offsets of roll and the instrument's joints beforehand, rad.
+    """
+    names, times = ("roll", *model.names), lag.seconds()
+    weights = solution.weights if times is None else solution.weights / frames_alike(times, _ALIKE_SECONDS)
+    information, vector = observe_errors(model, fits, solution.calibration, weights)
+    readings, prior = np.concatenate([model.outer[:, _ROLL:], model.joints], axis=1), cable_prior(names)
+    play, offsets = lag.play(names, readings, prior.model.width), solution.calibration.offsets[1:]
+    noise = np.concatenate([usual.outer[_ROLL:], usual.joints])
+    seen = CableSession(names, readings, times, play, information, vector, offsets, offset_std, noise)
+    return fit_cables(seen, prior)
 
 
 def observe_errors(
@@ -168,7 +210,8 @@ class _TrialFit:
         wander = self.assumed.wander if "wander" in self.parts else np.zeros(count)
         gain = self.likelihood - least
         offset = session.offsets + self.filtered.mean[:count]
-        return CableFit(self.parts, gain, _reference(session), coefficients, std, wander, noise, offset, correction)
+        fitted = coefficients, std, wander, noise, offset, correction
+        return CableFit(session.names, self.parts, gain, _reference(session), *fitted)
 
 
 def _widening(given: Observations, means: Float64, covariances: Float64) -> Float64:

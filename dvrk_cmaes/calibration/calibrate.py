@@ -21,7 +21,6 @@ from dvrk_cmaes.calibration.frame_reports import reported
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
 from dvrk_cmaes.calibration.imaging import checked_camera
 from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
-from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
@@ -34,6 +33,7 @@ from dvrk_cmaes.calibration.together import Solving, solved_alone, with_others
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
+from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
@@ -221,7 +221,7 @@ def solving_arm(
     calibration = replace(calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     predicted = {name: report.leave_one_out for name, report in by_name.items()}
-    evidence = {frame.name: one.reference.evidence for frame, one in zip(state.frames, state.stored, strict=True)}
+    evidence = {frame.name: one.views[0].evidence for frame, one in zip(state.frames, state.stored, strict=True)}
     return SolvedSession(calibration, results, predicted, again.masks), evidence
 
 

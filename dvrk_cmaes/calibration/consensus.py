@@ -14,7 +14,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed, adjoint, inverse
-from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.result import Result, modes_of
 
 _MAX_HYPOTHESIS_FRAMES = 60  # frames whose modes are used as hypotheses
 _MAX_TEST_FRAMES = 240  # frames on which each hypothesis is scored
@@ -41,13 +41,8 @@ class Mode:
     @classmethod
     def all_of(cls, result: Result, joint_names: Sequence[str]) -> list[Mode]:
         """Return the modes of a frame's own result: its pose and its alternatives, all with the pose's covariance."""
-        pose, covariance = result.camera_from_root, result.covariance
-        assert pose is not None
-        assert covariance is not None
-        poses = [(pose, result.joints), *((other.camera_from_root, other.joints) for other in result.alternatives)]
-        return [
-            cls(Posed(there, np.array([joints[name] for name in joint_names])), covariance) for there, joints in poses
-        ]
+        assert result.covariance is not None
+        return [cls(at, result.covariance) for at in modes_of(result, joint_names)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,7 @@ from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import LASTING
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.silhouette import Body, OutlinePoints, Renderer
+from dvrk_cmaes.silhouette import Body, OutlinePoints
 
 _SETTLED = 0.25  # standard deviations of the constants, below which the outlines are not linearised again
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
@@ -122,10 +121,7 @@ def outline_task(body: Body, config: EstimateConfig, task: OutlineTask) -> Quadr
     views, it is measured at the pose where it is less there: in a wrong rig, no pose fits all views.
     """
     stored = [task.stored.views[number] for number in task.views]
-    views = []
-    for one, by in zip(stored, task.seen, strict=True):
-        evidence = replace(one.stored.restored(), camera=by.camera)
-        views.append(FrameView(one.name, evidence, Renderer(body, by.camera, threads=1), by.place))
+    views = [one.restored(body, by.camera, by.place) for one, by in zip(stored, task.seen, strict=True)]
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
     sized = [SizedView(view, blur=outline.blur, margin=by.margin) for view, by in zip(views, task.seen, strict=True)]
     own, here = task.stored.own, Posed.stacked([task.at])
@@ -166,7 +162,7 @@ class SessionOutlines:
     @property
     def camera(self) -> Camera:
         """The camera of the first frame in its first view that counts, as its file has it."""
-        return self.stored[0].views[self.views[0][0] if self.views[0] else 0].stored.evidence.camera
+        return self.stored[0].views[self.views[0][0] if self.views[0] else 0].evidence.camera
 
     def near(self, at: Posed, values: Constants) -> FrameFits:
         """Linearise the outlines at N poses and values of the constants, in both.
@@ -190,7 +186,7 @@ class SessionOutlines:
     def _seen(self, stored: StoredFrame, number: int, values: Constants) -> ViewAsSeen:
         """Return how a view of a frame sees with some values of the constants."""
         view = stored.views[number]
-        camera = view.stored.evidence.camera
+        camera = view.evidence.camera
         by = ViewAsSeen(camera, view.view_from_camera, 0.0, camera.width / self.camera.width)
         for constant in self.constants:
             by = constant.seen(view.name, by, values[constant.name])

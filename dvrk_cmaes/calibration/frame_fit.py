@@ -25,8 +25,10 @@ from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_loc
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
 
+LEAST_OVERLAP: Final = 0.5
+"""Intersection over union below which a mask does not support a pose, and a fit is not used."""
+
 _KEPT = 2  # fits at half the image size that are continued at the whole size
-_LEAST_OVERLAP = 0.5  # intersection over union below which a fit is not used
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
 
@@ -110,7 +112,7 @@ class FrameFit:
     @property
     def explains_mask(self) -> bool:
         """Whether the fit overlaps the mask about as well as the frame's own estimate."""
-        return self.iou > max(self.own_iou - _OVERLAP_LOSS, _LEAST_OVERLAP)
+        return self.iou > max(self.own_iou - _OVERLAP_LOSS, LEAST_OVERLAP)
 
     def describe_overlap(self) -> str:
         """Say how much less of the mask the fit overlaps than the frame's own estimate, which explains it."""

@@ -26,6 +26,7 @@ from dvrk_cmaes.pose.search.modes import are_distinct
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Alternative, Quality, Result
 from dvrk_cmaes.silhouette import Body
 
@@ -160,10 +161,9 @@ class FrameReport:
 def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> StoredFrame:
     """Read a frame with a pose, gather its evidence, and measure its own estimate."""
     data = read_data(frame.data)
-    pose, joints = frame.result.camera_from_root, frame.result.joints
-    assert pose is not None
-    own = Posed(pose, np.array([joints[name] for name in body.instrument.joint_names]))
-    return StoredFrame.of(data, own, body, config, frame.keypoints, features=not frame.brief)
+    return StoredFrame.of(
+        data, posed(frame.result, body.instrument.joint_names), body, config, frame.keypoints, features=not frame.brief
+    )
 
 
 def _changed_data(data: FrameData | Callable[[], FrameData], change: Callable[[FrameData], FrameData]) -> FrameData:
@@ -190,7 +190,7 @@ def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
         task.expected,
         task.starts,
         task.stored.own,
-        own_cameras=None if task.change is None else [view.stored.evidence.camera for view in task.stored.views],
+        own_cameras=None if task.change is None else [view.evidence.camera for view in task.stored.views],
         margins=task.margins,
     )
     return fit
@@ -300,12 +300,7 @@ def _alternatives(
     """List the frame's own pose and its alternatives, without those in the mode of the fit."""
     modes = list(own_result.alternatives)
     if own_result.camera_from_root is not None and own_result.quality is not None:
-        joints = np.array([own_result.joints[name] for name in names])
-        distance = reading_distance(readings, joints)
+        distance = reading_distance(readings, posed(own_result, names).joints)
         loss, iou = own_result.quality.loss, own_result.quality.iou
         modes.insert(0, Alternative(own_result.camera_from_root, own_result.joints, loss, iou, "other mode", distance))
-    return tuple(
-        mode
-        for mode in modes
-        if are_distinct(Posed(mode.camera_from_root, np.array([mode.joints[name] for name in names])), fit.at)
-    )
+    return tuple(mode for mode in modes if are_distinct(posed(mode, names), fit.at))

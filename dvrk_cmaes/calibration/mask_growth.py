@@ -12,17 +12,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, ViewAsSeen
 from dvrk_cmaes.calibration.session_masks import MARGIN, SessionMasks
 from dvrk_cmaes.calibration.solve import marginalise
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.terms.shared_errors import DIRECTIONS, LASTING, image_axis
-
-Float64 = NDArray[np.float64]
 
 GROWTH = "growth"
 """Name of the constant."""

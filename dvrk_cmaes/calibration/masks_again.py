@@ -14,6 +14,7 @@ import numpy as np
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.packed_mask import PackedMask, overlap_of
 from dvrk_cmaes.geometry import Bool, Float64, Posed, change_between
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
@@ -25,31 +26,6 @@ FindMasks = Callable[[Mapping[str, Bool], Mapping[str, Bool]], Mapping[str, Bool
 
 _UNCHANGED = 0.999  # intersection over union of both masks of a view, from which on the first one is kept
 _WORSE = 5e-4, 0.02  # overlap and px, by which the predictions of the first masks may become worse
-
-
-@dataclass(frozen=True)
-class PackedMask:
-    """A mask with one bit a pixel."""
-
-    shape: tuple[int, int]
-    bits: bytes
-
-    @classmethod
-    def of(cls, mask: Bool) -> PackedMask:
-        """Pack a mask (H, W).
-
-        Parameters
-        ----------
-        mask
-            (H, W) bool.
-        """
-        return cls((mask.shape[0], mask.shape[1]), np.packbits(mask).tobytes())
-
-    def restored(self) -> Bool:
-        """Return the mask (H, W)."""
-        height, width = self.shape
-        bits = np.unpackbits(np.frombuffer(self.bits, np.uint8), count=height * width)
-        return bits.reshape(height, width).astype(np.bool_)
 
 
 @dataclass(frozen=True)
@@ -159,7 +135,7 @@ def again_task(body: Body, config: EstimateConfig, task: AgainTask) -> FoundAgai
         silhouettes[view.name] = np.asarray(drawn)
     first = {view.name: view.mask for view in given}
     found = task.find(silhouettes, first)
-    overlaps = {name: _overlap(mask, first[name]) for name, mask in found.items()}
+    overlaps = {name: overlap_of(mask, first[name]) for name, mask in found.items()}
     masks = {name: PackedMask.of(mask) for name, mask in found.items() if overlaps[name] < _UNCHANGED}
     return FoundAgain(masks, min(overlaps.values(), default=1.0))
 
@@ -181,8 +157,3 @@ def with_masks(masks: Mapping[str, PackedMask], data: FrameData) -> FrameData:
 def read_data(data: FrameData | Callable[[], FrameData]) -> FrameData:
     """Return the data of a frame, or what the function that reads them returns."""
     return data if isinstance(data, FrameData) else data()
-
-
-def _overlap(first: Bool, second: Bool) -> float:
-    """Intersection over union of two masks; 1 if both are empty."""
-    return float((first & second).sum() / max(int((first | second).sum()), 1)) if (first | second).any() else 1.0

@@ -283,7 +283,7 @@ def fit_session_pose(
     if missing:
         return f"session: no reading of {', '.join(missing)}: searched without it"
     predicted = Prediction.of(session, outer, readings.values[None], instrument.joint_names, widened=1.0)
-    expected = Expected(predicted.at[0], np.asarray(np.linalg.inv(predicted.spread[0]), dtype=np.float64))
+    expected = Expected.of(predicted.at[0], predicted.spread[0])
     margins = margins_of(session.masks, [view.name for view in views])
     refined = partial(fit_frame, views, config, expected, margins=margins, preset=OF_NEW_FRAME)
     first, _ = refined((predicted.at[0],), None)

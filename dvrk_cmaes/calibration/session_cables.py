@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dvrk_cmaes.calibration.cable_estimate import CableEstimate
+from dvrk_cmaes.calibration.cables import CableFit
 from dvrk_cmaes.calibration.model import Correction
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
@@ -73,28 +73,30 @@ class SessionCables(Document):
     times: dict[str, Number] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, estimate: CableEstimate, frames: tuple[str, ...], times: Float64 | None) -> SessionCables | None:
+    def of(
+        cls, fits: tuple[CableFit, CableFit] | None, frames: tuple[str, ...], times: Float64 | None
+    ) -> SessionCables | None:
         """Return what was estimated from some frames; None if offsets explain them as well.
 
         Parameters
         ----------
-        estimate
-            The estimate of the cables.
+        fits
+            The fit that is used, and that of what the reading of a frame alone tells; None if there is none.
         frames
             Names of the N frames.
         times
             Times (N,) of their images, s, if they are known.
         """
-        fit, alone = estimate.fit, estimate.alone
-        if fit is None or alone is None or not fit.parts:
+        if fits is None or not fits[0].parts:
             return None
-        count, prior = len(estimate.names), estimate.prior.model
+        fit, alone = fits
+        count, prior = len(fit.names), cable_prior(fit.names).model
         coupling, play, narrow = np.split(fit.coefficients, [count, 2 * count], axis=1)
         coupling_std, play_std, narrow_std = np.split(fit.std, [count, 2 * count], axis=1)
         return cls(
             parts=fit.parts,
             gain=rounded(fit.gain),
-            joints=estimate.names,
+            joints=fit.names,
             reference=_row(fit.reference),
             coupling=_table(coupling),
             coupling_std=_table(coupling_std),

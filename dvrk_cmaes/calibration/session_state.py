@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.calibration.cable_estimate import CableEstimate
+from dvrk_cmaes.calibration.cables import CableFit
 from dvrk_cmaes.calibration.consensus import Mode
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
@@ -16,7 +16,7 @@ from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.mask_growth import GrowthEstimate
-from dvrk_cmaes.calibration.masks_again import MasksAgain, PackedMask
+from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
 from dvrk_cmaes.calibration.session_doubts import DISAGREES
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
@@ -25,6 +25,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, Solution, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -154,7 +155,8 @@ class SessionState:
     """How far the estimation of a session is.
 
     ``frames`` are the N frames in use, ``modes`` those of each and ``model`` the model of their readings; ``lag`` is
-    the estimate of the lag of the images behind the readings, ``cables`` that of what cables do to readings. ``stored``
+    the estimate of the lag of the images behind the readings, ``cables`` are the fits
+    of what cables do to readings, as of `fit_cables`, None before the first. ``stored``
     is the frames' evidence and ``fits`` are their current fits, both empty before the first round. ``found`` is the
     current solution, None before the first one. ``again`` are masks that were found again, None where they were not.
     """
@@ -164,8 +166,8 @@ class SessionState:
     modes: tuple[Sequence[Mode], ...]
     model: SessionModel
     lag: LagEstimate
-    cables: CableEstimate
     imaging: Imaging
+    cables: tuple[CableFit, CableFit] | None = None
     notes: Notes = Notes()
     stored: tuple[StoredFrame, ...] = ()
     fits: tuple[FrameFit, ...] = ()
@@ -196,7 +198,6 @@ class SessionState:
             tuple(Mode.all_of(frame.result, names) for frame in frames),
             model,
             LagEstimate.of(problem.series, [frame.name for frame in frames], model.deviations.outer),
-            CableEstimate.of(names, model.deviations, problem.offset_std[1:]),
             Imaging(np.zeros(3) if problem.refine_camera else None, rig=rig),
         )
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.camera import Camera
@@ -13,6 +13,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.shadows import shadow_stretches
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.frames.seen_view import shown_views
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.views import FrameView
@@ -20,49 +21,35 @@ from dvrk_cmaes.silhouette import Body, Renderer
 
 
 @dataclass(frozen=True, eq=False)
-class StoredEvidence:
-    """Evidence of a frame with one bit a pixel, small enough to be stored for all frames and sent to processes.
+class StoredView:
+    """One view of a frame with one bit a pixel, small enough to be stored for all frames and sent to processes.
 
-    ``evidence`` has all parts but the images ``mask`` and ``weight``, which are (0, 0); ``mask`` and ``counts`` are
-    those images (H, W) as packed bits. ``counts`` tells which pixels have weight 1, None where all have.
+    ``name``, ``evidence`` and ``view_from_camera`` (4, 4), m, are those of the view, without the images ``mask`` and
+    ``weight`` of the evidence, which are (0, 0). ``counts`` tells which pixels have weight 1, None where all have.
     """
 
-    evidence: Evidence
-    mask: NDArray[np.uint8]
-    counts: NDArray[np.uint8] | None
-
-    @classmethod
-    def of(cls, evidence: Evidence) -> StoredEvidence:
-        """Pack evidence whose weights are 0 or 1."""
-        counts = None if evidence.weight.all() else np.packbits(evidence.weight > 0)
-        empty = np.empty((0, 0), np.float32)
-        return cls(replace(evidence, mask=empty > 0, weight=empty), np.packbits(evidence.mask), counts)
-
-    def restored(self) -> Evidence:
-        """Return the evidence with its images."""
-        camera = self.evidence.camera
-        shape = camera.height, camera.width
-        mask = np.unpackbits(self.mask, count=shape[0] * shape[1]).reshape(shape)
-        if self.counts is None:
-            weight = np.ones(shape, np.float32)
-        else:
-            weight = np.unpackbits(self.counts, count=mask.size).reshape(shape).astype(np.float32)
-        return replace(self.evidence, mask=mask.astype(np.bool_), weight=weight)
-
-
-@dataclass(frozen=True, eq=False)
-class StoredView:
-    """One view of a frame: its name, evidence, and ``view_from_camera`` (4, 4), m."""
-
     name: str
-    stored: StoredEvidence
+    evidence: Evidence
+    mask: PackedMask
+    counts: PackedMask | None
     view_from_camera: Float64
 
-    def restored(self, body: Body) -> FrameView:
-        """Return the view with the images of its evidence and a renderer."""
-        evidence = self.stored.restored()
-        renderer = Renderer(body, evidence.camera, threads=1)
-        return FrameView(self.name, evidence, renderer, self.view_from_camera)
+    @classmethod
+    def of(cls, view: FrameView) -> StoredView:
+        """Pack a view whose weights are 0 or 1."""
+        evidence, empty = view.evidence, np.empty((0, 0), np.float32)
+        counts = None if evidence.weight.all() else PackedMask.of(evidence.weight > 0)
+        small = replace(evidence, mask=empty > 0, weight=empty)
+        return cls(view.name, small, PackedMask.of(evidence.mask), counts, view.view_from_camera)
+
+    def restored(self, body: Body, camera: Camera | None = None, place: Float64 | None = None) -> FrameView:
+        """Return the view with its images and a renderer; with another camera or ``place`` (4, 4), m, if given."""
+        mask = self.mask.restored()
+        counts = np.ones_like(mask) if self.counts is None else self.counts.restored()
+        camera = self.evidence.camera if camera is None else camera
+        evidence = replace(self.evidence, mask=mask, weight=counts.astype(np.float32), camera=camera)
+        place = self.view_from_camera if place is None else place
+        return FrameView(self.name, evidence, Renderer(body, camera, threads=1), place)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,13 +100,12 @@ class StoredFrame:
             )
             renderer = Renderer(body, evidence.camera, threads=1)
             views.append(FrameView(view.name, evidence, renderer, view.view_from_camera))
-        stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
-        return cls(tuple(stored), data.camera, with_noise(OwnEstimate.of(views, own), views, config))
+        return cls.of_views(views, data.camera, with_noise(OwnEstimate.of(views, own), views, config))
 
-    @property
-    def reference(self) -> StoredEvidence:
-        """Evidence of the reference camera, or of the first view that shows the instrument."""
-        return self.views[0].stored
+    @classmethod
+    def of_views(cls, views: Sequence[FrameView], camera: Camera, own: OwnEstimate) -> StoredFrame:
+        """Pack the views of a frame that show the instrument."""
+        return cls(tuple(map(StoredView.of, views)), camera, own)
 
     def number_of(self, view: str) -> int | None:
         """Return the number of the view of that name; None if it does not show the instrument."""
@@ -134,7 +120,7 @@ class StoredFrame:
 def camera_remarks(stored: StoredFrame) -> tuple[str, ...]:
     """Return what is unusual about the camera files of a frame."""
     further = [view for view in stored.views if not np.array_equal(view.view_from_camera, np.eye(4))]
-    of_views = (f"view {view.name}: {text}" for view in further for text in view.stored.evidence.camera.remarks)
+    of_views = (f"view {view.name}: {text}" for view in further for text in view.evidence.camera.remarks)
     return (*stored.camera.remarks, *of_views)
 
 
@@ -149,11 +135,6 @@ def changed(camera: Camera, change: Float64, width: int | None = None) -> Camera
 
 def restored_views(body: Body, stored: StoredFrame, change: Float64 | None = None) -> list[FrameView]:
     """Restore the evidence of a frame's views, and make their renderers, with changed cameras if there is a change."""
-    views = [view.restored(body) for view in stored.views]
     if change is None:
-        return views
-    cameras = [changed(view.evidence.camera, change, stored.camera.width) for view in views]
-    return [
-        replace(view, evidence=replace(view.evidence, camera=camera), renderer=Renderer(body, camera, threads=1))
-        for view, camera in zip(views, cameras, strict=True)
-    ]
+        return [view.restored(body) for view in stored.views]
+    return [view.restored(body, changed(view.evidence.camera, change, stored.camera.width)) for view in stored.views]

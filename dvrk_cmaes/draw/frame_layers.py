@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Bool
+from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.results.layers import FrameLayers, Outline
-from dvrk_cmaes.results.result import Alternative, Result
+from dvrk_cmaes.results.result import Alternative, Result, modes_of
 from dvrk_cmaes.silhouette import Body, Renderer
 
 _WIDTH = 960  # px, larger pictures are reduced
@@ -41,12 +41,8 @@ def frame_layers(
     """
     regions = {"mask": mask}
     if result.camera_from_root is not None:
-        names = body.instrument.joint_names
-        poses = [(result.camera_from_root, result.joints)]
-        poses += [(other.camera_from_root, other.joints) for other in result.alternatives]
-        drawn = Renderer(body, camera, threads=1).masks(
-            np.stack([pose for pose, _ in poses]), np.array([[joints[name] for name in names] for _, joints in poses])
-        )
+        at = Posed.stacked(modes_of(result, body.instrument.joint_names))
+        drawn = Renderer(body, camera, threads=1).masks(at.pose, at.joints)
         regions |= dict(zip(("result", *alternative_names(result.alternatives)), drawn, strict=True))
     height, width = mask.shape
     outlines = tuple(Outline(name, _rings(region)) for name, region in regions.items())

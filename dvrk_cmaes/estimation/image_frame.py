@@ -15,6 +15,7 @@ from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool
+from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.segment.confidence import GUESS
@@ -124,7 +125,7 @@ def _find_mask(
     outside = outside_view(image)
     notes: tuple[str, ...] = ()
     if outside.any():
-        view = replace(view, ignore=outside if view.ignore is None else view.ignore | outside)
+        view = view.without(outside)
         notes = (IGNORED,)
     found = segment_first(
         image,
@@ -173,5 +174,5 @@ def _silhouette(result: Result, view: SeenView, body: Body) -> Bool:
     """Return the silhouette (H, W) of a result's pose in a view, in whose camera it is; empty where it has none."""
     if result.camera_from_root is None:
         return np.zeros((view.camera.height, view.camera.width), np.bool_)
-    joints = np.array([result.joints[name] for name in body.instrument.joint_names])
-    return np.asarray(Renderer(body, view.camera, threads=1).masks(result.camera_from_root[None], joints[None])[0])
+    at = posed(result, body.instrument.joint_names)
+    return np.asarray(Renderer(body, view.camera, threads=1).masks(at.pose[None], at.joints[None])[0])

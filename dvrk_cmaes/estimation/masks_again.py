@@ -41,7 +41,7 @@ class ImagesOfFrame:
                 view.image,
                 silhouettes[view.name],
                 masks[view.name],
-                outside if view.ignore is None else view.ignore | outside,
+                view.without(outside).ignore,
                 hints=Hints() if number else self.hints,
                 outside=outside,
                 background=self.settings.backgrounds.get(view.name),

@@ -17,7 +17,7 @@ from dvrk_cmaes.camera.rig import remarks_on_cameras
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.frames.seen_view import SeenView, left_out_views, seen_views, shown_views
-from dvrk_cmaes.geometry import Bool, Posed, inverse
+from dvrk_cmaes.geometry import Bool, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm, find_camera_from_base
 from dvrk_cmaes.io.arguments import check_type
@@ -28,7 +28,7 @@ from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
 from dvrk_cmaes.pose.search.modes import Candidate
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.results.result import Result, Source
+from dvrk_cmaes.results.result import Result, Source, modes_of
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, decimated_body, prepare
 from dvrk_cmaes.silhouette.threads import single_blas_thread
@@ -227,14 +227,8 @@ def _modes(start: Result, view: SeenView, model: Instrument) -> list[Candidate]:
     """Return the pose of a result and its alternatives, the best first, in a view's camera; none without a pose."""
     if start.camera_from_root is None:
         return []
-    others = ((other.camera_from_root, other.joints) for other in start.alternatives)
-    return [
-        Candidate(
-            Posed(pose, np.array([joints[name] for name in model.joint_names])).seen_from(view.view_from_camera),
-            float(number),
-        )
-        for number, (pose, joints) in enumerate([(start.camera_from_root, start.joints), *others])
-    ]
+    modes = enumerate(modes_of(start, model.joint_names))
+    return [Candidate(mode.seen_from(view.view_from_camera), float(k)) for k, mode in modes]
 
 
 def _check_session(session: SessionCalibration, instrument: str, arm: Arm | None) -> None:

@@ -17,8 +17,7 @@ from dvrk_cmaes import _kernel
 from dvrk_cmaes.evidence.distance_field import FARTHEST, distance_within
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.evidence.shaft_edges import Contour
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64
 
 _LEAST_SIGMA = 0.25  # px; that of an exact mask, from quantisation to pixels
 _LENGTHS = (2.0, 40.0)  # px, smallest and largest correlation length

@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
-from dvrk_cmaes.geometry import cross
-
-Float64 = NDArray[np.float64]
+from dvrk_cmaes.geometry import Float64, cross
 
 _HALF = 0.5  # share of a pixel that is instrument, from which on it is
 _BLUR = 1.5  # px, standard deviation of the blur before the contour is located between pixels

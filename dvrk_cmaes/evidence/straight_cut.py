@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes import _kernel
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import Instrument
-
-Float64 = NDArray[np.float64]
 
 _BAND = 1.0  # px, largest distance from the line of outline points that count as lying on it
 _LARGEST_GAP = 5.0  # px along the line without outline points

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,10 @@ class SeenView(View):
     def shows(self) -> bool:
         """Whether some of the instrument is seen where pixels count."""
         return bool((self.mask if self.ignore is None else self.mask & ~self.ignore).any())
+
+    def without(self, pixels: Bool) -> SeenView:
+        """Return the view in which some pixels (H, W) do not count either."""
+        return replace(self, ignore=pixels if self.ignore is None else self.ignore | pixels)
 
 
 def seen_views(

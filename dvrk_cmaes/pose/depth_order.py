@@ -17,6 +17,7 @@ import numpy as np
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.expected_error import jacobian
+from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Place, Result
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -70,10 +71,8 @@ class _PlacedTool:
 
     @staticmethod
     def of(result: Result, body: Body) -> _PlacedTool:
-        assert result.camera_from_root is not None
         assert result.covariance is not None
-        joints = np.array([result.joints[name] for name in body.instrument.joint_names])
-        return _PlacedTool(body, Posed(result.camera_from_root, joints), result.covariance)
+        return _PlacedTool(body, posed(result, body.instrument.joint_names), result.covariance)
 
     def silhouette(self, view: SeenView) -> Bool:
         """Return the silhouette (H, W) in a view."""

@@ -18,7 +18,7 @@ from urllib.parse import quote
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.report.page_calibration import calibration_view, left_out_views
 from dvrk_cmaes.report.page_frames import STATUSES, FrameCard, LeaveOneOut, doubt_key
-from dvrk_cmaes.report.page_layers import EMBEDDED, embedded_layers, embedded_picture
+from dvrk_cmaes.report.page_layers import EMBEDDED, embedded_layers, embedded_picture, size_of_layers
 from dvrk_cmaes.report.page_scene import scene_of
 from dvrk_cmaes.report.page_session import (
     FrameBases,
@@ -145,7 +145,7 @@ def _with_full_pictures(cards: Sequence[FrameCard], folder: Path) -> list[FrameC
             full = pool.map(partial(_with_full_picture, folder=folder), next_cards)
             for plain, card in zip(next_cards, full, strict=True):
                 complete.append(card if size < EMBEDDED else plain)
-                size += len(card.full or "") + (0 if card.layers is None else card.layers.bytes)
+                size += len(card.full or "") + size_of_layers(card.layers)
                 size += 0 if card.left_out is None else len(card.left_out.full or "")
     return [*complete, *cards[len(complete) :]]
 

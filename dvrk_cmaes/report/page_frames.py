@@ -11,9 +11,9 @@ from urllib.parse import quote
 import numpy as np
 
 from dvrk_cmaes.geometry import Float64, log_rotation, rotation_angle
-from dvrk_cmaes.report.page_layers import DrawnLayers
 from dvrk_cmaes.report.page_session import correction
 from dvrk_cmaes.report.page_thumbnails import Thumbnail
+from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.result import Result
 
 NOTHING = "-"
@@ -60,7 +60,7 @@ class FrameCard:
     from_median: Float64 | None
     left_out: LeaveOneOut | None
     full: str | None = None
-    layers: DrawnLayers | None = None
+    layers: FrameLayers | None = None
 
 
 def doubt_key(result: Result) -> tuple[int, int, float, float]:

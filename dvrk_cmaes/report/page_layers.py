@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -10,37 +9,12 @@ import cv2
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.report.page_thumbnails import webp_address
-from dvrk_cmaes.results.layers import Outline, read_layers
+from dvrk_cmaes.results.layers import FrameLayers, Outline, read_layers
 
 EMBEDDED = 1_150_000
 """Size in bytes from which on no more full pictures are put into the page, about 40 frames of 640 x 480 px."""
 
 _QUALITY = 50  # of WebP
-_COLOURS = 6  # in the style sheet
-
-
-@dataclass(frozen=True)
-class OutlinePath:
-    """An outline as an SVG path, its name, and the number of its colour."""
-
-    name: str
-    colour: int
-    path: str
-
-
-@dataclass(frozen=True)
-class DrawnLayers:
-    """Layers of a frame's drawing for an SVG: size in px, the picture's ``data:`` address if there is one, outlines."""
-
-    width: int
-    height: int
-    picture: str | None
-    outlines: tuple[OutlinePath, ...]
-
-    @property
-    def bytes(self) -> int:
-        """Size in the page."""
-        return len(self.picture or "") + sum(len(outline.path) for outline in self.outlines)
 
 
 def embedded_picture(path: Path, widest: int = 1280) -> str | None:
@@ -56,29 +30,23 @@ def embedded_picture(path: Path, widest: int = 1280) -> str | None:
     return webp_address(picture, _QUALITY)
 
 
-def embedded_layers(path: Path) -> DrawnLayers | None:
-    """Read the layers of a frame for the page, without outlines that have no ring; None if they cannot be read."""
+def embedded_layers(path: Path) -> FrameLayers | None:
+    """Read the layers of a frame for the page; None if they cannot be read."""
     try:
-        layers = read_layers(path)
+        return read_layers(path)
     except InputError:
         return None
-    picture = None if layers.picture is None else _jpeg_address(layers.picture)
-    outlines = (
-        OutlinePath(outline.name, k % _COLOURS, _path(outline))
-        for k, outline in enumerate(layers.outlines)
-        if outline.rings
-    )
-    return DrawnLayers(layers.width, layers.height, picture, tuple(outlines))
 
 
-def _path(outline: Outline) -> str:
+def size_of_layers(layers: FrameLayers | None) -> int:
+    """Return the size of a frame's layers in the page, bytes."""
+    return 0 if layers is None else len(layers.picture or "") + sum(map(len, map(outline_path, layers.outlines)))
+
+
+def outline_path(outline: Outline) -> str:
     """Return an outline as an SVG path whose coordinates are 0 at the outer edge of the first pixel."""
     rings = []
     for ring in outline.rings:
         points = [f"{u + 0.5:.4g} {v + 0.5:.4g}" for u, v in zip(ring[::2], ring[1::2], strict=False)]
         rings.append(f"M{points[0]}L{' '.join(points[1:])}z")
     return "".join(rings)
-
-
-def _jpeg_address(encoded: str) -> str:
-    return "data:image/jpeg;base64," + encoded

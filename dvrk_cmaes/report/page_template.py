@@ -28,6 +28,7 @@ from dvrk_cmaes.report.page_frames import (
     signed,
     sort_keys,
 )
+from dvrk_cmaes.report.page_layers import outline_path
 from dvrk_cmaes.report.page_session import reason_kind
 from dvrk_cmaes.report.plots.panels import mark_path, short
 
@@ -65,7 +66,7 @@ def environment() -> jinja2.Environment:
         bytecode_cache=_compiled(),
     )
     numbers = fixed, signed, degrees, cells, position_mm, axis_angle_deg, apart_from, short
-    texts = anchor, reason_kind, mark_path, sort_keys, change_in_words
+    texts = anchor, reason_kind, mark_path, outline_path, sort_keys, change_in_words
     made.filters |= {each.__name__: each for each in (*numbers, *texts)}
     return made
 

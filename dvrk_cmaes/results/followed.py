@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.results.result import POSE_AXES, Result
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
 
@@ -33,16 +32,9 @@ def result_of_row(where: str, row: Mapping[str, Any]) -> Result:
     """
     known = {name: row[name] for name in _SAME if row.get(name) is not None}
     status = "ok" if row["status"] == "ok" else "doubtful" if row["camera_from_root"] is not None else "failed"
-    joints = list(row["joints"])
-    covariance = _covariance(row["std"], joints)
-    if covariance is not None:
-        known["covariance"] = {"axes": [*POSE_AXES, *joints], "matrix": covariance.tolist()}
+    if (std := row["std"]) is not None:  # of independent errors
+        joints = list(row["joints"])
+        turned = [*std["rotation_deg"], *(std["joints_deg"][name] for name in joints)]
+        matrix = np.diag(np.r_[np.array(std["translation_mm"]) / 1e3, np.radians(turned)] ** 2)
+        known["covariance"] = {"axes": [*POSE_AXES, *joints], "matrix": matrix.tolist()}
     return Result.from_dict({"camera_from_root": None, "joints": {}, **known, "status": status}, where=where)
-
-
-def _covariance(std: Mapping[str, Any] | None, joints: list[str]) -> Float64 | None:
-    """Return the covariance (6 + J, 6 + J), m and rad, of independent errors; None without standard deviations."""
-    if std is None:
-        return None
-    turned = [*std["rotation_deg"], *(std["joints_deg"][name] for name in joints)]
-    return np.diag(np.r_[np.array(std["translation_mm"]) / 1e3, np.radians(turned)] ** 2)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document
 from dvrk_cmaes.io.rounding import rounded_array, rounded_values
 from dvrk_cmaes.io.typed_document import Number, Point, SquareOfThree, Transform
@@ -118,3 +118,21 @@ class ExpectedError(Document):
             return "tips not told: the mask shows no wrist"
         digits = 2 if self.tip_90_mm < 1 else 1
         return f"{'tips' if len(self.tip_mm) > 1 else 'tip'} within {self.tip_90_mm:.{digits}f} mm (90 %)"
+
+
+class Stated(Protocol):
+    """A pose and joints by name, as of a result or of its alternatives."""
+
+    @property
+    def camera_from_root(self) -> Float64 | None:
+        """Pose of the root link (4, 4), m; None without one."""
+
+    @property
+    def joints(self) -> Mapping[str, float]:
+        """Joint values, rad."""
+
+
+def posed(stated: Stated, names: Sequence[str]) -> Posed:
+    """Return a pose that is stated with the joints of some names in their order; there must be one."""
+    assert stated.camera_from_root is not None
+    return Posed(stated.camera_from_root, np.array([stated.joints[name] for name in names]))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.geometry import Float64, Image
+from dvrk_cmaes.geometry import Float64, Image, Posed
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_matrix
 from dvrk_cmaes.io.typed_document import (
@@ -28,7 +28,7 @@ from dvrk_cmaes.io.typed_document import (
 from dvrk_cmaes.results.data_frame import data_frame
 from dvrk_cmaes.results.drawn_over import drawn_over
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
-from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck, std_document
+from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck, posed, std_document
 
 __all__ = [
     "POSE_AXES",
@@ -305,3 +305,8 @@ class Result:
             **encoded_fields(self, *of_rig),
             **({"other_tools": self.other_tools} if self.other_tools else {}),
         }
+
+
+def modes_of(result: Result, names: Sequence[str]) -> list[Posed]:
+    """Return the pose of a result and its alternatives, with the joints of some names in their order."""
+    return [posed(result, names), *(posed(other, names) for other in result.alternatives)]

@@ -21,13 +21,14 @@ from dvrk_cmaes.calibration.together import Solving, solved_together
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles
+from dvrk_cmaes.frames.packed_mask import overlap_of
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession, with_masks_of
 from dvrk_cmaes.runs.recorded import BLOCK, RecordedSolution, predict
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedWork, read_shown, solving_keyframes
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.image_frames import overlap, silhouette_of
+from dvrk_cmaes.track.image_frames import silhouette_of
 
 _CLEAR: Final = 0.25  # of intersection over union, by which each tool must be expected at the other's mask
 _AGREE: Final = 0.5  # share of the keyframes that agree, below which each other's masks are tried
@@ -164,7 +165,7 @@ class ExpectedFrame:
             if own <= other:
                 return None
         seen = (self._mask(read_shown(files, self.rig), shown) for files in self.masks)
-        mine, others = (overlap(shown, mask) for mask in seen)
+        mine, others = (overlap_of(shown, mask) for mask in seen)
         return others - mine
 
     @staticmethod

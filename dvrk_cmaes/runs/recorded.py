@@ -13,6 +13,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import ecm_readings, outer_readings
 from dvrk_cmaes.calibration.prediction import Prediction
+from dvrk_cmaes.calibration.session_doubts import far_joints
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
@@ -154,7 +155,7 @@ def read_seen(files: FrameFiles, rig: Rig) -> FrameData | None:
 def follow_window(solution: RecordedSolution, work: RecordedWork) -> list[TrackResult]:
     """Fit all frames, solve them as one window, judge their poses, and describe them, in order."""
     recorded, session, instrument = solution.recorded, solution.calibration, work.body.instrument
-    source = "mask" if solution.colours is None else "image"
+    source, joint_names = "mask" if solution.colours is None else "image", instrument.joint_names
     predicted, sparse = predict(recorded, session, instrument.joint_names)
     fits, config, run = solution.fits(predicted, work.run), work.config, work.run
     camera, images = recorded.rig.views[0].camera, []
@@ -177,7 +178,8 @@ def follow_window(solution: RecordedSolution, work: RecordedWork) -> list[TrackR
         status, reasons = status_of(quality, image.told.misfit, session, config, source)
         told_by_readings = "" if predicted.told[i] else NO_READINGS
         doubts = () if fitted is None else fitted.doubts
-        reasons += [text for text in (*doubts, told_by_readings, sparse[i].reason, frozen[i]) if text]
+        far = "" if solution.colours is None else far_joints(found[i][0], image.at, predicted.spread[i], joint_names)
+        reasons += [text for text in (*doubts, far, told_by_readings, sparse[i].reason, frozen[i]) if text]
         results.append(
             result_of(
                 image.time,

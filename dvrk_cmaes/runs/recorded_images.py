@@ -18,15 +18,16 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
-from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.together import Solving
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame_image
+from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.frames.seen_view import SeenView
-from dvrk_cmaes.geometry import Bool, Posed
+from dvrk_cmaes.geometry import Bool
+from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.recorded import RecordedSolution, predict, read_seen
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, RecordedWork, solving_chosen
@@ -241,9 +242,7 @@ def _with_colours(
     if results is not None:
         for own in recorded.files:
             if own.name in calibration.frames and own.has_image:
-                pose, joints = results[own.name].camera_from_root, results[own.name].joints
-                assert pose is not None
-                at = Posed(pose, np.array([joints[name] for name in names]))
+                at = posed(results[own.name], names)
                 tasks.append(LearnTask(partial(read_seen, own, solution.rig), at))
     else:
         predicted, _ = predict(recorded, calibration, names)

@@ -37,7 +37,8 @@ _BESIDE: Final = 0.15, 3.0  # widths around a mask, between which the colours of
 _LARGEST: Final = 4.0  # log-odds by the colours, which outweigh the silhouette: what lies before it is no instrument
 _UNSEEN: Final = 0.2  # share of the instrument whose colours the silhouette does not show
 _PASSES: Final = 2
-_KNOWN: Final = np.float32(0.8)  # weight of the log-odds by these colours, where the outline is moved to the edges
+_KNOWN: Final = 0.8, 2.0  # weights of the log-odds by these colours, where the outline is moved to the edges, and
+_DEEP: Final = 2.0  # px within the first outline, beyond which the second weight holds: edges lose thin jaws
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
@@ -159,8 +160,9 @@ def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, pr
         return None
     across = 2 * instrument.shaft.radius * float(np.sqrt(own.fx * own.fy)) / found.at.pose[2, 3]
     rough, odds = _rough_mask(shrunk(image, _SIZE), shaft, whole, across, prompts.resized(*size, scale))
+    known = np.where(distance_to(~rough) > _DEEP, _KNOWN[1], _KNOWN[0]).astype(np.float32) * odds
     rough = resized(rough, (image.shape[1], image.shape[0]))
-    mask = segmentation_around(image, rough, prompts, ROUGH, colours=_KNOWN * odds, straight=True)
+    mask = segmentation_around(image, rough, prompts, ROUGH, colours=known, straight=True)
     agreed = min(_overlap(found, mask.mask) / _AGREES, 1.0)
     return noted(replace(mask, confidence=agreed * min(mask.confidence, found.confidence), before=None))
 

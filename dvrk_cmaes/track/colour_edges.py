@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
-from dvrk_cmaes.geometry import Bool, Float32, Float64, Indices, Posed
+from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Indices, Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
@@ -58,20 +58,20 @@ _BLUR = 1.2  # px from the outline, within which pixels have colours of both sid
 
 
 @dataclass(frozen=True, eq=False)
-class Appearance:
+class EdgeAppearance:
     """Models of the colours and of the edges, of the same parts of the instrument."""
 
     colours: ColourModel
     edges: EdgeModel
 
-    def mixed(self, other: Appearance, share: float) -> Appearance:
+    def mixed(self, other: EdgeAppearance, share: float) -> EdgeAppearance:
         """Return the appearance with a share of another one."""
-        return Appearance(self.colours.mixed(other.colours, share), self.edges.mixed(other.edges, share))
+        return EdgeAppearance(self.colours.mixed(other.colours, share), self.edges.mixed(other.edges, share))
 
 
 def pixels_along(
-    image: NDArray[np.uint8], at: Float64, normals: Float64, along: Float32, seen: Bool | None = None
-) -> tuple[NDArray[np.uint8], Bool]:
+    image: Image, at: Float64, normals: Float64, along: Float32, seen: Bool | None = None
+) -> tuple[Image, Bool]:
     """Return the nearest pixels of an image (H, W, 3) on N lines, (N, K, 3), and whether they are in it, (N, K).
 
     ``at`` (N, 2) are points of the lines, ``normals`` (N, 2) their directions, ``along`` (K,) px the distances from
@@ -97,11 +97,11 @@ def _parts_of(outline: DrawnOutline) -> Indices:
 class _Level:
     """An image (h, w, 3) at a reduced size, and its pixels that have a say (h, w), None for all."""
 
-    image: NDArray[np.uint8]
+    image: Image
     seen: Bool | None
 
     @staticmethod
-    def of(image: NDArray[np.uint8], ignore: Bool | None, scale: int) -> _Level:
+    def of(image: Image, ignore: Bool | None, scale: int) -> _Level:
         """Reduce an image by a scale."""
         if scale == 1:
             return _Level(image, None if ignore is None else ~ignore)
@@ -128,7 +128,7 @@ class EdgeDistances:
 class ImageEvidence:
     """The colours of an image (H, W, 3), BGR, given an appearance; ``ignore`` (H, W) are pixels without a say."""
 
-    def __init__(self, image: NDArray[np.uint8], model: Appearance, ignore: Bool | None = None) -> None:
+    def __init__(self, image: Image, model: EdgeAppearance, ignore: Bool | None = None) -> None:
         self._image = np.ascontiguousarray(image)
         self._model = model
         self._ignore = ignore
@@ -195,13 +195,13 @@ class ImageEvidence:
         like = told & ((odds * valid).sum(axis=1) > _LEAST_ODDS * count)
         return float(outline.lengths[like].sum() / outline.lengths[told].sum()) if told.any() else 1.0
 
-    def _odds(self, colours: NDArray[np.uint8], valid: Bool, outline: DrawnOutline) -> Float32:
+    def _odds(self, colours: Image, valid: Bool, outline: DrawnOutline) -> Float32:
         """Return the log-odds of instrument (N, K) of colours (N, K, 3) on lines, 0 where they are not ``valid``."""
         odds = _odds_of(self._model.colours, bins_of(colours), outline)
         odds *= valid
         return odds
 
-    def _edge_odds(self, colours: NDArray[np.uint8], valid: Bool, outline: DrawnOutline) -> Float32:
+    def _edge_odds(self, colours: Image, valid: Bool, outline: DrawnOutline) -> Float32:
         """Return the log-odds of the outline (N, K + 1 - 2 `REACH`) of the changes along lines of colours (N, K, 3)."""
         odds = _odds_of(self._model.edges, changes_along(colours), outline)
         odds *= _both_seen(valid)
@@ -219,7 +219,7 @@ def _odds_of(model: ColourModel | EdgeModel, bins: NDArray[np.int32], outline: D
     return np.asarray(model.log_odds.ravel().take(bins))
 
 
-def _refined(image: NDArray[np.uint8], pixels: Float64, normals: Float64, place: Float32) -> tuple[Float32, Bool]:
+def _refined(image: Image, pixels: Float64, normals: Float64, place: Float32) -> tuple[Float32, Bool]:
     """Find the exact places of edges (N,) on lines in an image, and whether that is possible, (N,).
 
     The colour of a pixel at the edge is mixed of those on both sides in proportion to its parts.
@@ -400,7 +400,7 @@ def fit_edges(
     return term.fit(at, expected)
 
 
-def learned(image: NDArray[np.uint8], pixels: Float64, outline: DrawnOutline, ignore: Bool | None = None) -> Appearance:
+def learned(image: Image, pixels: Float64, outline: DrawnOutline, ignore: Bool | None = None) -> EdgeAppearance:
     """Return what is seen along the lines of an outline whose points are at ``pixels`` (N, 2)."""
     along = np.arange(-MOST_CLEARANCE, MOST_CLEARANCE + 1, dtype=np.float32)
     seen = None if ignore is None else ~ignore
@@ -417,7 +417,7 @@ def learned(image: NDArray[np.uint8], pixels: Float64, outline: DrawnOutline, ig
     at, changes, seen_both = along[REACH : 1 - REACH] - 0.5, changes_along(colours), _both_seen(valid)
     edge = seen_both & (np.abs(at) < 1)
     elsewhere = seen_both & (np.abs(at) > REACH + _BLUR) & (at > REACH - within) & (at < beside - REACH)
-    return Appearance(
+    return EdgeAppearance(
         ColourModel.learned(of_parts(bins, inside), bins[outside]),
         EdgeModel.learned(of_parts(changes, edge), changes[elsewhere]),
     )

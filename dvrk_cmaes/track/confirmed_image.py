@@ -10,10 +10,10 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope_at
-from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import doubts_of_tips
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.tip_probability import tip_probability
+from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.reading_buffer import ReadingAt
@@ -39,7 +39,7 @@ def confirmed_by(
     instrument, trust = given.instrument, given.config.trust
     if result.camera_from_root is None or result.covariance is None or not reading.has_outer or reading.still:
         return None
-    at = Posed(result.camera_from_root, np.array([result.joints[name] for name in instrument.joint_names]))
+    at = posed(result, instrument.joint_names)
     readings, names = (reading.outer[None], reading.joints[None]), instrument.joint_names
     endoscope = endoscope_at(calibration, result.time, reading.ecm)
     expected = Prediction.of(calibration, *readings, names, wrist=WRIST_ERROR, endoscope=endoscope)

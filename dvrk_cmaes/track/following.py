@@ -250,7 +250,7 @@ class Following:
         views = views_that_show(shown, given.body)
         if not views:
             return _nothing(at, spread, seen)
-        expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
+        expected = Expected.of(at, spread)
         fit, own = fit_near(views, given.config, expected, before, self.calibration.masks, self._lengths)
         told = FitEvidence.of(fit, at, spread, inflation=own.noises[0].inflation, holds=fit.explains_mask)
         if fit.explains_mask:
@@ -267,7 +267,7 @@ class Following:
     def _by_edges(self, at: Posed, spread: Float64, seen: Seen) -> _FitOfImage:
         """Fit the edges that the colours of an image without masks show, as `_by_masks` does."""
         given, before = self._given, self.last.deviation
-        expected = Expected(at, np.asarray(np.linalg.inv(spread), dtype=np.float64))
+        expected = Expected.of(at, spread)
         start = at if before is None else at.moved(before)
         fit = given.segmenter.fit(seen, start, expected, near=before is not None)
         if fit is None:
@@ -286,11 +286,7 @@ class Following:
             tips = apply(found[0].pose, instrument.tips(found[0].joints))
             if instrument.jaw_tips and outside_image(tips, camera).all():
                 reasons.append("tip out of view: the jaw tips lie outside the image")
-            if told.misfit > given.config.session.largest_misfit:
-                off = told.misfit**0.5
-                reasons.append(
-                    f"disagrees with the recording: the image is {off:.1f} times the expected error from that"
-                )
+            reasons += LIMITS.disagreement(told.misfit, given.config.session, "image")
             return _Judged("doubtful" if reasons else "ok", reasons, error, fit.sigma, explained=not fit.doubts)
 
         return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.holds else None, judge)

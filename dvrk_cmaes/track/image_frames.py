@@ -12,12 +12,12 @@ from functools import partial
 
 import numpy as np
 
-from dvrk_cmaes.calibration.masks_again import PackedMask
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera import Camera, View
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.frames.packed_mask import PackedMask, overlap_of
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -60,7 +60,7 @@ def learn_task(body: Body, config: EstimateConfig, task: LearnTask) -> dict[str,
         shown = silhouette_of(task.at, view, body)
         if task.masks is not None:
             mask = task.masks[view.name].restored() if view.name in task.masks else np.zeros_like(shown)
-            if overlap(shown, mask) < _PREDICTED:
+            if overlap_of(shown, mask) < _PREDICTED:
                 continue
             shown = mask
         model = learned_colours(view.image, shown, view.ignore)
@@ -145,7 +145,7 @@ def _fit_by_images(
             return None
         seconds += fitted.seconds
         now = [silhouette_of(fitted.fit.at, view, body) for view in data.views]
-        settled = min(overlap(first, second) for first, second in zip(drawn, now, strict=True)) > _SAME
+        settled = min(overlap_of(first, second) for first, second in zip(drawn, now, strict=True)) > _SAME
         drawn, spread = now, _SPREAD_OF_FIT
         if settled:
             break
@@ -194,16 +194,10 @@ def _with_outside(view: SeenView) -> SeenView:
     outside = None if view.image is None else outside_view(view.image)
     if outside is None or not outside.any() or outside.shape != view.mask.shape:
         return view
-    return replace(view, ignore=outside if view.ignore is None else view.ignore | outside)
+    return view.without(outside)
 
 
 def silhouette_of(at: Posed, view: View, body: Body) -> Bool:
     """Return the silhouette (H, W) in a view of an instrument that is given in the reference camera."""
     seen = at.seen_from(view.view_from_camera)
     return np.asarray(Renderer(body, view.camera, threads=1).masks(seen.pose[None], seen.joints[None])[0])
-
-
-def overlap(first: Bool, second: Bool) -> float:
-    """Intersection over union of two masks; 1 if both are empty."""
-    either = int((first | second).sum())
-    return float((first & second).sum()) / either if either else 1.0

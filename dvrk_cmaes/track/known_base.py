@@ -12,6 +12,7 @@ from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.doubts import TIPS_NOT_ACCURATE
+from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
 from dvrk_cmaes.track.confirmed_image import confirmed_by
@@ -235,8 +236,7 @@ class CalibratedFollower:
     def note(self, result: TrackResult) -> None:
         """Remember where an image shows the instrument: fits by a new calibration start from there."""
         if result.camera_from_root is not None and result.status != "lost":
-            joints = np.array([result.joints[name] for name in self._given.instrument.joint_names])
-            self._last = result.time, Posed(result.camera_from_root, joints)
+            self._last = result.time, posed(result, self._given.instrument.joint_names)
 
     @property
     def _is_of_few(self) -> bool:

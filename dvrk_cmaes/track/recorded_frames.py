@@ -22,7 +22,7 @@ from dvrk_cmaes.calibration.frame_fit import (
     fit_frame,
 )
 from dvrk_cmaes.calibration.session_masks import SessionMasks, margins_of
-from dvrk_cmaes.calibration.stored_frame import StoredEvidence, StoredFrame, StoredView
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
@@ -128,10 +128,8 @@ def fit_followed(
     if data is None or not views:
         return None
     fit, own = fit_near(views, config, frame.expected, before, masks)
-    stored = [StoredView(view.name, StoredEvidence.of(view.evidence), view.view_from_camera) for view in views]
-    return FittedFrame(
-        StoredFrame(tuple(stored), data.camera, own), fit, own.noises[0].inflation, time.perf_counter() - started
-    )
+    stored = StoredFrame.of_views(views, data.camera, own)
+    return FittedFrame(stored, fit, own.noises[0].inflation, time.perf_counter() - started)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,8 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.results.parts import posed
+from dvrk_cmaes.results.result import Result, modes_of
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.segment.segmentation import Box
 from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage
@@ -164,11 +165,9 @@ class UnknownBase:
 
         ``widened`` is a factor on the standard deviations that the result states.
         """
-        assert result.camera_from_root is not None
         assert result.covariance is not None
         names, others = self.given.instrument.joint_names, result.alternatives
-        poses = [(result.camera_from_root, result.joints), *((one.camera_from_root, one.joints) for one in others)]
-        modes = [Posed(pose, np.array([joints[name] for name in names])) for pose, joints in poses]
+        modes = modes_of(result, names)
         chance = 1.0 if result.mode_probability is None else result.mode_probability
         chances = [chance, *[(1 - chance) / max(len(others), 1)] * len(others)]
         costs = [-math.log(max(each, _LEAST_CHANCE)) for each in chances]
@@ -279,10 +278,9 @@ class UnknownBase:
             mode.following = Following(self.given, wide, None if reads else FoundLag(0.0, 0.0), uncertain=True)
             mode.reads = reads
         result = mode.following.follow(image.time, used, image.seen)
-        assert result.camera_from_root is not None
         assert result.covariance is not None
         mode.time, mode.covariance = image.time, result.covariance
-        mode.at = Posed(result.camera_from_root, np.array([result.joints[name] for name in names]))
+        mode.at = posed(result, names)
         anew = mode.counted is None or (has_moved(mode.counted, mode.at) and not image.seen.any_same)
         if math.isfinite(mode.following.last.score) and anew:
             mode.cost += mode.following.last.score / CORRELATED_FRAMES

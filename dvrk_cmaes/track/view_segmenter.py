@@ -20,7 +20,7 @@ from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.segmentation import Box, Hints
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.colour_edges import Appearance, EdgeFit, ImageEvidence, fit_edges, learned
+from dvrk_cmaes.track.colour_edges import EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_frames import UNSUPPORTED, silhouette_of
 from dvrk_cmaes.track.image_masks import learned_colours, mask_around
@@ -105,7 +105,7 @@ class _Look:
     """How the instrument and its surroundings look in a view: colours on the whole, and along the outline."""
 
     colours: ColourModel
-    along: Appearance
+    along: EdgeAppearance
 
 
 class ViewSegmenter:

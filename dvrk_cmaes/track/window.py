@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_fit import FrameFit
+from dvrk_cmaes.calibration.frame_fit import LEAST_OVERLAP, FrameFit
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
@@ -20,7 +19,7 @@ from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Posed, inverse
+from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.tip_probability import tip_probability
@@ -30,8 +29,6 @@ from dvrk_cmaes.track.colour_edges import EdgeFit
 from dvrk_cmaes.track.deviations import FrameDeviations
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
 
-Float64 = NDArray[np.float64]
-
 CORRELATED_FRAMES = 3.0
 """Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 
@@ -40,8 +37,6 @@ LIMITS = OF_FRAMES["followed"]
 
 MEAN_ERRORS = 7
 """Number of the mean errors of all masks of a session (`mean_errors`)."""
-
-_LEAST_OVERLAP = 0.5  # intersection over union below which a mask does not support a pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +135,7 @@ def status_of(
     if judged is None:
         return "lost", [EMPTY.format(source=source)]
     quality = judged.quality
-    if quality.iou < _LEAST_OVERLAP:
+    if quality.iou < LEAST_OVERLAP:
         return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]
     reasons = [*judged.reasons, *LIMITS.doubts(quality, misfit, calibration, config.session)]
     return "doubtful" if reasons else "ok", reasons

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, OFFSETS, SEEN, make_world
 
+from dvrk_cmaes.calibration import consensus
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus, find_consensus_at_any_roll
 from dvrk_cmaes.geometry import Posed, exp_rotation, moved, rotation_angle
 from dvrk_cmaes.instrument import Instrument
@@ -32,6 +33,18 @@ def test_true_modes_are_chosen(seed: int, bundled_body: Body) -> None:
     assert found.chosen.tolist() == [1, 0, 0, 1, 0, 0, 1, 0, 0]
     chosen = choose_modes(world.model, modes, found.calibration)
     assert [own.index(mode) for own, mode in zip(modes, chosen, strict=True)] == found.chosen.tolist()
+
+
+def test_calibrations_are_scored_alike_in_any_number_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    world, rng = make_world(7, seed=3), np.random.default_rng(3)
+    modes = [own * 2 for own in world.modes(rng)]
+    for own in modes[::2]:
+        own[1] = Mode(own[1].at.moved(rng.normal(0, 0.1, 9)), COVARIANCE)
+    found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    monkeypatch.setattr(consensus, "_MOST_AT_ONCE", 1)
+    one_by_one = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    np.testing.assert_array_equal(found.cost, one_by_one.cost)
+    np.testing.assert_array_equal(found.calibration.camera_from_base, one_by_one.calibration.camera_from_base)
 
 
 @pytest.mark.parametrize("wrong", ["anywhere", "all on another base", "turned about their shafts"])

@@ -107,6 +107,20 @@ def test_jacobian_is_the_derivative_of_the_predictions(kind: str) -> None:
         np.testing.assert_allclose(jacobian[:, :, k], (later - earlier) / 2e-6, atol=1e-7)
 
 
+@pytest.mark.parametrize("kind", ["steered", "pieces"])
+def test_some_frames_of_an_endoscope_are_where_they_are_in_all_of_them(kind: str) -> None:
+    """Whatever was asked for before, by whichever values."""
+    endoscope, values = an_endoscope(kind)
+    index = np.array([len(endoscope.place) - 1, 0, 1])
+    for asked in (endoscope.start, values):
+        endoscope.relative(asked)
+        some = endoscope.subset(index)
+        for other in (values, endoscope.start):
+            np.testing.assert_array_equal(some.relative(other), endoscope.relative(other)[index])
+            np.testing.assert_array_equal(some.jacobian(other, BASE), endoscope.jacobian(other, BASE)[index])
+            np.testing.assert_array_equal(some.loadings(other, BASE), endoscope.loadings(other, BASE)[index])
+
+
 def test_camera_in_the_tip_is_found_within_its_deviation(
     world: Steered40, found: tuple[SessionModel, Solution]
 ) -> None:

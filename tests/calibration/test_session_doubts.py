@@ -11,10 +11,18 @@ from helpers.page_calibrations import calibration, solved
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_camera import SessionCamera
-from dvrk_cmaes.calibration.session_doubts import DISAGREES, bad_predictions, doubts_of, resting_on, unusual_insertion
+from dvrk_cmaes.calibration.session_doubts import (
+    DISAGREES,
+    bad_predictions,
+    doubts_of,
+    far_joints,
+    resting_on,
+    unusual_insertion,
+)
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.results.tracked import TrackResult
 
 FRAMES = ("0000", "0001", "0002")
@@ -139,3 +147,23 @@ def test_older_document_is_judged_by_what_it_states() -> None:
     found = SessionCalibration.from_dict(document)
     assert (found.remarks, found.status) == (("lag: taken out",), "doubtful")
     assert found.doubts == doubts_of(session(camera=LONGER))
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "expected"),
+    [
+        ((0.0, 0.0, 0.0), ""),
+        ((-4.0, 8.0, 12.0), ""),
+        ((0.0, -20.0, -30.0), "jaw is -30 deg from what readings and calibration expect"),
+        ((15.0, 0.0, 0.0), "wrist_pitch is +15 deg"),
+    ],
+)
+def test_joints_far_from_what_is_expected_of_an_image_are_a_doubt(
+    off_deg: tuple[float, float, float], expected: str
+) -> None:
+    spread = np.diag(np.radians([1.0] * 6 + [4.0, 8.0, 10.0])) ** 2
+    there = Posed(np.eye(4), np.zeros(3))
+    found = Posed(np.eye(4), np.radians(off_deg))
+    text = far_joints(found, there, spread, ("wrist_pitch", "wrist_yaw", "jaw"))
+    assert expected in text
+    assert bool(text) == bool(expected)

@@ -88,7 +88,7 @@ def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
     inputs = Inputs(TOPICS, say, longest_silence=1e6)
     inputs.subscribe(wire)
     outputs = Outputs(wire, FrameNames())
-    arm = LiveArm("PSM1", make_tracker, outputs, say, lambda: 10 * clock.monotonic())  # states come ten times as often
+    arm = LiveArm("PSM1", make_tracker, outputs, say, lambda: 10 * inputs.now())  # states come ten times as often
     loop = LiveLoop([arm], inputs, say, rig=Rig.of_camera(Camera(4, 2, 4.0, 4.0, 2.0, 1.0)))
     lines.clear()
     stop = threading.Event()

@@ -9,7 +9,7 @@ from helpers.page_results import doubtful, page_of, result, write_results
 
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.report import page as page_module
-from dvrk_cmaes.report.page_layers import embedded_layers, embedded_picture
+from dvrk_cmaes.report.page_layers import embedded_layers, embedded_picture, outline_path, size_of_layers
 from dvrk_cmaes.results.layers import FrameLayers, Outline
 from dvrk_cmaes.results.paths import layers_path, overlay_path
 
@@ -37,10 +37,20 @@ def test_outline_becomes_closed_path_from_the_corner_of_the_first_pixel(tmp_path
     layers = FrameLayers(8, 6, (Outline("mask", ()), Outline("result", (SQUARE, SQUARE))))
     write_json(layers_path(tmp_path, "a"), layers.to_dict())
     drawn = embedded_layers(layers_path(tmp_path, "a"))
-    assert drawn is not None
-    (outline,) = drawn.outlines  # a mask without pixels has no outline
-    assert (outline.name, outline.path) == ("result", 2 * "M1.5 1.5L5.5 1.5 5.5 5.5 1.5 5.5z")
-    assert (drawn.width, drawn.height, drawn.picture) == (8, 6, None)
+    assert drawn == layers
+    path = 2 * "M1.5 1.5L5.5 1.5 5.5 5.5 1.5 5.5z"
+    assert [outline_path(outline) for outline in drawn.outlines] == ["", path]
+    assert size_of_layers(drawn) == len(path)
+
+
+def test_mask_without_pixels_has_no_outline_in_the_page(tmp_path: Path) -> None:
+    out = write_results(tmp_path, [result("a")])
+    layers = FrameLayers(8, 6, (Outline("mask", ()), Outline("result", (SQUARE,))))
+    write_json(layers_path(out, "a"), layers.to_dict())
+    page_of(out)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert (page.count('class="outline o1" data-part="1"'), page.count('data-layer="1"')) == (1, 1)
+    assert (page.count('class="outline o0"'), page.count('data-layer="0"')) == (0, 0)
 
 
 def test_page_does_without_damaged_pictures(tmp_path: Path) -> None:

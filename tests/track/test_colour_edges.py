@@ -18,7 +18,7 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE, Clearance
-from dvrk_cmaes.track.colour_edges import Appearance, ColourEdges, EdgeFit, ImageEvidence, fit_edges, learned
+from dvrk_cmaes.track.colour_edges import ColourEdges, EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.histogram_ratio import REACH, ColourModel, EdgeModel, bins_of, changes_along
 from dvrk_cmaes.track.outline_model import OutlineModel
@@ -51,7 +51,7 @@ def outline_of(left: float, right: float) -> DrawnOutline:
     return DrawnOutline((0,), at, {0: slice(None)}, zero, points, normals, lengths, pixels)
 
 
-def model_of(left: float = 60, right: float = 100) -> Appearance:
+def model_of(left: float = 60, right: float = 100) -> EdgeAppearance:
     """Learn what such a bar looks like."""
     outline = outline_of(left, right)
     return learned(bar(left, right), outline.pixels, outline)

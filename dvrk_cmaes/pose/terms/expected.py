@@ -21,6 +21,11 @@ class Expected(Term):
     mean: Posed
     information: Float64
 
+    @classmethod
+    def of(cls, mean: Posed, covariance: Float64) -> Expected:
+        """Return the distribution with a covariance (6 + J, 6 + J)."""
+        return cls(mean, np.asarray(np.linalg.inv(covariance), dtype=np.float64))
+
     def cost(self, at: Posed) -> Float64:
         """Return the squared Mahalanobis distance (C,) from the mean."""
         off = at.minus(self.mean)

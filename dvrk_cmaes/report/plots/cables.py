@@ -1,6 +1,6 @@
 """Plots of what cables do to a session's readings: the joints' errors against their readings, and against time.
 
-As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVG.
+As in panels.py, coordinates in the drawing are computed here; the template makes the SVG.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Plot of a session's disagreement as a function of the lag between images and readings.
 
-As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVG.
+As in panels.py, coordinates in the drawing are computed here; the template makes the SVG.
 """
 
 from __future__ import annotations
@@ -10,21 +10,17 @@ from dataclasses import dataclass
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.report.plots.axes import Axis, value_axis
 
-_WIDTH, _HEIGHT = 560.0, 260.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62.0, 546.0, 8.0, 204.0
 _UNIT = {"s": "lag of the images, s", "frames": "lag of the images, frames"}
 
 
 @dataclass(frozen=True)
 class LagPlot:
-    """The curve as points, the coordinate of no lag, and that of the lag found with one standard deviation, or None."""
+    """The curve as points, and the coordinates of the lag found and of one standard deviation beside it, or None."""
 
-    width: float
-    height: float
     across: Axis
     up: Axis
     points: tuple[tuple[float, float], ...]
-    zero: float
     found: float | None
     std: tuple[float, float] | None
 
@@ -44,4 +40,4 @@ def lag_plot(calibration: SessionCalibration) -> LagPlot | None:
         if value is not None:
             found = across.clamped(value)
             std = None if by is None else (across.clamped(value - by), across.clamped(value + by))
-    return LagPlot(_WIDTH, _HEIGHT, across, up, points, across.at(0.0), found, std)
+    return LagPlot(across, up, points, found, std)

@@ -1,6 +1,6 @@
 """Plot of a session's joint offsets, with their standard deviations and the corrections of single frames.
 
-As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVG.
+As in panels.py, coordinates in the drawing are computed here; the template makes the SVG.
 """
 
 from __future__ import annotations
@@ -57,12 +57,10 @@ class OffsetRow:
 
 @dataclass(frozen=True)
 class OffsetPanel:
-    """Joints of one unit in rows over one axis; ``zero`` is the coordinate of 0, ``size`` the radius of marks."""
+    """Joints of one unit in rows over one axis, the height of the drawing, and the radius of its marks."""
 
-    width: float
     height: float
     across: Axis
-    zero: float
     size: float
     rows: tuple[OffsetRow, ...]
 
@@ -103,7 +101,7 @@ def offset_panels(
             _row(one, colours[one.joint], _TOP + _ROW * (k + 0.5), across, found.get(one.joint, {}), unsure)
             for k, one in enumerate(own)
         )
-        panels.append(OffsetPanel(_WIDTH, _TOP + _ROW * len(rows) + 48, across, across.at(0.0), size, rows))
+        panels.append(OffsetPanel(_TOP + _ROW * len(rows) + 48, across, size, rows))
     return tuple(panels)
 
 

@@ -1,6 +1,6 @@
 """Plot of the shafts' axes of a session's frames, which meet at the remote centre of motion (RCM).
 
-As in page_plots.py, coordinates in the drawing are computed here; the template makes the SVGs.
+As in panels.py, coordinates in the drawing are computed here; the template makes the SVGs.
 """
 
 from __future__ import annotations
@@ -42,8 +42,6 @@ class ShaftsView:
         viewing direction are omitted.
     """
 
-    width: float
-    height: float
     across: Axis
     up: Axis
     lines: tuple[ShaftLine, ...]
@@ -147,8 +145,6 @@ def _view(
             end = np.array(at(rcm)) + away
             arrows.append((name, _pair(end), _pair(end + away / drawn * _NAME_BESIDE)))
     return ShaftsView(
-        width=SIDE + 84,
-        height=SIDE + 64,
         across=across,
         up=up,
         lines=tuple(sorted(lines, key=lambda line: (line.used, line.place))),

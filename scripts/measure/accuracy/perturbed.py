@@ -20,6 +20,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
@@ -138,7 +139,7 @@ def _fitted(
 def _posed(result: Result, body: Body) -> Posed:
     """Return a result's pose and joints."""
     assert result.camera_from_root is not None
-    return Posed(result.camera_from_root, np.array([result.joints[name] for name in body.instrument.joint_names]))
+    return posed(result, body.instrument.joint_names)
 
 
 def _moved(result: Result, rng: np.random.Generator) -> Result:
