@@ -33,8 +33,8 @@ QUALITY = 45  # of the JPEG, 0 to 100
 
 FOLLOWED_WIDTH = 480  # px
 FOLLOWED_QUALITY = 18  # of the WebP, 0 to 100
-FOLLOWED_EVERY = 3  # of the frames that were followed
-FOLLOWED_MS = 200  # between two images; 30 images a second, every sixth one
+FOLLOWED_EVERY = 4  # of the frames that were followed
+FOLLOWED_MS = 200  # between two images
 
 
 def main() -> None:
