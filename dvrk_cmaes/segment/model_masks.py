@@ -102,8 +102,8 @@ def segment_by_model(
     hints
         Prompts: the best instrument that fits them is taken.
     otherwise
-        A function that finds a mask by other means, where no instrument is found, or its mask is a guess. The mask is a
-        guess there, unless it has some likeness of an instrument.
+        A function that finds a mask by other means, where no instrument is found. The mask is a guess there, unless it
+        has some likeness of an instrument.
     """
     height, width = image.shape[:2]
     camera = assumed_camera(width, height) if camera is None else camera
@@ -111,6 +111,11 @@ def segment_by_model(
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
     candidates = find_instruments(image, outside, body, camera, joints)
     found = [each for each in candidates if each.confidence >= GUESS and _fits(each, prompts, image)]
+    if not found:
+        other = otherwise()
+        if prompts.given or other.confidence < GUESS or _is_alike(other.mask, candidates, body, camera):
+            return other
+        return replace(other, confidence=_UNLIKE, notes=("a guess", *other.notes, "its shape is not the instrument's"))
     masks: list[Segmentation] = []
     for each in found if not prompts.given else found[:1]:
         mask = _segmentation(image, each, body, camera, prompts)
@@ -119,15 +124,9 @@ def segment_by_model(
         before = np.any([former.mask for former in masks], axis=0) if masks else np.zeros_like(mask.mask)
         if (mask.mask & before).sum() <= _SHARED * mask.mask.sum():
             masks.append(replace(mask, mask=mask.mask & ~before))
-    masks.sort(key=lambda each: each.confidence < GUESS)  # else in the order of the search
-    if not masks or masks[0].confidence < GUESS:
-        other = otherwise()
-        if not (prompts.given or other.confidence < GUESS or _is_alike(other.mask, candidates, body, camera)):
-            unlike = "a guess", *other.notes, "its shape is not the instrument's"
-            other = replace(other, confidence=_UNLIKE, notes=unlike)
-        if not masks or other.confidence >= GUESS:
-            return other
-    first, *others = masks
+    if not masks:
+        return otherwise()
+    first, *others = sorted(masks, key=lambda each: each.confidence < GUESS)  # else in the order of the search
     if not others:
         return first
     sure = min(first.confidence, _UNDECIDED) if joints else first.confidence
