@@ -126,7 +126,7 @@ def segment_by_model(
             masks.append(replace(mask, mask=mask.mask & ~before))
     if not masks:
         return otherwise()
-    first, *others = masks
+    first, *others = sorted(masks, key=lambda each: each.confidence < GUESS)  # else in the order of the search
     if not others:
         return first
     sure = min(first.confidence, _UNDECIDED) if joints else first.confidence
