@@ -44,6 +44,8 @@ _UNLIKE: Final = 0.4  # confidence of such a mask
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
 _UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
 _SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
+_SAME: Final = 0.7  # overlap with an instrument, from which on a mask is of the same one: then the surer one is taken
+_ELSEWHERE: Final = 0.2  # overlap up to which a mask is not that of an instrument
 _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
 
 
@@ -102,8 +104,9 @@ def segment_by_model(
     hints
         Prompts: the best instrument that fits them is taken.
     otherwise
-        A function that finds a mask by other means, where no instrument is found. The mask is a guess there, unless it
-        has some likeness of an instrument.
+        A function that finds a mask by other means. It is taken where no instrument is found, where it is that of the
+        same instrument and surer, and where it is elsewhere and the instrument's is a guess. It is a guess itself,
+        unless it has some likeness of an instrument.
     """
     height, width = image.shape[:2]
     camera = assumed_camera(width, height) if camera is None else camera
@@ -111,22 +114,32 @@ def segment_by_model(
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
     candidates = find_instruments(image, outside, body, camera, joints)
     found = [each for each in candidates if each.confidence >= GUESS and _fits(each, prompts, image)]
-    if not found:
+
+    def other_mask() -> Segmentation:
         other = otherwise()
         if prompts.given or other.confidence < GUESS or _is_alike(other.mask, candidates, body, camera):
             return other
         return replace(other, confidence=_UNLIKE, notes=("a guess", *other.notes, "its shape is not the instrument's"))
-    masks: list[Segmentation] = []
+
+    masks: list[tuple[Candidate, Segmentation]] = []
     for each in found if not prompts.given else found[:1]:
         mask = _segmentation(image, each, body, camera, prompts)
         if mask is None:
             continue
-        before = np.any([former.mask for former in masks], axis=0) if masks else np.zeros_like(mask.mask)
+        before = np.any([former.mask for _, former in masks], axis=0) if masks else np.zeros_like(mask.mask)
         if (mask.mask & before).sum() <= _SHARED * mask.mask.sum():
-            masks.append(replace(mask, mask=mask.mask & ~before))
+            masks.append((each, replace(mask, mask=mask.mask & ~before)))
     if not masks:
-        return otherwise()
-    first, *others = sorted(masks, key=lambda each: each.confidence < GUESS)  # else in the order of the search
+        return other_mask()
+    masks.sort(key=lambda each: each[1].confidence < GUESS)  # else in the order of the search
+    first, others = masks[0][1], [mask for _, mask in masks[1:]]
+    other = other_mask()
+    if _overlap(masks[0][0], other.mask) > _SAME and other.confidence > first.confidence:
+        first = replace(other, mask=other.mask & ~np.any([each.mask for each in others], axis=0)) if others else other
+    elif first.confidence < GUESS <= other.confidence and all(
+        _overlap(each, other.mask) <= _ELSEWHERE for each in found
+    ):
+        return other
     if not others:
         return first
     sure = min(first.confidence, _UNDECIDED) if joints else first.confidence

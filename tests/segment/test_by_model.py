@@ -11,6 +11,8 @@ from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.by_model import find_instruments
 from dvrk_cmaes.segment.confidence import GUESS
+from dvrk_cmaes.segment.model_masks import segment_by_model
+from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -107,15 +109,35 @@ def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None
     assert np.array_equal(again[0].at.pose, found[0].at.pose)
 
 
-def test_what_lies_before_an_instrument_is_not_in_its_mask() -> None:
+def behind_a_flap() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return an image of an instrument that a flap hides in part, its mask without the flap, and the flap (H, W)."""
     image, masks = drawn(LEFT)
     flap = np.zeros_like(masks[0])
     flap[:, 90:125] = True
     noise = 4 * np.random.default_rng(1).standard_normal((int(flap.sum()), 3))
     image[flap] = np.clip(np.array([90, 150, 220]) + noise, 0, 255)
+    return image, masks[0], flap
+
+
+def test_another_mask_is_taken_that_is_elsewhere_where_the_instrument_s_is_a_guess_or_of_the_same_and_surer() -> None:
+    image, mask, _ = behind_a_flap()
+    part = mask.copy()
+    part[:, 125:] = False
+    for shown, confidence, taken in [
+        (drawn(RIGHT)[1][0], 0.9, True),
+        (part, 0.9, False),
+        (mask, 0.9, True),
+        (mask, 0.1, False),
+    ]:
+        other = Segmentation(shown, confidence=confidence)
+        assert (segment_by_model(image, BODY, CAMERA, None, Hints(), lambda other=other: other) is other) == taken
+
+
+def test_what_lies_before_an_instrument_is_not_in_its_mask() -> None:
+    image, mask, flap = behind_a_flap()
     found = segment(image, instrument=BODY, camera=CAMERA)
-    assert overlap(found.mask & ~flap, masks[0] & ~flap) > 0.8
-    assert found.mask[flap & masks[0]].mean() < 0.2
+    assert overlap(found.mask & ~flap, mask & ~flap) > 0.8
+    assert found.mask[flap & mask].mean() < 0.2
 
 
 def test_a_plate_is_no_instrument() -> None:
