@@ -254,10 +254,14 @@ def track(
         agree, setup = True, read_setup_joints(source.folder / SETUP)
         if len(tools) > 1 and not interrupted:
             of_arms = {name: summary.readings for name, summary in finished.items()}
-            exchanged = exchanged_arms(target, of_arms, arms, replace(method.resolve(), threads=1))
+            seen = dict(arms)
+            for name, arm in arms.items():
+                frames = of_recording.as_followed(arm.session.frames[::every], finished[name].rows)
+                seen[name] = replace(arm, session=replace(arm.session, frames=frames))
+            exchanged = exchanged_arms(target, of_arms, seen, replace(method.resolve(), threads=1))
             with output(target, "track"):
                 rate = next(iter(finished.values())).frames_a_second
-                write_track_arms(target, arms, every=every, frames_a_second=rate, video=video, page=page)
+                write_track_arms(target, seen, frames_a_second=rate, video=video, page=page)
                 known = {name: own.calibration for name, own in finished.items() if own.calibration is not None}
                 if len(known) == len(arms):
                     agree = write_bases(known, setup, target, quiet=json)

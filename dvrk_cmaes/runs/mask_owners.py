@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -45,11 +45,20 @@ class ArmsOfRecording:
     """
 
     def __init__(self, arms: Mapping[str, ArmInSession]) -> None:
+        self.arms = arms
         self.files = {name: {own.name: own for own in arm.session.frames} for name, arm in arms.items()}
         self.centres: dict[str, dict[str, Float64]] = {}
         """Those of the masks, px, by arm and frame."""
         self.gains: dict[tuple[str, str], dict[str, float]] = {}
         """By how much more an arm's tool overlaps the mask of another arm, by frame."""
+
+    def as_followed(self, frames: Sequence[FrameFiles], rows: Sequence[Mapping[str, Any]]) -> tuple[FrameFiles, ...]:
+        """Return frames with the masks by which they were followed, as their rows of tracks.jsonl tell."""
+        found = []
+        for files, row in zip(frames, rows, strict=True):
+            other = next((name for name in self.arms if _taken_from(name) in row["remarks"]), None)
+            found.append(files if other is None else with_masks_of(self.files[other][files.name], files))
+        return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +94,7 @@ class AmongArms:
                 )
                 calibration = replace(solution.calibration, remarks=(*solution.calibration.remarks, remark))
                 changed = self._with_masks(other, solution.recorded, taken)
-                texts = dict.fromkeys(exchanged, f"mask named as that of {other}, where the base expects this tool")
+                texts = dict.fromkeys(exchanged, _taken_from(other))
                 solution = replace(solution, recorded=changed, calibration=calibration, remarks=texts)
         return solution
 
@@ -205,6 +214,11 @@ def exchanged_frames(
         if exchanged:
             texts.append(f"{describe_exchanged(first, second, exchanged, names)}: exchange their labels or files there")
     return texts
+
+
+def _taken_from(other: str) -> str:
+    """Return the remark of a frame that is followed by the mask of another arm."""
+    return f"mask named as that of {other}, where the base expects this tool"
 
 
 def describe_exchanged(first: str, second: str, exchanged: Sequence[str], names: Sequence[str]) -> str:

@@ -26,7 +26,7 @@ from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
 
 
 def write_track_arms(
-    out: Path, arms: Mapping[str, ArmInSession], *, every: int, frames_a_second: float, video: bool, page: bool
+    out: Path, arms: Mapping[str, ArmInSession], *, frames_a_second: float, video: bool, page: bool
 ) -> None:
     """Write OUT/tracks.mp4 and OUT/report.html of arms whose results are in OUT/ARM.
 
@@ -35,9 +35,9 @@ def write_track_arms(
     out
         Folder of the results of all arms.
     arms
-        The session as each arm sees it, and the arms' instruments, by arm.
-    every, frames_a_second
-        Every how many frames were followed; those of the video.
+        The frames that each arm was followed to, with the masks by which it was, and the arms' instruments, by arm.
+    frames_a_second
+        Those of the video.
     video, page
         Whether to write them.
 
@@ -52,7 +52,7 @@ def write_track_arms(
         return
     rows = {arm: read_tracks(out / arm / TRACKS) for arm in arms}
     rig = next(iter(arms.values())).session.rig
-    seen = {name: seen_frames(arm.session.frames[::every], rows[name], rig, arm.body) for name, arm in arms.items()}
+    seen = {name: seen_frames(arm.session.frames, rows[name], rig, arm.body) for name, arm in arms.items()}
     chosen = frozenset(spread(sorted({row["frame"] for of_arm in rows.values() for row in of_arm}, key=natural)))
     pictures: list[FramePicture] = []
     with whole_video(out / VIDEO, size_of_views(rig), frames_a_second) if video else nullcontext() as writer:
@@ -80,7 +80,7 @@ def exchanged_arms(
     readings
         By arm and joint, those of each followed frame, NaN where there is none.
     arms, config
-        The session as each arm sees it, and the settings, for frames that are estimated with each other's masks.
+        As in `write_track_arms`, and the settings, for frames that are estimated with each other's masks.
 
     Raises
     ------

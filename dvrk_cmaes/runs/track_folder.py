@@ -211,9 +211,16 @@ def _forwards(run: TrackRun, tracker: Tracker) -> list[dict[str, Any]]:
 
 
 def _finished(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
-    """Return rows and calibration of a recording that was followed to the end, as its table tells; None otherwise."""
+    """Return rows and calibration of a recording that was followed to the end, as its table tells; None otherwise.
+
+    Where the bases of all arms tell whose the masks are, all arms must have been followed to the end.
+    """
     tracks, session = run.out / TRACKS, run.out / SESSION
-    if not ((run.out / TABLE).exists() and tracks.exists()):
+    settings = run.settings
+    decided = settings.evidence == "masks" and settings.use_joints and not settings.causal
+    others = run.among.of.arms if decided else ()
+    tables = [run.out / TABLE, *(run.out.parent / name / TABLE for name in others if name != run.among.arm)]
+    if not (tracks.exists() and all(table.exists() for table in tables)):
         return None
     rows = read_tracks(tracks)
     if [row["frame"] for row in rows] != [files.name for files in run.frames]:

@@ -105,26 +105,28 @@ def _solving(
         if not recorded.trusted.any():
             return "no frame has readings of the outer joints that are not frozen"
         given = given if settings.lag is None else replace(given, lag=None)
-        if by_masks:
-            return RecordedSolution(recorded, given)
     path = run.out / (KEYFRAMES if by_masks else KEYFRAMES_BY_IMAGES)
-    kept = read_keyframes(path, colours=not by_masks)
-    if kept is not None:
+    used: tuple[SessionCalibration, Any] | str | None
+    found: SessionCalibration | RecordedSolution | str | None = None
+    if given is not None and by_masks:
+        used = given, None
+    elif (used := read_keyframes(path, colours=not by_masks)) is not None:
         run.notice(f"keyframes: solved by an interrupted run ({path})")
+    elif by_masks:
+        found = yield from run.among.solving(recorded, work)
     else:
-        found: SessionCalibration | RecordedSolution | str
-        if by_masks:
-            found = yield from run.among.solving(recorded, work)
-        else:
-            hints = settings.hints or Hints()
-            recorded, found = yield from solving_images(recorded, given, hints, work, run.among.places)
-        yield None
+        hints = settings.hints or Hints()
+        recorded, found = yield from solving_images(recorded, given, hints, work, run.among.places)
+    yield None  # for arms with solutions that are kept or given, too: all wait for each other equally often
+    if run.stop is not None and run.stop.is_set():
+        raise _StoppedError
+    if found is not None:
         solved = found.calibration if isinstance(found, RecordedSolution) else found
         write_keyframes(path, solved, found.colours if isinstance(found, RecordedSolution) else None)
-        yield None
-        kept = read_keyframes(path, colours=not by_masks)
-    assert kept is not None
-    return kept if isinstance(kept, str) else RecordedSolution(recorded, given or kept[0], kept[1])
+        used = read_keyframes(path, colours=not by_masks)
+    yield None
+    assert used is not None
+    return used if isinstance(used, str) else RecordedSolution(recorded, given or used[0], used[1])
 
 
 def _in_groups(
