@@ -44,7 +44,7 @@ class DemoOutcome:
         quality = self.result.quality
         return {
             **encoded_fields(self.result, "frame", "status", "reasons"),
-            **asdict(self.error),
+            **encoded_fields(self.error, "root_mm", "tip_mm", "rotation_deg", "shaft_deg", "roll_deg", "joints_deg"),
             "iou": None if quality is None else quality.iou,
             "seconds": self.result.seconds,
             "beyond": list(self.beyond),

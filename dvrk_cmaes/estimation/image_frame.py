@@ -18,9 +18,8 @@ from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
-from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
-from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -148,8 +147,10 @@ def _find_mask(
         if again is None:
             break
         which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
-        confidence = min(again.confidence, found.confidence)
-        found = replace(again, confidence=confidence, notes=(*again.notes, *which), others=found.others)
+        less_sure, notes = again.confidence, (*again.notes, *which)
+        if found.confidence <= less_sure:
+            less_sure, notes = found.confidence, found.notes
+        found = replace(again, confidence=less_sure, notes=notes, others=found.others)
         result = None
     means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"

@@ -49,7 +49,7 @@ def read_header(data: bytes) -> ImageHeader | None:
             header = ImageHeader(width, height, 8, False, data.rfind(b"\xff\xd9") > data.rfind(b"\xff\xda") > 0)
         else:
             return None
-    except (struct.error, ValueError):
+    except (struct.error, ValueError, KeyError):  # the last: a sampling of colours that simplejpeg does not know
         return None
     return header if header.width > 0 and header.height > 0 else None
 

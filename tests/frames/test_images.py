@@ -51,6 +51,14 @@ def message(path: Path, label: int | None = None, pick: tuple[float, float] | No
     return text.removeprefix(f"{path}: ")
 
 
+def test_jpeg_with_a_sampling_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    path, data = tmp_path / "mask.jpg", bytearray(encoded(np.dstack([grey()] * 3), ".jpg"))
+    first = data.index(b"\xff\xc0") + 11  # sampling factors of the first component
+    data[first] = 0x14
+    path.write_bytes(data)
+    assert message(path).startswith("expected ")
+
+
 def test_values_above_127_are_instrument(tmp_path: Path) -> None:
     pixels = np.array([[0, 1, 127], [128, 254, 255]], np.uint8)
     assert read_mask(stored(tmp_path, pixels)).tolist() == [[False] * 3, [True] * 3]

@@ -130,6 +130,16 @@ def test_mask_around_a_pose_is_no_surer_and_keeps_the_other_instruments(
     assert which in frame.result.warnings
 
 
+def test_mask_around_a_pose_from_a_guess_is_called_a_guess(
+    session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    why = "a guess", "its shape is not the instrument's"
+    monkeypatch.setattr(image_frame, "segment_first", lambda *_, **__: Segmentation(found[0].data.mask, None, 0.3, why))
+    frame = solve_image(session, session.frames[0], bundled_body)
+    assert frame.segmentation.confidence == 0.3
+    assert set(why) <= set(frame.result.warnings)
+
+
 def test_unrefined_mask_is_estimated_once(
     session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
 ) -> None:
