@@ -224,6 +224,17 @@ def test_transforms_of_each_arms_tool_and_base_are_fit_for_tf2() -> None:
         assert [moved_by[axis] for axis in "xyz"] == pytest.approx(BASE[:3, 3])
 
 
+def test_readings_of_the_endoscopes_arm_are_kept_for_each_arm_and_bounded() -> None:
+    robot = Robot(MASKED, pair())
+    names = ["yaw", "pitch", "insertion", "roll"]
+    for k in range(1500):
+        position = [0.1, 0.2, 0.05, 1e-3 * k]
+        robot.send("/ECM/measured_js", {"header": stamp(k / 100), "name": names, "position": position})
+    for own in robot.inputs.readings.values():
+        kept = own.take_all()
+        assert (len(kept), kept[-1].joints["ecm_roll"]) == (1000, 1e-3 * 1499)
+
+
 def test_readings_of_the_endoscopes_arm_that_are_not_whole_are_left_out() -> None:
     robot = Robot(MASKED, pair())
     robot.send("/ECM/measured_js", {"header": stamp(0.0), "name": ["yaw"], "position": [0.1]})
