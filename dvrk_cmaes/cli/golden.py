@@ -22,7 +22,7 @@ from dvrk_cmaes.cli.options import (
     MethodOptions,
 )
 from dvrk_cmaes.cli.session_tools import single_tool
-from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, tracked, warn
+from dvrk_cmaes.cli.terminal import DOUBTFUL, FAILED, STATUS_STYLES, Line, answer, tracked, warn
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def record(
     document = {"kept": list(kept), "left_out": left_out, "written": str(path) if kept else None}
     written = f"written: {path}" if kept else "nothing to keep, nothing written"
     answer(document, [Line(f"kept {len(kept)} of {len(frames)} frames"), Line(written)], json=json)
-    return (3 if left_out else 0) if kept else 1
+    return (DOUBTFUL if left_out else 0) if kept else FAILED
 
 
 @golden.command
@@ -224,7 +224,7 @@ def check(
         "not_checked": not_checked,
     }
     answer(document, _table(checks, asdict(most), not_checked), json=json)
-    return 0 if right else 1
+    return 0 if right else FAILED
 
 
 def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.csv_file import is_number
-from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.short_text import is_number, shown
 
 if TYPE_CHECKING:
     from dvrk_cmaes.camera.files import CameraFile

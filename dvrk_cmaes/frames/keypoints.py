@@ -9,8 +9,8 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.csv_file import is_number, read_csv_rows
-from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.io.csv_file import read_csv_rows
+from dvrk_cmaes.io.short_text import is_number, listed, shown
 
 _COLUMNS = ("frame", "tip_1_u", "tip_1_v", "tip_2_u", "tip_2_v")
 

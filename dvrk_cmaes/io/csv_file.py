@@ -16,7 +16,7 @@ from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_text
-from dvrk_cmaes.io.short_text import shown
+from dvrk_cmaes.io.short_text import is_number, shown
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")  # what formulas begin with
 _LARGEST = 1_000_000_000  # bytes; an hour of readings at 1 kHz has half as many
@@ -92,15 +92,6 @@ def separator_of(text: str) -> str:
     """Return what separates the cells of a CSV text, by its first line: a comma, semicolon, tab or blank."""
     first = text.lstrip("\ufeff").partition("\n")[0].strip()
     return next((mark for mark in (";", "\t", ",", " ") if mark in first), ",")
-
-
-def is_number(cell: str) -> bool:
-    """Whether a cell is a number, NaN included."""
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

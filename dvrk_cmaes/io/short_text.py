@@ -1,4 +1,4 @@
-"""Format values for messages, on one line and short, and order names by the numbers in them: 10 after 9."""
+"""Format values for messages, on one line and short; tell numbers, and order names by those in them: 10 after 9."""
 
 from __future__ import annotations
 
@@ -26,6 +26,15 @@ def listed(names: Iterable[str], most: int = 5) -> str:
     names = list(names)
     first = [shown(name)[1:-1] for name in names[:most]]
     return ", ".join(first) + (", ..." if len(names) > most else "")
+
+
+def is_number(text: str) -> bool:
+    """Whether a text is a number, NaN included."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def no_folder(path: str | Path) -> str:
