@@ -31,6 +31,7 @@ import numpy as np
 from measure.pictures import GROUPS, Picture, read_pictures
 from measure.tables import Report, add_output_options, print_report
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.config import EstimateConfig
@@ -40,6 +41,7 @@ from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+from dvrk_cmaes.frames.packed_mask import overlap_of
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import read_any_frame, solve_frame
@@ -71,7 +73,10 @@ def main() -> int:
 def _report(options: argparse.Namespace) -> Report:
     """Return the report of a command."""
     if options.command == "fit":
-        return fit_report(int(str(options.sessions[0])), options.seed)
+        count = str(options.sessions[0])
+        if not count.isdecimal():
+            raise InputError(f"fit: expected a number of pictures, got {count}")
+        return fit_report(int(count), options.seed)
     if options.command == "pictures":
         groups = options.groups.split(",") if options.groups else []
         found = (
@@ -144,11 +149,11 @@ def masks_report(sessions: Mapping[str, Session], _: str) -> dict[str, Rows]:
     return {"masks": rows, "images": frames}
 
 
-def _drawn(count: int) -> Iterator[Picture]:
-    """Yield the drawn pictures of some seeds, which no setting was chosen by."""
+def _drawn(count: int, seed: int = _DRAWN) -> Iterator[Picture]:
+    """Yield the drawn pictures of some seeds; by those from `_DRAWN` on no setting was chosen."""
     from measure.drawn_pictures import drawn_picture
 
-    yield from (picture for picture in map(drawn_picture, range(_DRAWN, _DRAWN + count)) if picture is not None)
+    yield from (picture for picture in map(drawn_picture, range(seed, seed + count)) if picture is not None)
 
 
 def _posed(picture: Picture) -> tuple[Segmentation, bool | None, str]:
@@ -236,12 +241,12 @@ def fit_report(count: int, seed: int) -> dict[str, Rows]:
     weights = np.zeros(inputs.shape[1])
     ridge = _RIDGE * np.diag([1.0] * (inputs.shape[1] - 1) + [0.0])
     for _ in range(30):
-        chance = 1 / (1 + np.exp(-inputs @ weights))
+        chance = expit(inputs @ weights)
         slope = inputs.T @ (right - chance) - ridge @ weights
         weights += np.linalg.solve(inputs.T @ (inputs * (chance * (1 - chance))[:, None]) + ridge, slope)
     rows: Rows = []
     for name, own, of in (("fitted", measures, right), ("others", known, truth)):
-        chance = 1 / (1 + np.exp(-np.c_[own, np.ones(len(own))] @ weights))
+        chance = expit(np.c_[own, np.ones(len(own))] @ weights)
         for low, high in ((0.0, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 1.0)):
             among = (chance >= low) & (chance <= high)
             share = float(of[among].mean()) if among.any() else None
@@ -253,19 +258,15 @@ def fit_report(count: int, seed: int) -> dict[str, Rows]:
 
 def _candidates(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the measures (N, 5) of the candidates in drawn pictures, and whether each is an instrument's, (N,)."""
-    from measure.drawn_pictures import drawn_picture
-
     from dvrk_cmaes.segment.by_model import find_instruments
 
     measures, right = [], []
-    drawn = (drawn_picture(own) for own in range(seed, seed + count))
-    for picture in (each for each in drawn if each is not None):
+    for picture in _drawn(count, seed):
         outside = np.zeros(picture.image.shape[:2], np.bool_)
         body = prepare(picture.instrument)
         for found in find_instruments(picture.image, outside, body, picture.camera, picture.joints):
             height, width = found.silhouette.shape
-            tools = [resized(tool, (width, height)) for tool in picture.tools]
-            overlaps = [(found.silhouette & tool).sum() / (found.silhouette | tool).sum() for tool in tools]
+            overlaps = [overlap_of(found.silhouette, resized(tool, (width, height))) for tool in picture.tools]
             measures.append(found.measures)
             right.append(float(max(overlaps, default=0.0) > RIGHT_POSE))
     return np.array(measures), np.array(right)

@@ -19,7 +19,7 @@ from dvrk_cmaes.calibration.solve import marginalise
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.terms.shared_errors import DIRECTIONS, LASTING, image_axis
+from dvrk_cmaes.pose.terms.shared_errors import DIRECTIONS, LASTING, MEAN_ERRORS, image_axis
 
 GROWTH = "growth"
 """Name of the constant."""
@@ -55,7 +55,7 @@ class MaskGrowth(Constant):
     is_linear = True
 
     def __init__(self, side_px: float = 0.0, margin_px: float = 0.0) -> None:
-        super().__init__(GROWTH, np.full(LASTING + DIRECTIONS.shape[1], _STD))
+        super().__init__(GROWTH, np.full(MEAN_ERRORS - 1, _STD))
         size = np.linalg.norm([_LEAST, side_px, _OF_MARGIN * margin_px])
         self.margin_px = margin_px
         self.usual_px = float(np.clip(size, _SIZES[0], _SIZES[-1]))
@@ -174,7 +174,7 @@ def changes_by_masks(at: Posed, camera: Camera, instrument: Instrument) -> Float
         The camera that sees the instrument.
     """
     nearer = change_by_margin(at, camera, instrument)
-    moves = np.zeros((len(nearer), 1 + LASTING + DIRECTIONS.shape[1]))
+    moves = np.zeros((len(nearer), MEAN_ERRORS))
     moves[:, 0] = nearer
     if instrument.shaft is None:
         return moves

@@ -43,7 +43,7 @@ class ImageOutcome:
     @property
     def status(self) -> str:
         """``ok``; ``doubtful`` if the confidence is below that of a guess; ``failed`` without a mask."""
-        from dvrk_cmaes.segment.confidence import GUESS
+        from dvrk_cmaes.segment.segmentation import GUESS
 
         if self.found is None:
             return "failed"

@@ -9,8 +9,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame_image
 from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.segment.confidence import GUESS
-from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.silhouette_prior import segment_again
 
 

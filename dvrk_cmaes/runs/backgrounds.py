@@ -19,8 +19,7 @@ from dvrk_cmaes.results.paths import found_masks
 from dvrk_cmaes.runs.manifest import read_manifest
 from dvrk_cmaes.segment.background import FEWEST, MOST, learn_background
 from dvrk_cmaes.segment.classic import segment_classic
-from dvrk_cmaes.segment.confidence import GUESS
-from dvrk_cmaes.segment.segmentation import SegmentSettings
+from dvrk_cmaes.segment.segmentation import GUESS, SegmentSettings
 from dvrk_cmaes.silhouette.threads import map_threaded
 
 Load = Callable[[], NDArray[np.uint8] | None]

@@ -32,10 +32,9 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.recorded import RecordedSolution, predict, read_seen
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, RecordedWork, solving_chosen
 from dvrk_cmaes.runs.worker import hints_of
-from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
 from dvrk_cmaes.segment.prompts import Prompts
-from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body

@@ -122,9 +122,9 @@ def _segment_classic(
     from dvrk_cmaes.frames.field_of_view import outside_view
     from dvrk_cmaes.segment.background import segment_before, smooth_background
     from dvrk_cmaes.segment.classic import segment_classic
-    from dvrk_cmaes.segment.confidence import GUESS
     from dvrk_cmaes.segment.model_masks import segment_by_model
     from dvrk_cmaes.segment.prompts import draw_prompts
+    from dvrk_cmaes.segment.segmentation import GUESS
     from dvrk_cmaes.silhouette.prepare import prepare
 
     def before(behind: NDArray[np.uint8], kind: Background) -> Segmentation:

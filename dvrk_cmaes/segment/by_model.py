@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.frames.packed_mask import overlap_of
 from dvrk_cmaes.geometry import Bool, Float64, Image, Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment.appearance import Appearance
 from dvrk_cmaes.segment.segmentation import GUESS
@@ -230,8 +231,7 @@ def _share(first: Bool, second: Bool) -> bool:
 
 def _are_alike(first: Candidate, second: Candidate) -> bool:
     """Whether two candidates have nearly the same silhouette."""
-    both = int((first.silhouette | second.silhouette).sum())
-    return int((first.silhouette & second.silhouette).sum()) > _ALIKE * both
+    return overlap_of(first.silhouette, second.silhouette) > _ALIKE
 
 
 def _grouped(at: Posed, scores: Float64, renderer: Renderer, places: int) -> list[list[int]]:

@@ -42,7 +42,6 @@ _REACH = 0.125  # largest distance from the last mask at which a pixel may be la
 _AROUND = 0.19  # largest distance from the mask of the pixels that the background's histogram is taken from
 _GAP = 0.06  # largest distance between pieces of an instrument, at the reduced size
 _PRIOR_WEIGHT, _LARGEST_PRIOR = 0.3, 2.0  # weight of the greyness log-odds beside the histograms', and their bound
-_LARGEST_ODDS = LARGEST_COLOUR_ODDS
 _BIASES = (1.0, 2.0, 3.0)  # log-odds added to the prior in further attempts, if the mask does not fill its box
 _ENOUGH_OVERLAP = 0.9  # IoU of the mask's bounding box and the given box, from which no further bias is tried
 
@@ -101,7 +100,7 @@ def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts:
                 return mask
             away = distance_to(mask)
             odds = table.log_odds(mask, (away > 2) & (away < _AROUND * longer), unseen=unseen)
-            odds = np.clip(odds, -_LARGEST_ODDS, _LARGEST_ODDS)
+            odds = np.clip(odds, -LARGEST_COLOUR_ODDS, LARGEST_COLOUR_ODDS)
             odds += _PRIOR_WEIGHT * np.clip(prior, -_LARGEST_PRIOR, _LARGEST_PRIOR)
             before, mask = mask, _cut(odds, colours, prompts, away > _REACH * longer)
             mask = instrument_region(mask, _GAP * longer, prompts)

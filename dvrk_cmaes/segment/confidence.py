@@ -18,10 +18,6 @@ from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.segment.colours import Colours
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import border_contact, meets_border
-from dvrk_cmaes.segment.segmentation import GUESS
-
-__all__ = ["GUESS", "MaskAssessment", "assess_mask"]
-
 
 _BAND = (2.0, 12.0)  # px, distances from the outline between which colours are compared
 _ACROSS = 4.0  # px, distance of the two points on either side of the outline whose difference is measured

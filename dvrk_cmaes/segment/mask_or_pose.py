@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
-from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.regions import distance_to
-from dvrk_cmaes.segment.segmentation import Segmentation
+from dvrk_cmaes.segment.segmentation import GUESS, Segmentation
 
 _TOLERANCE = 2.5  # px by which the outlines may differ
 _AROUND = 40.0  # px, width of the surroundings from which the background's histogram is taken

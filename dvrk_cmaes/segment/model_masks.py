@@ -17,6 +17,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.frames.field_of_view import outside_view
+from dvrk_cmaes.frames.packed_mask import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.around import ROUGH, mask_around, segmentation_around
 from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments
@@ -156,8 +157,7 @@ def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: C
 
 def _overlap(found: Candidate, mask: Bool) -> float:
     """Return the intersection over union of a candidate's silhouette and a mask (H, W)."""
-    small = resized(mask, (found.silhouette.shape[1], found.silhouette.shape[0]))
-    return float((small & found.silhouette).sum() / max((small | found.silhouette).sum(), 1))
+    return overlap_of(found.silhouette, resized(mask, (found.silhouette.shape[1], found.silhouette.shape[0])))
 
 
 def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, prompts: Prompts) -> Segmentation | None:

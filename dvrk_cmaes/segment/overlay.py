@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.segment import Box, Pixel, Segmentation
-from dvrk_cmaes.segment.confidence import GUESS
+from dvrk_cmaes.segment.segmentation import GUESS
 
 _WIDTH = 960  # px, least width of the drawing
 _BACKGROUND = (52, 46, 43)

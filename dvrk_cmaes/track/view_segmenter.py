@@ -17,8 +17,7 @@ from dvrk_cmaes.geometry import Image, Posed
 from dvrk_cmaes.io.arguments import check_type, checked_mask
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.confidence import GUESS
-from dvrk_cmaes.segment.segmentation import Box, Hints
+from dvrk_cmaes.segment.segmentation import GUESS, Box, Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_edges import EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
 from dvrk_cmaes.track.histogram_ratio import ColourModel

@@ -22,6 +22,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
+from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
@@ -34,9 +35,6 @@ CORRELATED_FRAMES = 3.0
 
 LIMITS = OF_FRAMES["followed"]
 """How far an image may be from what its calibration expects."""
-
-MEAN_ERRORS = 7
-"""Number of the mean errors of all masks of a session (`mean_errors`)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,8 @@ from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.runs.backgrounds import learned_backgrounds
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.background import learn_background, segment_before, smooth_background
-from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.prompts import Prompts
-from dvrk_cmaes.segment.segmentation import SegmentSettings
+from dvrk_cmaes.segment.segmentation import GUESS, SegmentSettings
 
 HEIGHT, WIDTH = 240, 320
 PAPER, CLOTH = (165, 165, 165), (120, 90, 40)

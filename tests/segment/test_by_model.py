@@ -10,9 +10,8 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.by_model import find_instruments
-from dvrk_cmaes.segment.confidence import GUESS
 from dvrk_cmaes.segment.model_masks import segment_by_model
-from dvrk_cmaes.segment.segmentation import Hints
+from dvrk_cmaes.segment.segmentation import GUESS, Hints
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 

@@ -17,8 +17,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.confidence import GUESS
-from dvrk_cmaes.segment.segmentation import Segmentation
+from dvrk_cmaes.segment.segmentation import GUESS, Segmentation
 
 
 @pytest.fixture(scope="module")

@@ -37,6 +37,9 @@ LASTING = 2
 DIRECTIONS = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
 """Right, left, down and up in the image, (2, 4)."""
 
+MEAN_ERRORS = 1 + LASTING + DIRECTIONS.shape[1]
+"""Number of the mean errors of all masks (`mean_errors`)."""
+
 _NODES = 0.008  # m along the shaft
 _LEAST_POINTS = 4  # of the outline that an error changes, for it to count
 _AHEAD = 0.004  # m, to another point of the shaft's axis
