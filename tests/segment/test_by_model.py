@@ -129,7 +129,16 @@ def test_another_mask_is_taken_that_is_elsewhere_where_the_instrument_s_is_a_gue
         (mask, 0.1, False),
     ]:
         other = Segmentation(shown, confidence=confidence)
-        assert (segment_by_model(image, BODY, CAMERA, None, Hints(), lambda other=other: other) is other) == taken
+        found = segment_by_model(image, BODY, CAMERA, None, Hints(), *2 * [lambda other=other: other])
+        assert (found is other) == taken
+
+
+def test_instruments_of_the_same_colours_beside_each_other_are_no_surroundings() -> None:
+    image, masks = drawn(LEFT, (RIGHT[0], (0.003, -0.014, 0.115), *RIGHT[2:]), seed=2)
+    found = segment(image, instrument=BODY, camera=CAMERA)
+    both = [found.mask, *(other.mask for other in found.others)]
+    for mask in masks:
+        assert max(overlap(each, mask) for each in both) > 0.9
 
 
 def test_what_lies_before_an_instrument_is_not_in_its_mask() -> None:
