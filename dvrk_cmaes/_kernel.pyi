@@ -131,7 +131,6 @@ class ContourErrors:
         length: float,
         farthest: float,
         grid: float,
-        cell: float,
         inflation: float,
     ) -> None: ...
 

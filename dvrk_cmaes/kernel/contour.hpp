@@ -3,8 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
-#include <utility>
 #include <vector>
 
 #include "comparison.hpp"
@@ -16,11 +14,10 @@ namespace kernel {
 // needed. Their standard deviation is `normal_median` times the median error, at least `least_sigma` px; those beyond `clip`
 // of it do not count. A share `correlated` of the variance has a correlation exp(-pi (d / length)^2) at a distance of d px,
 // up to `farthest`; per px of outline, the rest is as large as `length` px of it. `grid`, px^2, is the variance of the
-// quantisation to pixels. Points in cells of `cell` px have the same correlated errors. Variances are multiplied by
-// `inflation`.
+// quantisation to pixels. Variances are multiplied by `inflation`.
 struct ContourErrors {
   int reach, least;
-  double normal_median, least_sigma, clip, correlated, length, farthest, grid, cell, inflation;
+  double normal_median, least_sigma, clip, correlated, length, farthest, grid, inflation;
 };
 
 // A mask (H, W) and weights of its pixels, 0 for those that are ignored.
@@ -47,57 +44,51 @@ struct ContourMask {
   }
 };
 
-// Several points of a contour whose correlated errors are the same: their mean, and the variance of its other error, px^2.
-struct ContourCell {
-  double u, v, weight, along;
-  std::vector<double> values;  // (D + 1,) Jacobian and error
-
-  void add(const OutlinePoint& at, double by, const double* row) {
-    weight += by;
-    u += by / weight * (at.pixel[0] - u), v += by / weight * (at.pixel[1] - v);
-    for (std::size_t d = 0; d < values.size(); ++d) values[d] += by / weight * (row[d] - values[d]);
-  }
+// A point of a contour: its place, px, the variance of its uncorrelated error, px^2, and its Jacobian and error, (D + 1,).
+struct ContourPoint {
+  Vector2 pixel;
+  double variance, along;
+  std::vector<double> values;
 };
 
-// Add the product of a row (K,) with itself, times a factor, to the lower half of a matrix (K, K).
-inline void add_square(const std::vector<double>& row, double factor, std::vector<double>& sum) {
-  for (std::size_t a = 0; a < row.size(); ++a) {
-    for (std::size_t b = 0; b <= a; ++b) sum[row.size() * a + b] += factor * row[a] * row[b];
-  }
-}
-
-// Adds to the lower half of `sum` (K, K) the products of the cells' K values, weighed by the inverse of their covariance, of
-// which `variance` is that of the correlated errors. The cells are sorted along the contour's longest extent, so that the
+// Adds to the lower half of `sum` (K, K) the products of the points' K values, weighed by the inverse of their covariance, of
+// which `variance` is that of the correlated errors. The points are sorted along the contour's longest extent, so that the
 // covariance is banded, and it is eliminated row by row.
-inline void add_weighed(std::vector<ContourCell>& cells, double variance, const ContourErrors& how,
+inline void add_weighed(std::vector<ContourPoint>& points, double variance, const ContourErrors& how,
                         std::vector<double>& sum) {
   double u = 0.0, v = 0.0, uu = 0.0, uv = 0.0, vv = 0.0;
-  for (const ContourCell& one : cells) u += one.u / cells.size(), v += one.v / cells.size();
-  for (const ContourCell& one : cells) {
-    uu += (one.u - u) * (one.u - u), uv += (one.u - u) * (one.v - v), vv += (one.v - v) * (one.v - v);
+  for (const ContourPoint& one : points) u += one.pixel[0] / points.size(), v += one.pixel[1] / points.size();
+  for (const ContourPoint& one : points) {
+    const double across = one.pixel[0] - u, down = one.pixel[1] - v;
+    uu += across * across, uv += across * down, vv += down * down;
   }
   const Vector2 axis = principal_axis(uu, uv, vv);
-  for (ContourCell& one : cells) one.along = one.u * axis[0] + one.v * axis[1];
-  std::stable_sort(cells.begin(), cells.end(), [](const auto& a, const auto& b) { return a.along < b.along; });
+  for (ContourPoint& one : points) one.along = one.pixel[0] * axis[0] + one.pixel[1] * axis[1];
+  std::stable_sort(points.begin(), points.end(), [](const auto& a, const auto& b) { return a.along < b.along; });
   const double scale = -3.14159265358979323846 / (how.length * how.length), limit = how.farthest * how.farthest;
-  std::vector<std::vector<double>> rows(cells.size());  // from the diagonal on
-  for (std::size_t i = 0; i < cells.size(); ++i) {
-    const ContourCell& one = cells[i];
-    for (std::size_t j = i; j < cells.size() && cells[j].along - one.along < how.farthest; ++j) {
-      const double across = cells[j].u - one.u, down = cells[j].v - one.v, square = across * across + down * down;
+  std::vector<std::vector<double>> rows(points.size());  // from the diagonal on
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const ContourPoint& one = points[i];
+    for (std::size_t j = i; j < points.size() && points[j].along - one.along < how.farthest; ++j) {
+      const double across = points[j].pixel[0] - one.pixel[0], down = points[j].pixel[1] - one.pixel[1];
+      const double square = across * across + down * down;
       rows[i].push_back(square < limit ? variance * exponential(scale * square) : 0.0);
     }
-    rows[i][0] += 1.0 / one.weight;
+    rows[i][0] += one.variance;
   }
-  for (std::size_t i = 0; i < cells.size(); ++i) {
-    const std::vector<double>& row = rows[i];
-    add_square(cells[i].values, 1.0 / row[0], sum);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const std::vector<double>&row = rows[i], &values = points[i].values;
+    const std::size_t K = values.size();
+    for (std::size_t a = 0; a < K; ++a) {
+      const double left = values[a] / row[0];
+      for (std::size_t b = 0; b <= a; ++b) sum[K * a + b] += left * values[b];
+    }
     for (std::size_t k = 1; k < row.size(); ++k) {
       if (row[k] == 0.0) continue;
       const double factor = row[k] / row[0];
-      double* other = rows[i + k].data();
+      double *other = rows[i + k].data(), *theirs = points[i + k].values.data();
       for (std::size_t j = k; j < row.size(); ++j) other[j - k] -= factor * row[j];
-      for (std::size_t d = 0; d < cells[i].values.size(); ++d) cells[i + k].values[d] -= factor * cells[i].values[d];
+      for (std::size_t d = 0; d < K; ++d) theirs[d] -= factor * values[d];
     }
   }
 }
@@ -131,34 +122,14 @@ inline double contour_equations(const ContourMask& mask, const std::vector<Outli
   variance = std::max(variance - how.grid / 2, 0.02);
 
   const double rest = variance * (1.0 - how.correlated) * how.length;
-  const auto weight = [&](const Known& one) { return 1.0 / (rest + how.grid / (one.length * one.length)); };
-  std::vector<std::pair<std::pair<int, int>, std::size_t>> places;
-  for (std::size_t k = 0; k < known.size(); ++k) {
-    const Vector2& pixel = points[known[k].point].pixel;
-    places.push_back({{int(std::floor(pixel[1] / how.cell)), int(std::floor(pixel[0] / how.cell))}, k});
+  std::vector<ContourPoint> used;
+  for (const Known& one : known) {
+    const double* row = jacobian.data() + D * one.point;
+    used.push_back({points[one.point].pixel, rest + how.grid / (one.length * one.length), 0.0, {row, row + D}});
+    used.back().values.push_back(one.error);
   }
-  std::sort(places.begin(), places.end());
-  std::vector<double> sum((D + 1) * (D + 1)), row(D + 1);
-  const auto fill = [&](const Known& one) {
-    std::copy_n(jacobian.data() + D * one.point, D, row.data());
-    row[D] = one.error;
-  };
-  std::vector<ContourCell> cells;
-  for (std::size_t begin = 0, end = 0; begin < places.size(); begin = end) {
-    ContourCell cell{0.0, 0.0, 0.0, 0.0, std::vector<double>(D + 1)};
-    for (end = begin; end < places.size() && places[end].first == places[begin].first; ++end) {
-      const Known& one = known[places[end].second];
-      fill(one), cell.add(points[one.point], weight(one), row.data());
-    }
-    for (std::size_t k = begin; k < end && end - begin > 1; ++k) {
-      const Known& one = known[places[k].second];
-      fill(one);
-      for (std::size_t d = 0; d <= D; ++d) row[d] -= cell.values[d];
-      add_square(row, weight(one), sum);
-    }
-    cells.push_back(std::move(cell));
-  }
-  add_weighed(cells, variance * how.correlated, how, sum);
+  std::vector<double> sum((D + 1) * (D + 1));
+  add_weighed(used, variance * how.correlated, how, sum);
   for (std::size_t a = 0; a < D; ++a) {
     for (std::size_t b = 0; b <= a; ++b) {
       information[D * a + b] = information[D * b + a] = sum[(D + 1) * a + b] / how.inflation;

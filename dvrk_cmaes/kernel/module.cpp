@@ -483,13 +483,13 @@ Compared compare(const Mesh& mesh, const Camera& camera, const Target& target, c
 }
 
 void make_contour_errors(ContourErrors* self, int reach, int least, double normal_median, double least_sigma, double clip,
-                         double correlated, double length, double farthest, double grid, double cell, double inflation) {
+                         double correlated, double length, double farthest, double grid, double inflation) {
   check_positive("reach", reach), check_positive("least", least);
-  for (double value : {least_sigma, clip, length, farthest, cell, inflation}) {
+  for (double value : {least_sigma, clip, length, farthest, inflation}) {
     if (!(value > 0.0)) throw std::invalid_argument("errors: expected positive numbers");
   }
   if (!(correlated >= 0.0 && correlated < 1.0)) throw std::invalid_argument("correlated: expected 0 to 1");
-  new (self) ContourErrors{reach, least, normal_median, least_sigma, clip, correlated, length, farthest, grid, cell, inflation};
+  new (self) ContourErrors{reach, least, normal_median, least_sigma, clip, correlated, length, farthest, grid, inflation};
 }
 
 using Quadratics = std::tuple<Made<double>, Made<double>>;
@@ -953,11 +953,10 @@ NB_MODULE(_kernel, module) {
 
   nb::class_<ContourErrors>(module, "ContourErrors", "How the errors of a mask's contour are weighed.")
       .def("__init__", &make_contour_errors, "reach"_a, "least"_a, "normal_median"_a, "least_sigma"_a, "clip"_a,
-           "correlated"_a, "length"_a, "farthest"_a, "grid"_a, "cell"_a, "inflation"_a,
+           "correlated"_a, "length"_a, "farthest"_a, "grid"_a, "inflation"_a,
            "Take px up to which the contour is searched, points that are needed, the factor from a median to a standard "
            "deviation, its least, px, where it is cut, the correlated share of the variance, its length, px, how far "
-           "errors are correlated, px, the variance of pixels, px^2, px within which correlated errors are the same, and a "
-           "factor on variances.");
+           "errors are correlated, px, the variance of pixels, px^2, and a factor on variances.");
   nb::class_<Sharing>(module, "Sharing", "How errors are shared by the points of a contour.")
       .def("__init__",
            [](Sharing* self, const std::optional<Given<double>>& shaft, double nodes, int least) {

@@ -82,9 +82,7 @@ def shared_errors(**changed: Any) -> Any:
 
 def contour_errors(**changed: Any) -> _kernel.ContourErrors:
     given = {"reach": 8, "least": 1, "normal_median": 1.5, "least_sigma": 0.5, "clip": 2.5, "correlated": 0.9}
-    return _kernel.ContourErrors(
-        **(given | {"length": 9.0, "farthest": 9.0, "grid": 0.1, "cell": 2.0, "inflation": 1.0} | changed)
-    )
+    return _kernel.ContourErrors(**(given | {"length": 9.0, "farthest": 9.0, "grid": 0.1, "inflation": 1.0} | changed))
 
 
 def contour(**changed: Any) -> Any:
@@ -343,7 +341,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "a contour of another size": (lambda: contour(mask=np.zeros((2, 2), dtype=bool)), "mask: expected an array"),
     "weights of another size": (lambda: contour(weight=IMAGE[:1]), "weight: expected an array"),
     "a contour without reach": (lambda: contour_errors(reach=0), "reach: expected a positive number"),
-    "cells of no size": (lambda: contour_errors(cell=0.0), "errors: expected positive numbers"),
+    "errors of no length": (lambda: contour_errors(length=0.0), "errors: expected positive numbers"),
     "errors that are correlated fully": (lambda: contour_errors(correlated=1.0), "correlated: expected 0 to 1"),
     "coverage of no width": (lambda: comparison().coverage(0), "width: expected that of the images"),
     "coverage of another width": (lambda: comparison().coverage(3), "width: expected that of the images"),

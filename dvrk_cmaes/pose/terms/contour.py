@@ -30,7 +30,6 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 
 _LEAST_SIGMA = 0.6  # px; for more accurate contours the loss on the coverage gives smaller errors
 _LARGEST_LENGTH = 25.0  # px; longer correlation is caused by errors of the instrument's shape
-_CELL = 2.5  # px in which errors are taken to be correlated fully; a step changes by less than .03 standard deviations
 _REACH = 8  # px from the outline in which the mask's contour is searched
 
 
@@ -46,7 +45,6 @@ def _errors(reach: int) -> _kernel.ContourErrors:
         length=21.0,  # px, correlation length
         farthest=40.0,  # px, between points whose errors are correlated
         grid=1 / 12,  # px^2, variance of the quantisation to pixels
-        cell=_CELL,  # px
         inflation=2.0,  # factor on the variances, because the errors of fits are larger than the covariance predicts
     )
 
