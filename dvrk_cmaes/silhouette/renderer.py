@@ -315,7 +315,18 @@ class Renderer:
         """Compare the outlines of C poses with the contour of a mask (H, W), and weigh its correlated errors.
 
         Returns information (C, 6 + J, 6 + J) and slope (C, 6 + J) of half the sums of squares by small changes of the
-        poses, and the sums (C,). ``weight`` (H, W) is 0 for ignored pixels.
+        poses, and the sums (C,).
+
+        Parameters
+        ----------
+        at
+            The poses in the camera.
+        mask
+            The mask, of the size of the camera's images.
+        weight
+            (H, W), 0 for ignored pixels.
+        errors
+            How the errors are weighed.
         """
         _check_poses(self.body.instrument.joint_names, at.pose, at.joints)
         root_from_link, by_joint = self.body.instrument.forward_with_derivatives(at.joints)
