@@ -67,7 +67,7 @@ def links_at(body: Body, camera: Camera, camera_from_root: Float64, joints: Floa
     """Return the index (H, W) of the link that is seen at the pixels ``where`` (H, W); ``NOTHING`` at the others."""
     links = np.full(where.shape, NOTHING, dtype=np.int32)
     poses = camera_from_root @ body.instrument.forward(joints)
-    links[where] = body.scenes.depths(poses, pixel_rays(camera)[where])[1]
+    links[where] = body.scenes.depths(poses, pixel_rays(camera)[where].astype(np.float64))[1]
     return links
 
 
