@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.browser import CONTRAST, chromium, command, complaints, emulate, requests
+from helpers.browser import CONTRAST, command, complaints, emulate, requests, without_scripts
 from helpers.page_results import doubtful, failed, overlay, result, write_results
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
@@ -18,7 +19,7 @@ from selenium.webdriver.remote.webdriver import WebDriver
 from selenium.webdriver.remote.webelement import WebElement
 
 from dvrk_cmaes.draw.canvas import AXES
-from dvrk_cmaes.io.atomic import write_image, write_json
+from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.report import page_layers, page_thumbnails
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.page_layers import EMBEDDED
@@ -286,9 +287,8 @@ def test_controls_have_names_and_parts_are_landmarks(page: WebDriver) -> None:
         assert plot.get_attribute("aria-label")
 
 
-def test_page_is_readable_without_javascript(report: str, tmp_path: Path) -> None:
-    with chromium(tmp_path / "profile", scripts=False) as page:
-        page.get(report)
+def test_page_is_readable_without_javascript(driver: WebDriver, report: str) -> None:
+    with without_scripts(driver, report) as page:
         headings = page.find_elements(By.CSS_SELECTOR, "article h3")
         assert [heading.text for heading in headings] == BY_DOUBT
         assert not page.find_element(By.ID, "tools").is_displayed()
@@ -308,8 +308,9 @@ def test_thousand_frames_load_and_scroll_quickly(
     picture = tmp_path / "picture.jpg"
     write_image(picture, overlay(doubtful("x", "far: jaw", "far: yaw"), width=400))
     (tmp_path / "overlays").mkdir()
+    (tmp_path / "frames").mkdir()
     for k in range(1000):
-        write_json(tmp_path / "frames" / f"{k:04d}.json", document | {"frame": f"{k:04d}"})
+        (tmp_path / "frames" / f"{k:04d}.json").write_text(json.dumps(document | {"frame": f"{k:04d}"}))
         (tmp_path / "overlays" / f"{k:04d}.jpg").hardlink_to(picture)
     path = write_page(tmp_path)
     assert path.stat().st_size < 18e6 + EMBEDDED
