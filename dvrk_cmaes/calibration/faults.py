@@ -1,7 +1,7 @@
 """Detection of faults that concern a session as a whole, from its frames' modes.
 
 Faults are: an arm that does not move, and readings of another arm or tool. A base or camera that moved is found in
-`dvrk_cmaes.calibration.endoscope_search`, the lag between images and readings in `dvrk_cmaes.calibration.lag`.
+`dvrk_cmaes.calibration.endoscope_search`, the lag between images and readings in `dvrk_cmaes.calibration.lag_search`.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from dvrk_cmaes.calibration.alternation import (
 )
 from dvrk_cmaes.calibration.endoscope import Pieces, Place
 from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, with_pieces, with_readings
-from dvrk_cmaes.calibration.lag import LagCurve
+from dvrk_cmaes.calibration.lag_search import LagCurve
 from dvrk_cmaes.calibration.masks_again import (
     AgainTask,
     FoundAgain,

@@ -92,6 +92,17 @@ class FrameFits:
         outlines = Quadratic(self.outlines.information[:, :own, :own], self.outlines.slope[:, :own])
         return FrameFits(self.at, outlines, shares=self.shares)
 
+    def along(self, name: str, values: Float64, effect: Float64) -> FrameFits:
+        """Return the fits with a block of n further unknowns that change what is predicted, as the frames' own errors.
+
+        ``values`` (n,) are those at which the predictions are made, ``effect`` (N, D, n) the changes of these by the
+        unknowns. Each frame counts as one, and its errors as independent of others.
+        """
+        across, told = np.swapaxes(effect, 1, 2), self.outlines.information @ effect
+        information = np.block([[self.outlines.information, told], [np.swapaxes(told, 1, 2), across @ told]])
+        slope = np.concatenate([self.outlines.slope, times(across, self.outlines.slope)], axis=1)
+        return FrameFits(self.at, Quadratic(information, slope), {name: values})
+
     def optimum(self, further: Float64) -> Float64:
         """Return the change (N, D) from the points of expansion to where the outline terms are least.
 
@@ -301,30 +312,6 @@ def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, 
     return Solution(
         calibration, information, weights, misfit, frame_information, frame_slopes, independent, lasting, by_lag
     )
-
-
-def along(model: SessionModel, fits: FrameFits, solution: Solution, effect: Float64) -> tuple[Float64, float]:
-    """Return what frames tell of a further unknown that changes their predictions, where the calibration follows it.
-
-    Parameters
-    ----------
-    model, fits, solution
-        As in `solve`, without further constants, and its result.
-    effect : (N, D)
-        Changes of the predictions by the unknown, as those by the calibration.
-
-    Returns
-    -------
-    ((N,), float)
-        The slopes of half the frames' sums of squares by the unknown, and the sum of their curvatures.
-    """
-    frames, jacobian = marginalise(model, fits, solution.calibration), model.jacobian(solution.calibration)
-    shares = np.broadcast_to(fits.shares, len(effect))[:, None, None]
-    told = solution.weights[:, None, None] * frames.left.information
-    cross = (np.swapaxes(jacobian, 1, 2) @ (shares * told) @ effect[:, :, None]).sum(axis=0)[:, 0]
-    whole = effect - jacobian @ np.linalg.solve(solution.information, cross)
-    slopes = solution.weights * (whole * frames.left.slope).sum(axis=1)
-    return slopes, float((whole * times(told, whole)).sum())
 
 
 def _of_calibration(fits: FrameFits, frames: Eliminated, weighted: Float64) -> LastingSlopes:
