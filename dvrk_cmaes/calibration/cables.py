@@ -17,7 +17,7 @@ import numpy as np
 from dvrk_cmaes.calibration.lasting_errors import frames_alike
 from dvrk_cmaes.calibration.model import Calibration, Correction, Deviations, SessionModel
 from dvrk_cmaes.calibration.session_lag import LagEstimate
-from dvrk_cmaes.calibration.solve import FrameFits, Solution
+from dvrk_cmaes.calibration.solve import FrameFits, Solved
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.joints.cable_inference import (
     Assumed,
@@ -110,7 +110,7 @@ class CableFit:
 def estimate_cables(
     model: SessionModel,
     fits: FrameFits,
-    solution: Solution,
+    solution: Solved,
     lag: LagEstimate,
     usual: Deviations,
     offset_std: Float64,

@@ -20,7 +20,7 @@ from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, Solver, alternate, marginalise
+from dvrk_cmaes.calibration.solve import FrameFits, Solved, Solver, alternate, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -209,7 +209,7 @@ class Linearised:
     """
 
     model: SessionModel
-    solution: Solution
+    solution: Solved
     fits: FrameFits
     prior: Float64
     covariance: Float64
@@ -306,7 +306,7 @@ def linearise(
     padded[: len(prior), : len(prior)] += prior
     asked, found = [one for one in constants if one.name in names], list[Linearised]()
 
-    def again(model: SessionModel, fits: FrameFits, solution: Solution) -> tuple[SessionModel, FrameFits] | None:
+    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits] | None:
         covariance = solution.covariance_of(inverse_information(solution.information + _weak(len(padded))))
         there = fits.at.moved(marginalise(model, fits, solution.calibration).own)
         plausible = all(one.is_plausible(solution.calibration.constants[one.name]) for one in asked)

@@ -31,7 +31,7 @@ from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.session_shaft import SessionShaft
-from dvrk_cmaes.calibration.solve import Solution
+from dvrk_cmaes.calibration.solve import Solved
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, changed_views
 from dvrk_cmaes.camera.view_document import ViewDocument
@@ -405,7 +405,7 @@ def _pairs(predictions: Mapping[str, _LeaveOneOut]) -> dict[str, tuple[float, fl
 
 
 def describe_solution(
-    model: SessionModel, solution: Solution, of_camera: Float64, config: EstimateConfig
+    model: SessionModel, solution: Solved, of_camera: Float64, config: EstimateConfig
 ) -> dict[str, Any]:
     """Return the parts of a solution as fields of a `SessionCalibration`.
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -55,7 +55,7 @@ class SessionFrame:
     find_masks: FindMasks | None = None
     brief: bool = False
 
-    def with_data(self, change: Callable[[FrameData], FrameData]) -> SessionFrame:
+    def with_data(self, change: Callable[[FrameData], FrameData]) -> Self:
         """Return the frame with data that are changed once they are read.
 
         Parameters
@@ -65,7 +65,7 @@ class SessionFrame:
         """
         return replace(self, data=partial(_changed_data, self.data, change))
 
-    def with_changed_views(self, changes: Mapping[str, ViewChange], places: Mapping[str, Float64]) -> SessionFrame:
+    def with_changed_views(self, changes: Mapping[str, ViewChange], places: Mapping[str, Float64]) -> Self:
         """Return the frame with further views changed, by name; its own result says by how much they are turned still.
 
         ``view_fits`` of the result are then those against the changed views.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, LastingSize
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, marginalise
+from dvrk_cmaes.calibration.solve import FrameFits, Solved, marginalise
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.term import Quadratic
 
@@ -43,7 +43,7 @@ class LastingEstimate:
 
 
 def estimate_lasting(
-    model: SessionModel, fits: Sequence[FrameFit], solution: Solution, prior: Float64, times: Float64
+    model: SessionModel, fits: Sequence[FrameFit], solution: Solved, prior: Float64, times: Float64
 ) -> LastingEstimate:
     """Estimate the size of the errors that last.
 

@@ -24,7 +24,7 @@ from dvrk_cmaes.calibration.constants import (
 )
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.session_rig import LEAST_STD, ViewRotation, ViewScale, is_turned
-from dvrk_cmaes.calibration.solve import Solution, marginalise, solve, solve_unchanged
+from dvrk_cmaes.calibration.solve import Solved, marginalise, solve, solve_unchanged
 from dvrk_cmaes.camera.rig import ViewChange, turned_place
 from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse
 from dvrk_cmaes.pose.terms.coverage import of_camera, of_margin
@@ -136,7 +136,7 @@ def estimate_rig(frames: FramesAt, outlines: SessionOutlines, stated: Sequence[V
     return RigEstimate(tuple(views.values()), undetermined, changes, alone, at, moved=True)
 
 
-def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str]) -> tuple[Solution, Bool]:
+def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str]) -> tuple[Solved, Bool]:
     """Return the solution with those baselines and focal lengths that are clear of the file, and what is free (K,).
 
     What is not clear any more once the others are as in the file stays as there, too; ``scales`` is brought up to date.
@@ -154,7 +154,7 @@ def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str])
     return solution, free
 
 
-def _solved(there: Linearised, calibration: Calibration, free: Bool) -> Solution:
+def _solved(there: Linearised, calibration: Calibration, free: Bool) -> Solved:
     """Return the solution where constants that are not free (K,) are as in the file."""
     constants = {
         name: np.where(free[calibration.place(name)], block, 0.0) for name, block in calibration.constants.items()
@@ -163,12 +163,12 @@ def _solved(there: Linearised, calibration: Calibration, free: Bool) -> Solution
     return solve(there.model, there.fits, replace(calibration, constants=constants), there.prior + pinned)
 
 
-def _std(solution: Solution, name: str) -> Float64:
+def _std(solution: Solved, name: str) -> Float64:
     """Return the standard deviations (6,) of a view's unknowns."""
     return np.asarray(_SHARED_ERRORS * np.sqrt(np.diag(solution.covariance)[solution.calibration.place(name)]))
 
 
-def _scales(solution: Solution, names: Sequence[str]) -> _Scales:
+def _scales(solution: Solved, names: Sequence[str]) -> _Scales:
     """Return what is told of the further views' baselines and focal lengths; None where it is not told."""
     out: _Scales = {}
     for name in names:

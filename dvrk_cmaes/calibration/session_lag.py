@@ -18,7 +18,7 @@ from dvrk_cmaes.calibration.clock import FAR_RANGE, Clock
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.lag_search import LEAST_AT_LAG, MOVE, LagCurve, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, alternate
+from dvrk_cmaes.calibration.solve import FrameFits, Solved, alternate
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.play import Play
@@ -74,7 +74,7 @@ def refine_lag(
     if not clock.interpolable or not step:
         return None
     reach = np.array([step, _DRIFT_STEPS * step / max(clock.half_duration, step), step])[own]
-    rows, found, moved = reach[:, None] * np.eye(3)[own], list[Solution](), np.ones(len(own))
+    rows, found, moved = reach[:, None] * np.eye(3)[own], list[Solved](), np.ones(len(own))
     known = np.array([far, _DRIFT_STD, far])[own] / _SHARED_ERRORS
     prior = np.diag(np.concatenate([np.zeros(len(frames.prior)), known**-2.0]))
     prior[: len(frames.prior), : len(frames.prior)] = frames.prior
@@ -93,7 +93,7 @@ def refine_lag(
         changes = [later.minus(earlier) for later, earlier in ends]
         return compared(lag), fits.along("lag", lag[own], np.stack(changes, axis=2) / (2 * _LEAST_STEP * reach))
 
-    def again(model: SessionModel, fits: FrameFits, solution: Solution) -> tuple[SessionModel, FrameFits] | None:
+    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits] | None:
         nonlocal lag, moved
         found.append(solution)
         change = np.clip(solution.calibration.further - fits.further, -reach / 2, reach / 2)

@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.session_doubts import DISAGREES
 from dvrk_cmaes.calibration.session_lag import LagEstimate
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, leave_one_out
+from dvrk_cmaes.calibration.solve import FrameFits, Solved, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -171,7 +171,7 @@ class SessionState:
     notes: Notes = Notes()
     stored: tuple[StoredFrame, ...] = ()
     fits: tuple[FrameFit, ...] = ()
-    found: Solution | None = None
+    found: Solved | None = None
     again: FoundMasks | None = None
 
     @classmethod
@@ -202,7 +202,7 @@ class SessionState:
         )
 
     @property
-    def solution(self) -> Solution:
+    def solution(self) -> Solved:
         """The current solution."""
         assert self.found is not None
         return self.found

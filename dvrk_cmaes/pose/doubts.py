@@ -21,7 +21,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.mode_probability import mode_weights
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
-from dvrk_cmaes.pose.search.modes import Candidate, is_twin
+from dvrk_cmaes.pose.search.modes import PoseCandidate, is_twin
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
@@ -252,7 +252,7 @@ def exchanged_readings(found: Float64, read: Float64, instrument: Instrument) ->
 
 
 def _doubts_of_readings(
-    best: Candidate, evidence: Evidence, readings: Readings, instrument: Instrument, trust: TrustConfig
+    best: PoseCandidate, evidence: Evidence, readings: Readings, instrument: Instrument, trust: TrustConfig
 ) -> list[str]:
     """List the reasons, in words, for which a pose contradicts its readings or could not be told without them."""
     reasons = []

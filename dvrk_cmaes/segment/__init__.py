@@ -93,7 +93,7 @@ def segment(
         from dvrk_cmaes.silhouette.threads import single_blas_thread
 
         with single_blas_thread():
-            return _segment_classic(image, background, hints, instrument, camera, joints)
+            return segment_classic(image, background, hints, instrument, camera, joints)
 
     if model == "classic":
         if weights is not None:
@@ -110,7 +110,7 @@ def segment(
     raise InputError(f"model: expected one of {', '.join(nearest_first(str(model), MODELS))}, got {model!r}")
 
 
-def _segment_classic(
+def segment_classic(
     image: NDArray[np.uint8],
     background: NDArray[np.uint8] | None,
     hints: Hints,

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.solve import (
     FrameFits,
-    Solution,
+    Solved,
     frame_covariances,
     leave_one_out,
     marginalise,
@@ -29,7 +29,7 @@ def a_start(world: World) -> Calibration:
     return Calibration(moved(world.truth.camera_from_base, off), np.zeros(5))
 
 
-def solved(world: World, fits: FrameFits) -> Solution:
+def solved(world: World, fits: FrameFits) -> Solved:
     return solve(world.model, fits, a_start(world), PRIOR)
 
 

@@ -25,7 +25,7 @@ from dvrk_cmaes.silhouette import Body, prepare
 _BODIES = 8
 """Most prepared instruments that are kept."""
 
-SEGMENT_CLASSIC = segmentation._segment_classic
+SEGMENT_CLASSIC = segmentation.segment_classic
 
 
 @contextmanager
@@ -106,12 +106,12 @@ def _images_segmented_once(patch: pytest.MonkeyPatch) -> None:
             known[key] = SEGMENT_CLASSIC(image, background, hints, instrument, camera, joints)
         return replace(known[key], mask=known[key].mask.copy())
 
-    patch.setattr(segmentation, "_segment_classic", segmented)
+    patch.setattr(segmentation, "segment_classic", segmented)
 
 
 @contextmanager
 def segmented_anew() -> Iterator[None]:
     """Let images be segmented each time, for tests of that."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(segmentation, "_segment_classic", SEGMENT_CLASSIC)
+        patch.setattr(segmentation, "segment_classic", SEGMENT_CLASSIC)
         yield
