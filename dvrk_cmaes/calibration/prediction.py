@@ -15,14 +15,13 @@ from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_fram
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
-from dvrk_cmaes.calibration.session_doubts import OF_FRAMES
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.joints.sparse import LEAST_ERROR
-from dvrk_cmaes.pose.doubts import doubts_in_views
+from dvrk_cmaes.pose.doubts import OF_FRAMES, doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.quality import measure_views, pooled_quality
@@ -293,7 +292,8 @@ def fit_session_pose(
     quality = pooled_quality(qualities)
     deviation = fit.at.minus(expected.mean)
     misfit = float(deviation @ expected.information @ deviation) / len(deviation)
-    if doubts := OF_FRAMES["alone"].doubts(quality, misfit, session, config.session):
+    usual = session.iou, session.contour_px_95
+    if doubts := OF_FRAMES["alone"].doubts_in_session(quality, misfit, *usual, config.session):
         return f"session: {'; '.join(doubts)}: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
     camera = views[0].evidence.camera

@@ -1,12 +1,12 @@
-"""What makes a session doubtful, and every result that rests on it, and a frame that is not what its session expects.
+"""What makes a session doubtful, and every result that rests on it: the rows of the table `OF_SESSIONS`.
 
-All of it is decided here, by the rows of two tables: `OF_SESSIONS` and `OF_FRAMES`.
+The table of frames is `OF_FRAMES` of `pose.doubts`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
@@ -15,7 +15,7 @@ from dvrk_cmaes.calibration.instrument_test import better_instrument
 from dvrk_cmaes.camera.critical import known_mistakes
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.results.result import Quality, Result
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
 
 if TYPE_CHECKING:
@@ -48,68 +48,6 @@ _CAUSES_OF_INSERTION = (
     "another focal length than the camera file's, an instrument with another shaft (--instrument), a tool or arm of "
     "another length (--tool, --arm), or a lag between images and readings that is not taken out"
 )
-
-
-@dataclass(frozen=True)
-class FrameLimits:
-    """Limits on how far a frame may be from what its session expects: a row of the table of frames.
-
-    what : the frames that it belongs to, in words. overlap_loss : below the session's median intersection over union.
-    largest_px, contour_factor : 95 % of the contour are within the larger one of the first, px, and of the second times
-    the session's median.
-    """
-
-    what: str
-    overlap_loss: float
-    largest_px: float
-    contour_factor: float
-
-    def doubts(
-        self, quality: Quality, misfit: float, calibration: SessionCalibration, config: SessionConfig
-    ) -> list[str]:
-        """List the reasons, in words, for which a frame is not what its session expects.
-
-        Parameters
-        ----------
-        quality
-            That of the frame's pose.
-        misfit
-            Squared distance of the pose from what is expected by the covariance, per parameter.
-        calibration, config
-            The session, and its settings.
-        """
-        reasons, least = [], calibration.iou - self.overlap_loss
-        largest_px = max(self.largest_px, self.contour_factor * calibration.contour_px_95)
-        if quality.iou < least or quality.contour_px_95 > largest_px:
-            reasons.append(
-                f"mask not explained: IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour, "
-                f"expected at least {least:.3f} and at most {largest_px:.1f} px"
-            )
-        return reasons + self.disagreement(misfit, config)
-
-    def disagreement(self, misfit: float, config: SessionConfig, source: str = "mask") -> list[str]:
-        """List the reason, in words, for which a pose is too far from what its session expects; empty if it is not.
-
-        Parameters
-        ----------
-        misfit, config
-            As in `doubts`.
-        source
-            What of the image tells the pose: its mask, or the image itself.
-        """
-        if misfit <= config.largest_misfit:
-            return []
-        return [
-            f"disagrees with the {self.what}: the {source} is {misfit**0.5:.1f} times the expected error from what the "
-            "calibration and the readings expect"
-        ]
-
-
-OF_FRAMES: Final = {
-    "alone": FrameLimits("session", 0.03, 3.5, 1.5),
-    "followed": FrameLimits("recording", 0.15, 9.0, 3.0),
-}
-"""The table of frames: a frame by itself, and one whose pose its neighbours support, too."""
 
 
 def far_joints(found: Posed, expected: Posed, spread: Float64, names: Sequence[str]) -> str:

@@ -15,12 +15,13 @@ from dvrk_cmaes.calibration.frame_fit import LEAST_OVERLAP, FrameFit
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
-from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
+from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.doubts import OF_FRAMES
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS
 from dvrk_cmaes.pose.tip_probability import tip_probability
@@ -135,7 +136,8 @@ def status_of(
     quality = judged.quality
     if quality.iou < LEAST_OVERLAP:
         return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]
-    reasons = [*judged.reasons, *LIMITS.doubts(quality, misfit, calibration, config.session)]
+    usual = calibration.iou, calibration.contour_px_95
+    reasons = [*judged.reasons, *LIMITS.doubts_in_session(quality, misfit, *usual, config.session)]
     return "doubtful" if reasons else "ok", reasons
 
 
