@@ -20,11 +20,11 @@ from dvrk_cmaes.joints.series import ReadingSeries
 RANGE = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
 """Least and largest lag of the search, by unit."""
 
-FAR_RANGE = {"frames": (-90.0, 90.0), "s": (-3.0, 3.0)}
-"""As `RANGE`, where the frames agree at no lag in that."""
+FARTHEST = {"frames": 90.0, "s": 3.0}
+"""Largest lag of the search, in either direction, where the frames agree at no lag in `RANGE`."""
 
-_STEP = {"frames": 1.0, "s": 1 / 30}  # of the search, at most the time between images
 _FRAME_SECONDS = 1 / 30  # between images that have no times
+_STEP = {"frames": 1.0, "s": _FRAME_SECONDS}  # of the search, at most the time between images
 _MOST_STEPS = 61
 _CABLE_SECONDS = 2.0  # for which the errors of the joints that cables move stay alike
 _ROUGH = 5.0  # standard deviations of a reading that it may change unevenly from row to row

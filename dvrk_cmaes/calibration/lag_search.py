@@ -12,8 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.clock import FAR_RANGE, RANGE, Clock
+from dvrk_cmaes.calibration.clock import FARTHEST, RANGE, Clock
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
+from dvrk_cmaes.calibration.faults import IMPROVEMENT
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
@@ -24,7 +25,6 @@ _LEAST_FRAMES = 6  # of a session; with fewer, a lag cannot be distinguished fro
 LEAST_AT_LAG = 4  # frames that must have readings at a lag
 _LEAST_SHARE = 0.5  # of the frames that must have readings at a lag
 _HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus of the search
-_IMPROVEMENT = 0.5  # largest ratio of mean misfits at which a lag of readings that cannot be interpolated is applied
 _TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
 _UNLIKELY = 1.5  # ratio to the least misfit, from which on a lag is unlikely
 _FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly tells a lag
@@ -153,7 +153,7 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
     low, high = RANGE[unit]
     lags, agreed, costs = searched(low, high, step)
     if clock.interpolable and not costs.min() <= _DISAGREE:
-        low, high = FAR_RANGE[unit]
+        low, high = -FARTHEST[unit], FARTHEST[unit]
         coarse, _, far = searched(low, high, _COARSE * step)
         if far.min() < costs.min() / _UNLIKELY:
             about, ends = float(coarse[far.argmin()]), (low, high)
@@ -163,7 +163,7 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
     if consensus is None:
         return SearchedLag(curve=curve, undetermined="too few frames have readings at any lag")
     synchronous = int(np.argmin(np.abs(lags)))
-    if not clock.interpolable and best != synchronous and costs[best] > _IMPROVEMENT * costs[synchronous]:
+    if not clock.interpolable and best != synchronous and costs[best] > IMPROVEMENT * costs[synchronous]:
         return SearchedLag(
             curve=curve,
             undetermined="the readings are too far apart in time to be interpolated, and no lag of whole rows is much "

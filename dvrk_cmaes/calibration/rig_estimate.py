@@ -14,6 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvrk_cmaes.calibration.constants import (
+    CLEAR,
+    SHARED_ERRORS,
+    TOLD,
     Constant,
     FramesAt,
     Linearised,
@@ -31,13 +34,9 @@ from dvrk_cmaes.pose.terms.coverage import of_camera, of_margin
 
 _STD = np.array([*[np.deg2rad(1.0)] * 3, 0.2, 0.1, 0.5])  # rad, logarithms, and px by which the margins of eyes differ
 _PINNED = 1e-3  # standard deviation of what stays as in the file, in those of the prior
-_SHARED_ERRORS = 1.2  # factor on standard deviations, as of the camera
 _SCALES = {"baseline": 3, "relative focal length": 4}  # numbers of unknowns
 _LEAST_SCALE_STD = {3: 0.008, 4: 0.003}
 _LEAST_SCALE = {3: 0.01, 4: 0.004}  # below which they stay as in the file
-_CLEAR = 3.0  # standard deviations
-_TOLD = 0.9  # of the prior's standard deviation, below which the session tells an unknown
-_PASSES = 4  # largest number of linearisations of the outlines
 _Scales = dict[tuple[str, int], ViewScale | None]  # by view and number among its unknowns; None if not told
 
 
@@ -109,7 +108,7 @@ def estimate_rig(frames: FramesAt, outlines: SessionOutlines, stated: Sequence[V
     """
     further = [one for one in outlines.constants if isinstance(one, ViewDifference)]
     names = [one.name for one in further]
-    there = linearise(frames, outlines, solve_unchanged, names, passes=_PASSES)
+    there = linearise(frames, outlines, solve_unchanged, names)
     scales = _scales(there.solution, names)
     undetermined = tuple(text for each in stated for text in _undetermined(each, scales))
     solution, free = _with_clear_scales(there, scales, names)
@@ -120,7 +119,7 @@ def estimate_rig(frames: FramesAt, outlines: SessionOutlines, stated: Sequence[V
     for name in names:
         own = solution.calibration.place(name)
         angles = slice(own.start, own.start + 3)
-        covariance = np.degrees(_SHARED_ERRORS) ** 2 * solution.covariance[angles, angles] + np.diag(LEAST_STD**2)
+        covariance = np.degrees(SHARED_ERRORS) ** 2 * solution.covariance[angles, angles] + np.diag(LEAST_STD**2)
         rotation = np.degrees(solution.calibration.constants[name][:3])
         free[angles] = applied = is_turned(rotation, covariance)
         turned[name] = rotation, np.sqrt(np.diag(covariance)), applied
@@ -165,7 +164,7 @@ def _solved(there: Linearised, calibration: Calibration, free: Bool) -> Solved:
 
 def _std(solution: Solved, name: str) -> Float64:
     """Return the standard deviations (6,) of a view's unknowns."""
-    return np.asarray(_SHARED_ERRORS * np.sqrt(np.diag(solution.covariance)[solution.calibration.place(name)]))
+    return np.asarray(SHARED_ERRORS * np.sqrt(np.diag(solution.covariance)[solution.calibration.place(name)]))
 
 
 def _scales(solution: Solved, names: Sequence[str]) -> _Scales:
@@ -175,8 +174,8 @@ def _scales(solution: Solved, names: Sequence[str]) -> _Scales:
         found, std = solution.calibration.constants[name], _std(solution, name)
         for unknown, least in _LEAST_SCALE_STD.items():
             value, own = float(found[unknown]), float(np.hypot(std[unknown], least))
-            clear = abs(value) > max(_CLEAR * own, _LEAST_SCALE[unknown])
-            told = own < _TOLD * _STD[unknown]
+            clear = abs(value) > max(CLEAR * own, _LEAST_SCALE[unknown])
+            told = own < TOLD * _STD[unknown]
             out[name, unknown] = ViewScale(float(np.exp(value)), own, clear) if told else None
     return out
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dvrk_cmaes.calibration.clock import FAR_RANGE, Clock
+from dvrk_cmaes.calibration.clock import FARTHEST, Clock
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.lag_search import LEAST_AT_LAG, MOVE, LagCurve, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
@@ -70,7 +70,7 @@ def refine_lag(
         Whether the errors of cables last, as in `Clock.model_to_compare`.
     """
     clock, own, lag = frames.clock, list(free), start
-    step, far = clock.step, FAR_RANGE[clock.series.unit][1]
+    step, far = clock.step, FARTHEST[clock.series.unit]
     if not clock.interpolable or not step:
         return None
     reach = np.array([step, _DRIFT_STEPS * step / max(clock.half_duration, step), step])[own]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dvrk_cmaes.calibration.constants import CLEAR
 from dvrk_cmaes.camera.rig import ViewChange
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
@@ -28,8 +29,7 @@ About y the eyes see an instrument at 5 mm / 150 mm = 2 deg apart, which errors 
 1 % of the focal length and half a pixel of the shaft's width are 1.5 % of the distance.
 """
 
-_CLEAR = 3.0  # standard deviations from zero, and ...
-_LEAST_ANGLE = 0.04  # ... deg, beyond which a view is turned
+_LEAST_ANGLE = 0.04  # deg, beyond which a view is turned, if it clearly is
 _NAMED = 2.5  # standard deviations of a component that is named
 _PASSES = 20  # of the weights
 _TAIL = 9.0  # squared distance, in units of the common one, at which a frame has half of its weight
@@ -165,7 +165,7 @@ def rotations_of_views(results: Iterable[Result]) -> Iterator[tuple[str, int, Fl
 def is_turned(rotation_deg: Float64, covariance_deg2: Float64) -> bool:
     """Return whether a rotation (3,) with its covariance (3, 3) is clear of zero."""
     sigmas = float(np.sqrt(rotation_deg @ np.linalg.solve(covariance_deg2, rotation_deg)))
-    return sigmas > _CLEAR and float(np.linalg.norm(rotation_deg)) > _LEAST_ANGLE
+    return sigmas > CLEAR and float(np.linalg.norm(rotation_deg)) > _LEAST_ANGLE
 
 
 def changes_of(rig: Sequence[ViewRotation]) -> Mapping[str, ViewChange]:

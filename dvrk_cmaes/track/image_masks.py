@@ -34,6 +34,8 @@ _COLOURS_WEIGHT = 0.6  # of the log-odds of a pixel's colour: neighbours are ali
 _LEAST_ODDS = 0.2  # log-odds by colour, from which on a pixel has the instrument's colours
 _NOWHERE = 0.8  # share of the silhouette without these, from which on it shows nothing of the instrument
 _NOISE = 1.0  # px, standard deviation of the Gaussian that smooths these log-odds
+SPREAD_OF_FIT: Final = 2.0
+"""Standard deviation, px, of the outline of a pose that is fitted to an image."""
 PASSES: Final = 2
 """Passes in which a mask is found, where the silhouette is that of a prediction."""
 _REDUCED = 320  # px, longer side at which an image is segmented without a silhouette

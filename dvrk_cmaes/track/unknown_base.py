@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.model import (
     BASE_AXES,
     OUTER_OFFSETS,
@@ -41,7 +42,6 @@ from dvrk_cmaes.track.following import Following, has_moved
 from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Seen
-from dvrk_cmaes.track.window import CORRELATED_FRAMES
 
 NOT_FOUND: Final = "not found: the first image could not be solved"
 STEP_OF_SEARCH: Final = 6000.0

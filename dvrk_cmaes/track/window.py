@@ -12,6 +12,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import LEAST_OVERLAP, FrameFit
+from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
@@ -30,9 +31,6 @@ from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit
 from dvrk_cmaes.track.deviations import FrameDeviations
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
-
-CORRELATED_FRAMES = 3.0
-"""Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 
 LIMITS = OF_FRAMES["followed"]
 """How far an image may be from what its calibration expects."""
