@@ -21,7 +21,6 @@ from dvrk_cmaes.calibration.frame_reports import reported
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
 from dvrk_cmaes.calibration.imaging import checked_camera
 from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
-from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
@@ -283,14 +282,8 @@ def _unusable(frames: Sequence[SessionFrame]) -> dict[str, str]:
 
     Raises `InputError` if there are too few others.
     """
-    left_out = {}
-    for frame in frames:
-        if frame.result.camera_from_root is None or frame.result.covariance is None:
-            left_out[frame.name] = "no pose: " + "; ".join(frame.result.reasons or ("the frame failed",))
-        elif np.isnan(outer_readings([frame.result.readings])).any():
-            left_out[frame.name] = "no readings of all outer joints (yaw, pitch, insertion, roll)"
-    usable = sum(frame.name not in left_out for frame in frames)
-    if usable < LEAST_FRAMES:
+    left_out = {frame.name: text for frame in frames if (text := frame.lacks)}
+    if (usable := len(frames) - len(left_out)) < LEAST_FRAMES:
         why = "; ".join(dict.fromkeys(left_out.values())) or "no more were given"
         raise InputError(f"session: expected at least {LEAST_FRAMES} usable frames, got {usable} ({why})")
     return left_out

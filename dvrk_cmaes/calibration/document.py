@@ -419,18 +419,14 @@ def describe_solution(
     # from frame to frame, for those who correct by the offsets only
     corrected = np.concatenate([deviations.outer[3:], deviations.joints])
     uncorrected = np.hypot(corrected, np.std(model.correction.values, axis=0))
+    outer = np.concatenate([deviations.outer[:3], uncorrected[:1]])
     return {
         "camera_from_base": solution.calibration.camera_from_base,
         "offsets": dict(zip(names, solution.calibration.offsets.tolist(), strict=True)),
         "axes": (*BASE_AXES, *names),
         "covariance": covariance,
         "covariance_given_camera": given_camera,
-        "spreads": {
-            **dict(zip(("yaw", "pitch", "insertion"), deviations.outer[:3].tolist(), strict=True)),
-            **dict(zip(("roll", *model.names), uncorrected.tolist(), strict=True)),
-            "slack_translation": float(deviations.slack[0]),
-            "slack_rotation": float(deviations.slack[3]),
-        },
+        "spreads": replace(deviations, outer=outer, joints=uncorrected[1:]).by_name(model.names),
         "untold": tuple(_undetermined(std, names, config)),
         "seed": config.seed,
     }

@@ -12,6 +12,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame
 from dvrk_cmaes.calibration.masks_again import FindMasks, read_data
+from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
 from dvrk_cmaes.camera.rig import ViewChange, changed_views
 from dvrk_cmaes.config import EstimateConfig
@@ -54,6 +55,15 @@ class SessionFrame:
     time: float | None = None
     find_masks: FindMasks | None = None
     brief: bool = False
+
+    @property
+    def lacks(self) -> str:
+        """What it lacks to be solved with others, in words: a pose, or readings of all outer joints; else empty."""
+        if self.result.camera_from_root is None or self.result.covariance is None:
+            return "no pose: " + "; ".join(self.result.reasons or ("the frame failed",))
+        if np.isnan(outer_readings([self.result.readings])).any():
+            return "no readings of all outer joints (yaw, pitch, insertion, roll)"
+        return ""
 
     def with_data(self, change: Callable[[FrameData], FrameData]) -> Self:
         """Return the frame with data that are changed once they are read.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -196,8 +196,7 @@ class Prediction:
         return found
 
 
-@dataclass(frozen=True)
-class FoundLag:
+class FoundLag(NamedTuple):
     """A lag and its standard deviation, s."""
 
     seconds: float
@@ -226,13 +225,9 @@ def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
     return FoundLag(value, std)
 
 
-def lag_and_std(calibration: SessionCalibration, unknown: float) -> tuple[float, float]:
-    """Return the lag that is taken out of the readings and its standard deviation, s, as in `lag_of`.
-
-    They are 0 and ``unknown`` where nothing tells one.
-    """
-    found = lag_of(calibration, unknown)
-    return (0.0, unknown) if found is None else (found.seconds, found.std)
+def lag_and_std(calibration: SessionCalibration, unknown: float) -> FoundLag:
+    """Return the lag as `lag_of`; 0 with the standard deviation ``unknown`` where nothing tells one."""
+    return lag_of(calibration, unknown) or FoundLag(0.0, unknown)
 
 
 def fit_session_pose(

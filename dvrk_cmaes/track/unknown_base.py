@@ -75,9 +75,6 @@ def wide_calibration(at: Posed, covariance: Float64, reading: ReadingAt, given: 
     gain = np.linalg.solve(jacobian @ before @ jacobian.T + covariance, jacobian @ before)
     after = before - before @ jacobian.T @ gain
     after = (after + after.T) / 2
-    outer = dict(zip(("yaw", "pitch", "insertion", "roll"), spread.outer.tolist(), strict=True))
-    joints = dict(zip(names, spread.joints.tolist(), strict=True))
-    slack = {"slack_translation": float(spread.slack[0]), "slack_rotation": float(spread.slack[3])}
     return SessionCalibration(
         instrument=instrument.name,
         camera_from_base=base,
@@ -85,7 +82,7 @@ def wide_calibration(at: Posed, covariance: Float64, reading: ReadingAt, given: 
         axes=(*BASE_AXES, *OUTER_OFFSETS, *names),
         covariance=after,
         covariance_given_camera=after,
-        spreads={**outer, **joints, **slack},
+        spreads=spread.by_name(names),
         arm=arm,
         roll_offset=instrument.roll_offset,
         iou=_USUAL_IOU,
