@@ -54,11 +54,9 @@ class Deviations:
         return cls(np.array(outer), joints, np.array(slack))
 
     def by_name(self, joint_names: Sequence[str]) -> dict[str, float]:
-        """Return them by the names of the joints; those of the slack are ``slack_translation`` and ``slack_rotation``."""
+        """Return them by the names of the joints, and those of the slack by ``slack_translation`` and ``_rotation``."""
         names = (*OUTER_JOINTS, *joint_names, "slack_translation", "slack_rotation")
-        return dict(
-            zip(names, [*self.outer.tolist(), *self.joints.tolist(), *self.slack[[0, 3]].tolist()], strict=True)
-        )
+        return dict(zip(names, np.concatenate([self.outer, self.joints, self.slack[[0, 3]]]).tolist(), strict=True))
 
 
 def offset_deviations(config: EstimateConfig, joint_names: Sequence[str]) -> Float64:
