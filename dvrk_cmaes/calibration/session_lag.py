@@ -28,7 +28,7 @@ _LAG, _DRIFT, _OF_JOINTS = range(3)  # of the values of a lag, as of `Clock`
 _WHOLE = np.eye(3)[_LAG]
 _DRIFT_STD = 1e-3  # expected beforehand: clocks differ by parts per thousand at most
 _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
-_LINEARISATIONS = 8  # each moves the lag by half a step of the search at most
+_LINEARISATIONS, _MOST_LINEARISATIONS = 4, 10  # those that do not move the lag by half a step of the search, and all
 _DRIFT_STEPS = 4.0  # range of the change of the lag in half of the session, in steps of the search
 _LEAST_STEP = 0.25  # of the refinement's differences, relative to the search's
 _SETTLED, _SETTLING = 0.01, 0.45  # steps of the search, by which a refined value still changes, and by which at most
@@ -75,7 +75,7 @@ def refine_lag(
         return None
     reach = np.array([step, _DRIFT_STEPS * step / max(clock.half_duration, step), step])[own]
     rows, found, moved = reach[:, None] * np.eye(3)[own], list[Solved](), np.ones(len(own))
-    known = np.array([far, _DRIFT_STD, far])[own] / _SHARED_ERRORS
+    left, known = _LINEARISATIONS, np.array([far, _DRIFT_STD, far])[own] / _SHARED_ERRORS
     prior = np.diag(np.concatenate([np.zeros(len(frames.prior)), known**-2.0]))
     prior[: len(frames.prior), : len(frames.prior)] = frames.prior
 
@@ -94,17 +94,18 @@ def refine_lag(
         return compared(lag), fits.along("lag", lag[own], np.stack(changes, axis=2) / (2 * _LEAST_STEP * reach))
 
     def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits] | None:
-        nonlocal lag, moved
+        nonlocal lag, moved, left
         found.append(solution)
         change = np.clip(solution.calibration.further - fits.further, -reach / 2, reach / 2)
         lag, moved = start.copy(), np.abs(change) / reach
         lag[own] = fits.further + change
-        return None if (moved < _SETTLED).all() else near(lag, solution.calibration)
+        left -= int((moved < 0.5).all())
+        return None if not left or (moved < _SETTLED).all() else near(lag, solution.calibration)
 
     first = near(start, frames.calibration)
     if first is None:
         return None
-    alternate(*first, replace(frames.calibration, constants=first[1].constants), prior, again, _LINEARISATIONS)
+    alternate(*first, replace(frames.calibration, constants=first[1].constants), prior, again, _MOST_LINEARISATIONS)
     if (moved > _SETTLING).any():
         return None
     inverse, std = np.asarray(np.linalg.inv(found[-1].information)), np.zeros(3)
