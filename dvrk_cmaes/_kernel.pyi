@@ -87,6 +87,19 @@ class Mesh:
         threads: int,
         decide: Callable[..., NDArray[numpy.bool_]] | None,
     ) -> list[Comparison]: ...
+    def contours(
+        self,
+        camera: Camera,
+        mask: NDArray[numpy.bool_],
+        weight: NDArray[numpy.float32],
+        camera_from_root: NDArray[numpy.float64],
+        root_from_link: NDArray[numpy.float64],
+        by_joint: NDArray[numpy.float64],
+        camera_from_link: NDArray[numpy.float64],
+        errors: ContourErrors,
+        threads: int,
+        decide: Callable[..., NDArray[numpy.bool_]] | None,
+    ) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64]]: ...
 
 def move_points(
     camera: Camera,
@@ -106,6 +119,27 @@ class Target:
     @property
     def image(self) -> NDArray[numpy.float32]: ...
 
+class ContourErrors:
+    def __init__(
+        self,
+        reach: int,
+        least: int,
+        normal_median: float,
+        least_sigma: float,
+        clip: float,
+        correlated: float,
+        length: float,
+        farthest: float,
+        grid: float,
+        inflation: float,
+    ) -> None: ...
+
+class Sharing:
+    def __init__(self, shaft: NDArray[numpy.float64] | None, nodes: float, least: int) -> None: ...
+
+class Shown:
+    def __init__(self, usual: float, factor: float, most: float) -> None: ...
+
 class Comparison:
     @property
     def losses(self) -> list[float]: ...
@@ -113,7 +147,6 @@ class Comparison:
     def outlined(self) -> bool: ...
     @property
     def unknowns(self) -> int: ...
-    def with_jacobian(self, stride: int, jacobian: NDArray[numpy.float64]) -> Comparison: ...
     def coverage(self, width: int) -> NDArray[numpy.float32]: ...
     @property
     def link(self) -> NDArray[numpy.int64]: ...
@@ -132,6 +165,30 @@ def normal_equations(
     density: Sequence[float],
     cauchy: float,
     change: NDArray[numpy.float64],
+) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]: ...
+def shared_errors(
+    link: NDArray[numpy.int64],
+    normals: NDArray[numpy.float64],
+    points: NDArray[numpy.float64],
+    axis: Sequence[float],
+    deviations: Sequence[float],
+    sharing: Sharing,
+    offsets: NDArray[numpy.float64] | None,
+    shown: Shown,
+) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]: ...
+def shared_equations(
+    compared: Sequence[Comparison],
+    factors: Sequence[float],
+    density: Sequence[float],
+    cauchy: float,
+    stride: int,
+    axes: Sequence[Sequence[float]],
+    deviations: Sequence[Sequence[float]],
+    sharing: Sharing,
+    more: Sequence[NDArray[numpy.float64]],
+    offsets: Sequence[NDArray[numpy.float64]],
+    shown: Shown,
+    views: int,
 ) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]: ...
 def signed_distances(
     mask: NDArray[numpy.bool_], pixels: NDArray[numpy.float64], farthest: float

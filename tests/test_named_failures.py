@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,20 +18,14 @@ def test_a_failed_test_is_named_before_the_summary(processes: str, tmp_path: Pat
         "from helpers.named_failures import NamedFailures\n\n\ndef pytest_configure(config):\n"
         "    if not hasattr(config, 'workerinput'):\n        config.pluginmanager.register(NamedFailures(config))\n"
     )
-    line = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-n",
-        processes,
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:anyio",
-        "-o",
-        f"pythonpath={TESTS}",
-    ]
-    ran = subprocess.run([*line, str(tmp_path)], cwd=tmp_path, capture_output=True, text=True, check=False)
+    line = [sys.executable, "-m", "pytest", "-q", "-p", "xdist.plugin", "-n", processes, "-p", "no:cacheprovider"]
+    ran = subprocess.run(
+        [*line, "-o", f"pythonpath={TESTS}", str(tmp_path)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"},  # others take longer to import than the tests to run
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert ran.returncode == 1
     assert "FAILED test_it.py::test_wrong\n" in ran.stdout.split("= FAILURES =")[0]

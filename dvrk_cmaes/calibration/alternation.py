@@ -25,7 +25,7 @@ from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations
-from dvrk_cmaes.calibration.session_camera import camera_undetermined
+from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, camera_undetermined
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionState
 from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_with_modes
@@ -59,12 +59,17 @@ def initialised(state: SessionState) -> SessionState:
     """
     check_motion(state.model)
     if state.imaging.change is not None and (reason := camera_undetermined(state.model)):
-        if state.problem.guessed_camera:
-            raise InputError(f"--camera: expected a camera file, which these frames do not replace: {reason}")
-        raise InputError(f"--refine-camera: {reason}")
+        raise _camera_refused(state, reason)
     state, consensus = _on_one_base(_less_lag(state))
     solution = solve_with_modes(state.model, state.modes, consensus.calibration, state.problem.prior)
     return replace(state, found=solution)
+
+
+def _camera_refused(state: SessionState, reason: str) -> InputError:
+    """Return the refusal to find the camera of a session that does not tell it."""
+    if state.problem.guessed_camera:
+        return InputError(f"--camera: expected a camera file, which these frames do not replace: {reason}")
+    return InputError(f"--refine-camera: {reason}")
 
 
 def _less_lag(state: SessionState) -> SessionState:
@@ -128,6 +133,8 @@ def solved(state: SessionState) -> SessionState:
         for change in changes:
             state, calibration, changed = change(state, calibration, at if moved is None else moved)
             moved = moved if changed is None else changed
+        if last and problem.refine_camera and state.imaging.of_change is None:
+            raise _camera_refused(state, IMPLAUSIBLE)
     return _finished(state)
 
 

@@ -40,9 +40,11 @@ _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between tw
 
 
 def with_camera(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
-    """Estimate the change of the camera, and use it."""
+    """Estimate the change of the camera, and use it where it is plausible; else the session has no covariance of it."""
     frames, config = FramesAt(state.model, calibration, state.problem.prior, at), state.problem.config.session
     estimate = estimate_camera(frames, config, _outlines(state), passes=_CAMERA_PASSES)
+    if not estimate.plausible:
+        return replace(state, imaging=replace(state.imaging, of_change=None)), calibration, None
     changed = replace(state, imaging=replace(state.imaging, change=estimate.change, of_change=estimate.covariance))
     return changed, estimate.calibration, estimate.at
 

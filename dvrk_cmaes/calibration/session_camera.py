@@ -52,6 +52,12 @@ _LEAST_INSERTION = 5e-3  # m, range of the readings
 _CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
 _LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
+IMPLAUSIBLE = (
+    "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
+    "insertion, tell it better"
+)
+"""Why a session does not tell its camera: the estimate lies too far away for outlines that were linearised here."""
+
 _NOT_ASKED = "camera: not tested, as the settings say"
 _NAMED = 2.5  # standard deviations from no change, above which one of the unknowns is named
 _CAUSES = (
@@ -374,7 +380,7 @@ def check_camera(
     try:
         estimate = estimate_camera(frames, config, outlines, passes=passes)
         if passes > 1 and not estimate.plausible:
-            reason = "camera: its estimate from these frames is not plausible"
+            reason = IMPLAUSIBLE
             estimate = estimate_camera(frames, config, outlines, passes=1)
     except InputError as error:
         return CameraCheck(None, f"camera: {error}", np.zeros_like(frames.prior))

@@ -15,8 +15,7 @@ from dvrk_cmaes.calibration.constants import CLEAR, Constant, Linearised, Outlin
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
-from dvrk_cmaes.pose.terms.shared_errors import LASTING, NEAREST
-from dvrk_cmaes.pose.terms.sized_view import ANY_NOISE
+from dvrk_cmaes.pose.terms.shared_errors import NEAREST
 
 SHAFT = "shaft"
 """Name of the constant."""
@@ -46,7 +45,7 @@ class ShaftRadius(Constant):
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of the points on both sides of the shaft by its radius."""
         view, points = outline.view, outline.points
-        sides = view.shared_errors(points, outline.at, ANY_NOISE).columns[:, :LASTING].sum(axis=1)
+        sides = view.sides_of_shaft(points, outline.at).sum(axis=1)
         seen = outline.at.seen_from(view.view_from_camera)
         depth = np.maximum(apply(seen.pose, points.points)[:, 2], NEAREST)
         length = np.linalg.norm(points.normals, axis=1)

@@ -111,13 +111,26 @@ struct Comparison {
   std::vector<Index> first;
 };
 
+// The Jacobians (N, D) of the displacements of points along their unit normals, px.
+inline std::vector<double> jacobian_of(const Camera& camera, const Placed& at, const std::vector<OutlinePoint>& points) {
+  const std::size_t unknowns = 6 + at.joints;
+  std::vector<double> rows(unknowns * points.size());
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Vector2& normal = points[i].normal;
+    const double length = std::sqrt(normal[0] * normal[0] + normal[1] * normal[1]);
+    move_point(camera, at, points[i].link, points[i].point, {normal[0] / length, normal[1] / length},
+               rows.data() + unknowns * i);
+  }
+  return rows;
+}
+
 inline void add_samples(const Blurred& image, const Target& target, const Camera& camera, const Placed& at,
                         Comparison& found) {
   const int width = image.width(), height = image.height();
   const std::size_t count = found.points.size(), samples = 2 * std::size_t(target.reach) + 1;
   found.samples = static_cast<int>(samples), found.unknowns = 6 + at.joints;
   found.difference.resize(count * samples), found.share.resize(count * samples);
-  found.jacobian.resize(count * found.unknowns);
+  found.jacobian = jacobian_of(camera, at, found.points);
   for (std::size_t i = 0; i < count; ++i) {
     const OutlinePoint& point = found.points[i];
     const Vector2& normal = point.normal;
@@ -130,28 +143,39 @@ inline void add_samples(const Blurred& image, const Target& target, const Camera
       const float weight = target.weighted ? place.of(target.weight.data(), width) : 1.0f;
       found.share[samples * i + k] = float(length) * weight;
     }
-    double* row = found.jacobian.data() + found.unknowns * i;
-    move_point(camera, at, point.link, point.point, {normal[0] / length, normal[1] / length}, row);
   }
+}
+
+// What a point of an outline adds to the information about its displacement, px, and to the slope of half the robust loss,
+// at a displacement.
+struct Pull {
+  double across, along;
+};
+
+inline Pull pull(const Comparison& at, std::size_t i, double moved, const std::vector<double>& density, double scale) {
+  const int K = at.samples;
+  const float *difference = at.difference.data() + K * i, *share = at.share.data() + K * i;
+  Pull found{0.0, 0.0};
+  for (int k = 0; k < K; ++k) {
+    const double r = difference[k] + moved * density[k];
+    const double w = share[k] / (1.0 + scale * r * r) * density[k];
+    found.across += w * density[k];
+    found.along += w * r;
+  }
+  return found;
 }
 
 // Adds to the information (D, D), of which the lower half is used, and the slope (D,) of half the robust loss after a
 // small change (D,) of the pose, times a factor.
 inline void add_normal_equations(const Comparison& at, const std::vector<double>& density, double cauchy, double factor,
                                  const double* change, double* information, double* slope) {
-  const int D = at.unknowns, K = at.samples;
+  const int D = at.unknowns;
   const double scale = 1.0 / (cauchy * cauchy);
   for (std::size_t i = 0; i < at.points.size(); ++i) {
-    const float *difference = at.difference.data() + K * i, *share = at.share.data() + K * i;
     const double* row = at.jacobian.data() + D * i;
-    double moved = 0.0, across = 0.0, along = 0.0;
+    double moved = 0.0;
     for (int d = 0; d < D; ++d) moved += row[d] * change[d];
-    for (int k = 0; k < K; ++k) {
-      const double r = difference[k] + moved * density[k];
-      const double w = share[k] / (1.0 + scale * r * r) * density[k];
-      across += w * density[k];
-      along += w * r;
-    }
+    auto [across, along] = pull(at, i, moved, density, scale);
     if (across == 0.0) continue;
     across *= factor, along *= factor;
     for (int a = 0; a < D; ++a) {

@@ -24,6 +24,7 @@
 #include "camera.hpp"
 #include "chain.hpp"
 #include "comparison.hpp"
+#include "contour.hpp"
 #include "dense.hpp"
 #include "lines.hpp"
 #include "mesh.hpp"
@@ -31,6 +32,7 @@
 #include "nearest.hpp"
 #include "outline.hpp"
 #include "rotation.hpp"
+#include "shared.hpp"
 #include "silhouette.hpp"
 #include "straight.hpp"
 
@@ -46,6 +48,7 @@ template <class T>
 using Made = nb::ndarray<nb::numpy, T>;
 
 constexpr long kAny = -1;
+constexpr std::int64_t kMostLinks = 1000;
 
 // Refuse an array whose shape is not the expected one; `kAny` stands for any length.
 template <class Array>
@@ -479,6 +482,43 @@ Compared compare(const Mesh& mesh, const Camera& camera, const Target& target, c
   return found;
 }
 
+void make_contour_errors(ContourErrors* self, int reach, int least, double normal_median, double least_sigma, double clip,
+                         double correlated, double length, double farthest, double grid, double inflation) {
+  check_positive("reach", reach), check_positive("least", least);
+  for (double value : {least_sigma, clip, length, farthest, inflation}) {
+    if (!(value > 0.0)) throw std::invalid_argument("errors: expected positive numbers");
+  }
+  if (!(correlated >= 0.0 && correlated < 1.0)) throw std::invalid_argument("correlated: expected 0 to 1");
+  new (self) ContourErrors{reach, least, normal_median, least_sigma, clip, correlated, length, farthest, grid, inflation};
+}
+
+using Quadratics = std::tuple<Made<double>, Made<double>>;
+
+std::tuple<Made<double>, Made<double>, Made<double>> contours(
+    const Mesh& mesh, const Camera& camera, const Given<bool>& mask, const Given<float>& weight,
+    const Given<double>& camera_from_root, const Given<double>& root_from_link, const Given<double>& by_joint,
+    const Given<double>& camera_from_link, const ContourErrors& errors, std::size_t threads, const Decision& decide) {
+  const Drawing drawing{mesh, camera, camera_from_link, 1, threads, decide, kBend};
+  drawing.check();
+  const long c = static_cast<long>(drawing.poses()), l = mesh.link_count();
+  check_shape("camera_from_root", camera_from_root, {c, 4, 4});
+  check_shape("root_from_link", root_from_link, {c, l, 4, 4}), check_shape("by_joint", by_joint, {c, kAny, l, 4, 4});
+  check_shape("mask", mask, {camera.height, camera.width}), check_shape("weight", weight, {camera.height, camera.width});
+  const std::size_t joints = by_joint.shape(1), D = 6 + joints;
+  const ContourMask seen{mask.data(), weight.data(), camera.width, camera.height};
+  Made<double> information = zeros<double>({std::size_t(c), D, D}), slope = zeros<double>({std::size_t(c), D});
+  Made<double> cost = zeros<double>({std::size_t(c)});
+  drawing.each([&](Workspace& at, std::size_t pose) {
+    std::vector<OutlinePoint> points;
+    drawing.find_points(at, pose, points);
+    const Placed placed{camera_from_root.data() + 16 * pose, root_from_link.data() + 16 * l * pose,
+                        by_joint.data() + 16 * l * joints * pose, int(l), int(joints)};
+    cost.data()[pose] = contour_equations(seen, points, jacobian_of(camera, placed, points), D, errors,
+                                          information.data() + D * D * pose, slope.data() + D * pose);
+  });
+  return {information, slope, cost};
+}
+
 // Numbers of each point of an outline, (N, length).
 template <class T, class Values>
 Made<T> of_points(const Comparison& at, std::size_t length, const Values& values) {
@@ -502,27 +542,6 @@ Made<float> coverage_of(const Comparison& at, int width) {
   return out;
 }
 
-// The same comparison with only every `stride`-th point, which stands for those beside it, and other Jacobians (N', D').
-std::shared_ptr<Comparison> with_jacobian(const Comparison& at, int stride, const Given<double>& jacobian) {
-  check_positive("stride", stride);
-  const std::size_t step = stride, count = (at.points.size() + step - 1) / step;
-  check_shape("jacobian", jacobian, {static_cast<long>(count), kAny});
-  auto other = std::make_shared<Comparison>();
-  other->losses = at.losses, other->outlined = at.outlined, other->samples = at.samples;
-  other->runs = at.runs, other->first = at.first;
-  other->unknowns = static_cast<int>(jacobian.shape(1));
-  other->jacobian.assign(jacobian.data(), jacobian.data() + jacobian.size());
-  for (std::size_t i = 0; i < at.points.size(); i += step) {
-    OutlinePoint point = at.points[i];
-    for (double& part : point.normal) part *= stride;
-    other->points.push_back(point);
-    for (std::size_t k = at.samples * i; k < at.samples * (i + 1); ++k) {
-      other->difference.push_back(at.difference[k]), other->share.push_back(float(stride) * at.share[k]);
-    }
-  }
-  return other;
-}
-
 // Refuse what are not comparisons, with outlines, of `count` poses in as many views as there are factors.
 void check_compared(const Compared& compared, const std::vector<double>& factors, const std::vector<double>& density,
                     std::size_t count, std::size_t unknowns) {
@@ -537,9 +556,8 @@ void check_compared(const Compared& compared, const std::vector<double>& factors
   }
 }
 
-std::tuple<Made<double>, Made<double>> normal_equations(const Compared& compared, const std::vector<double>& factors,
-                                                        const std::vector<double>& density, double cauchy,
-                                                        const Given<double>& change) {
+Quadratics normal_equations(const Compared& compared, const std::vector<double>& factors,
+                            const std::vector<double>& density, double cauchy, const Given<double>& change) {
   check_shape("change", change, {kAny, kAny});
   const std::size_t count = change.shape(0), D = change.shape(1), views = factors.size();
   check_compared(compared, factors, density, count, D);
@@ -555,6 +573,81 @@ std::tuple<Made<double>, Made<double>> normal_equations(const Compared& compared
       for (std::size_t b = 0; b < a; ++b) square[D * b + a] = square[D * a + b];
     }
   }
+  return {information, slope};
+}
+
+void check_solved(const Made<double>& found) {
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    if (!std::isfinite(found.data()[i])) throw std::invalid_argument("equations: expected finite ones with a solution");
+  }
+}
+
+Sharing make_sharing(const std::optional<Given<double>>& shaft, double nodes, int least) {
+  Sharing sharing{std::nullopt, nodes, least};
+  if (!(nodes > 0.0)) throw std::invalid_argument("nodes: expected a positive number");
+  if (shaft) {
+    check_shape("shaft", *shaft, {2, 3}), check_finite("shaft", shaft->data(), 6);
+    const double* at = shaft->data();
+    sharing.shaft = {{{at[0], at[1], at[2]}, {at[3], at[4], at[5]}}};
+  }
+  return sharing;
+}
+
+std::tuple<Made<double>, Made<double>> shared_errors(const Given<std::int64_t>& link, const Given<double>& normals,
+                                                     const Given<double>& points, const Vector2& axis,
+                                                     const std::array<double, 4>& deviations, const Sharing& sharing,
+                                                     const std::optional<Given<double>>& offsets, const Shown& shown) {
+  check_shape("link", link, {kAny});
+  const long n = static_cast<long>(link.size());
+  check_shape("normals", normals, {n, 2}), check_shape("points", points, {n, 3});
+  check_finite("points", points.data(), points.size());
+  if (offsets) check_shape("offsets", *offsets, {n});
+  std::vector<OutlinePoint> outline;
+  for (long i = 0; i < n; ++i) {
+    const double *normal = normals.data() + 2 * i, *at = points.data() + 3 * i;
+    if (link.data()[i] < 0 || link.data()[i] >= kMostLinks) throw std::invalid_argument("link: expected numbers of links");
+    outline.push_back({Index(link.data()[i]), {}, {normal[0], normal[1]}, {at[0], at[1], at[2]}});
+  }
+  SharedErrors errors(outline, 1, axis, sharing, {deviations[0], deviations[1], deviations[2], deviations[3]});
+  if (offsets) errors.enlarge(offsets->data(), shown);
+  const std::size_t M = errors.deviations.size();
+  Made<double> columns = zeros<double>({std::size_t(n), M});
+  for (long i = 0; i < n; ++i) errors.each(i, [&](int error, double of) { columns.data()[M * i + error] = of; });
+  return {columns, copied(errors.deviations)};
+}
+
+Quadratics shared_equations(const Compared& compared, const std::vector<double>& factors,
+                            const std::vector<double>& density, double cauchy, int stride,
+                            const std::vector<Vector2>& axes, const std::vector<std::array<double, 4>>& deviations,
+                            const Sharing& sharing, const std::vector<Given<double>>& more,
+                            const std::vector<Given<double>>& offsets, const Shown& shown, int views) {
+  check_positive("stride", stride), check_positive("views", views);
+  const std::size_t count = compared.size() / views, all = compared.size();
+  const int D = compared.empty() || !compared[0] ? 0 : compared[0]->unknowns;
+  const int E = more.empty() ? 0 : int(more[0].ndim() == 2 ? more[0].shape(1) : 0);
+  check_compared(compared, factors, density, 1, D);
+  if (all != count * views || axes.size() != all || deviations.size() != all || (!more.empty() && more.size() != all) ||
+      (!offsets.empty() && offsets.size() != all)) {
+    throw std::invalid_argument("compared: expected as many as axes, deviations, offsets and others, of all views");
+  }
+  for (std::size_t i = 0; i < all; ++i) {
+    const long points = (static_cast<long>(compared[i]->points.size()) + stride - 1) / stride;
+    if (!more.empty()) check_shape("more", more[i], {points, E});
+    if (!offsets.empty()) check_shape("offsets", offsets[i], {points});
+    for (const OutlinePoint& at : compared[i]->points) check_finite("points", at.point.data(), 3);
+  }
+  const std::size_t A = Unknowns{D, E, views, 0}.kept();
+  Made<double> information = zeros<double>({count, A, A}), slope = zeros<double>({count, A});
+  const nb::gil_scoped_release released;
+  for (std::size_t i = 0; i < all; ++i) {
+    const auto [side, margin, node, link] = deviations[i];
+    SharedErrors errors(compared[i]->points, stride, axes[i], sharing, {side, margin, node, link});
+    if (!offsets.empty()) errors.enlarge(offsets[i].data(), shown);
+    const std::size_t pose = i / views;
+    add_shared_equations(*compared[i], stride, density, cauchy, factors[i], errors, more.empty() ? nullptr : more[i].data(),
+                         {D, E, views, int(i % views)}, information.data() + A * A * pose, slope.data() + A * pose);
+  }
+  check_solved(information);
   return {information, slope};
 }
 
@@ -679,12 +772,6 @@ Made<double> signed_distances(const Given<bool>& mask, const Given<double>& pixe
     out.data()[i] = signed_distance(nearest, pixels.data()[2 * i], pixels.data()[2 * i + 1], farthest);
   }
   return out;
-}
-
-void check_solved(const Made<double>& found) {
-  for (std::size_t i = 0; i < found.size(); ++i) {
-    if (!std::isfinite(found.data()[i])) throw std::invalid_argument("equations: expected finite ones with a solution");
-  }
 }
 
 // An array (..., numbers), of which the rows are matrices or vectors of a known shape.
@@ -840,7 +927,11 @@ NB_MODULE(_kernel, module) {
            "normals (N, 2), points (N, 3) in the links' frames.")
       .def("compare", &compare, "camera"_a, "target"_a, "camera_from_root"_a, "root_from_link"_a, "by_joint"_a.none(),
            "camera_from_link"_a, "lines_per_pixel"_a, "cauchy"_a, "threads"_a, "decide"_a.none(),
-           "Compare C silhouettes with a target: losses by widths, and outlines if derivatives by joints are given.");
+           "Compare C silhouettes with a target: losses by widths, and outlines if derivatives by joints are given.")
+      .def("contours", &contours, "camera"_a, "mask"_a, "weight"_a, "camera_from_root"_a, "root_from_link"_a, "by_joint"_a,
+           "camera_from_link"_a, "errors"_a, "threads"_a, "decide"_a.none(),
+           "Compare the outlines of C poses with the contour of a mask: information (C, D, D) and slope (C, D) of half the "
+           "sums of squares (C,). All are zero where too few points have a contour within reach.");
 
   module.def("move_points", &move_points, "camera"_a, "begin"_a, "link"_a, "points"_a, "directions"_a,
              "camera_from_root"_a, "root_from_link"_a, "by_joint"_a,
@@ -860,12 +951,29 @@ NB_MODULE(_kernel, module) {
         return out;
       }, nb::rv_policy::move, "The blurred mask (H, W).");
 
+  nb::class_<ContourErrors>(module, "ContourErrors", "How the errors of a mask's contour are weighed.")
+      .def("__init__", &make_contour_errors, "reach"_a, "least"_a, "normal_median"_a, "least_sigma"_a, "clip"_a,
+           "correlated"_a, "length"_a, "farthest"_a, "grid"_a, "inflation"_a,
+           "Take px up to which the contour is searched, points that are needed, the factor from a median to a standard "
+           "deviation, its least, px, where it is cut, the correlated share of the variance, its length, px, how far "
+           "errors are correlated, px, the variance of pixels, px^2, and a factor on variances.");
+  nb::class_<Sharing>(module, "Sharing", "How errors are shared by the points of a contour.")
+      .def("__init__",
+           [](Sharing* self, const std::optional<Given<double>>& shaft, double nodes, int least) {
+             new (self) Sharing(make_sharing(shaft, nodes, least));
+           },
+           "shaft"_a.none(), "nodes"_a, "least"_a,
+           "Take a point, m, and the direction of the shaft's axis (2, 3), m between nodes along it, and the number of "
+           "points that an error displaces at least.");
+  nb::class_<Shown>(module, "Shown", "How much larger errors are that a mask shows.")
+      .def("__init__",
+           [](Shown* self, double usual, double factor, double most) { new (self) Shown{usual, factor, most}; }, "usual"_a,
+           "factor"_a, "most"_a, "Take px beyond which they are, standard deviations a pixel, and the most px.");
+
   nb::class_<Comparison>(module, "Comparison", "A silhouette compared with a mask.")
       .def_ro("losses", &Comparison::losses, "The Cauchy loss of each width that was asked for.")
       .def_ro("outlined", &Comparison::outlined, "Whether the N points of the outline were asked for.")
       .def_ro("unknowns", &Comparison::unknowns, "Number D of the unknowns by which the points move.")
-      .def("with_jacobian", &with_jacobian, "stride"_a, "jacobian"_a,
-           "Return the same of every stride-th point, with other Jacobians (N', D').")
       .def("coverage", &coverage_of, "width"_a, "Return the covered fraction of each pixel before the blur, (H, W).")
       .def_prop_ro("link", [](const Comparison& at) {
         return of_points<std::int64_t>(at, 0, [&](std::size_t i) { return &at.points[i].link; });
@@ -886,6 +994,15 @@ NB_MODULE(_kernel, module) {
   module.def("normal_equations", &normal_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "change"_a,
              "Compute information (C, D, D) and slope (C, D) of half the robust loss of C poses in V views, each with its "
              "factor, after small changes (C, D).");
+  module.def("shared_errors", &shared_errors, "link"_a, "normals"_a, "points"_a, "axis"_a, "deviations"_a, "sharing"_a,
+             "offsets"_a.none(), "shown"_a,
+             "Find the shared errors of an outline: shares (N, M) and standard deviations (M,), px, from those of sides of the "
+             "shaft, the margin, nodes and other links; larger where offsets (N,), px, are given that show it.");
+  module.def("shared_equations", &shared_equations, "compared"_a, "factors"_a, "density"_a, "cauchy"_a, "stride"_a, "axes"_a,
+             "deviations"_a, "sharing"_a, "more"_a, "offsets"_a, "shown"_a, "views"_a,
+             "Compute information (C, A, A) and slope (C, A) of half the robust loss of C poses in V views, by every stride-th "
+             "point, with the shared errors eliminated but for the two of each view that last: A = D + E + 2 V with "
+             "displacements (N, E) by more unknowns.");
   module.def("signed_distances", &signed_distances, "mask"_a, "pixels"_a, "farthest"_a,
              "Compute the signed distances (N,), px, of pixels (N, 2) to the outline of a mask (H, W), negative inside, at "
              "most so many.");

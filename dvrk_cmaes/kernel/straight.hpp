@@ -58,6 +58,13 @@ inline Support support_of(const ContourPoints& contour, const Line& line, double
   return found;
 }
 
+// The unit vector along the largest extent of points with second moments uu, uv, vv. Its angle is half that of (uu - vv, 2 uv).
+inline std::array<double, 2> principal_axis(double uu, double uv, double vv) {
+  const double length = std::sqrt((uu - vv) * (uu - vv) + 4.0 * uv * uv);
+  const double twice = length > 0.0 ? (uu - vv) / length : 1.0;
+  return {std::sqrt(std::max((1.0 + twice) / 2.0, 0.0)), std::copysign(std::sqrt(std::max((1.0 - twice) / 2.0, 0.0)), uv)};
+}
+
 // How lines are fitted: points count up to `near` standard deviations of `sigma` px, whose normals have at least the
 // cosine `facing` with the line's, on the longest stretch without a larger gap than `gap` px. Each of the `iterations`
 // needs `least` points; then sigma is that of the points, between `least_sigma` and `sigma`, and points count up to
@@ -116,11 +123,7 @@ inline FittedLine fit_line(const ContourPoints& contour, Line line, const LineFi
       const double du = contour.points[2 * points[k]] - u, dv = contour.points[2 * points[k] + 1] - v;
       uu += weights[k] * du * du, uv += weights[k] * du * dv, vv += weights[k] * dv * dv;
     }
-    // the principal axis has half the angle of (uu - vv, 2 uv), and its normal (-sine, cosine) of it
-    const double length = std::sqrt((uu - vv) * (uu - vv) + 4.0 * uv * uv);
-    const double twice = length > 0.0 ? (uu - vv) / length : 1.0;
-    const double cosine = std::sqrt(std::max((1.0 + twice) / 2.0, 0.0));
-    const double sine = std::copysign(std::sqrt(std::max((1.0 - twice) / 2.0, 0.0)), uv);
+    const auto [cosine, sine] = principal_axis(uu, uv, vv);
     const double side = cosine * line[1] - sine * line[0] < 0.0 ? -1.0 : 1.0;
     line = {-side * sine, side * cosine, side * (sine * u - cosine * v)};
     off.clear();

@@ -159,8 +159,7 @@ def judge(
             reasons.append(text)
     evidence = next((view.evidence for view in views if view.evidence.shaft_edges), views[0].evidence)
     instrument = views[0].renderer.body.instrument
-    squares = float(np.nansum(((modes[0].at.joints - readings.values) / readings.sigma) ** 2))
-    probability = tip_probability(expected.of_tips_mm, trust.tip_mm, of_mode=of_mode, reading_squares=squares)
+    probability = tip_probability(expected.of_tips_mm, trust.tip_mm, of_mode=of_mode)
     is_near = not doubts_of_tips(expected, trust)
     if probability < trust.least_probability and (is_near or of_mode < _CERTAIN_MODE):
         reasons.append(_in_doubt(modes, probability, of_mode, instrument, trust))
@@ -265,8 +264,7 @@ def _in_doubt(
 ) -> str:
     """Say how probable the tips of the first mode are right, or the mode, and which other one is the most probable."""
     if of_mode >= _CERTAIN_MODE:
-        within = f"within {trust.tip_mm:g} mm with a probability of {probability:.2f}"
-        return f"tips in doubt: they are {within}, as the joints are far from their readings"
+        return f"tips in doubt: they are within {trust.tip_mm:g} mm with a probability of {probability:.2f}"
     text = f"mode in doubt: the pose is in the right mode with a probability of {of_mode:.2f}"
     if len(modes) < 2 or mode_weights(modes)[1:].max() < 1 - of_mode - _MINOR:
         return f"{text}; the mask says too little"

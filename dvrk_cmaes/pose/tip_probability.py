@@ -1,24 +1,20 @@
 """Probability that the tips are within a distance of the truth.
 
 It is that of the right mode times that of tips this near in the right mode, each a logistic function: of the stated
-probability of the mode, and of the tips' expected error and the distance of the joints from their readings. The
-functions are fitted by `scripts/accuracy.py tip-probability`; what they do not know, such as another instrument or
-camera, is named on the page on accuracy.
+probability of the mode, and of the tips' expected error. The functions are fitted by `scripts/accuracy.py
+tip-probability`; what they do not know, such as another instrument or camera, is named on the page on accuracy.
 """
 
 from __future__ import annotations
 
 import math
 
-_MODE = -0.88, 1.72  # constant, and factor of -log(1 - probability of the mode)
-_TIPS = 1.41, 2.92, -0.23  # constant, factors of log(distance / expected error) and of the readings' squares
+_MODE = 0.0, 0.81  # constant, and factor of -log(1 - probability of the mode)
+_TIPS = 1.33, 2.64  # constant, and factor of log(distance / expected error)
 _LEAST_DOUBT = 1e-4  # probability of a wrong mode; no smaller one was ever checked
-_MOST_SQUARES = 20.0  # of the readings' deviations; farther off is a reason by itself
 
 
-def tip_probability(
-    expected_mm: float, within_mm: float, *, of_mode: float = 1.0, reading_squares: float = 0.0
-) -> float:
+def tip_probability(expected_mm: float, within_mm: float, *, of_mode: float = 1.0) -> float:
     """Return the probability that the tips are within ``within_mm`` of their true positions.
 
     Parameters
@@ -29,12 +25,10 @@ def tip_probability(
         The distance, mm.
     of_mode
         Stated probability of the mode; 1 where a session's prediction tells it.
-    reading_squares
-        Sum of the squares of the joints' deviations from their readings, in standard deviations of the readings.
     """
     mode = 1.0 if of_mode == 1 else _logistic(_MODE[0] - _MODE[1] * math.log(max(1 - of_mode, _LEAST_DOUBT)))
     nearness = math.log(within_mm / max(expected_mm, 1e-6))
-    return mode * _logistic(_TIPS[0] + _TIPS[1] * nearness + _TIPS[2] * min(reading_squares, _MOST_SQUARES))
+    return mode * _logistic(_TIPS[0] + _TIPS[1] * nearness)
 
 
 def _logistic(x: float) -> float:

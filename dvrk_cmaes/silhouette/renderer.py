@@ -309,6 +309,44 @@ class Renderer:
         self._count(poses=len(links))
         return found
 
+    def contours(
+        self, at: Posed, mask: Bool, weight: Float32, errors: _kernel.ContourErrors
+    ) -> tuple[Float64, Float64, Float64]:
+        """Compare the outlines of C poses with the contour of a mask (H, W), and weigh its correlated errors.
+
+        Returns information (C, 6 + J, 6 + J) and slope (C, 6 + J) of half the sums of squares by small changes of the
+        poses, and the sums (C,).
+
+        Parameters
+        ----------
+        at
+            The poses in the camera.
+        mask
+            The mask, of the size of the camera's images.
+        weight
+            (H, W), 0 for ignored pixels.
+        errors
+            How the errors are weighed.
+        """
+        _check_poses(self.body.instrument.joint_names, at.pose, at.joints)
+        root_from_link, by_joint = self.body.instrument.forward_with_derivatives(at.joints)
+        links, poses = at.pose[:, None] @ root_from_link, np.ascontiguousarray(at.pose)
+        found = self.body.mesh.contours(
+            kernel_camera(self.camera),
+            mask,
+            weight,
+            poses,
+            root_from_link,
+            by_joint,
+            links,
+            errors,
+            self.threads,
+            self._rays(links, 1),
+        )
+        worked(len(links) * self.camera.height)
+        self._count(poses=len(links))
+        return found
+
     def masks(self, camera_from_root: Float64, joints: Joints) -> Bool:
         """Render masks of C poses: whether each pixel's centre is covered, (C, H, W).
 

@@ -106,6 +106,14 @@ def test_covariance_of_a_pose_has_the_error_of_the_refined_camera(
     assert not covariance_of_camera(replace(camera, applied=False), at, right).any()
 
 
+def test_camera_whose_estimate_is_not_plausible_is_refused(
+    bundled_body: Body, frames: list[SessionFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dvrk_cmaes.calibration.session_camera.PLAUSIBLE", 0.2)  # 0.06 in the logarithm of the factor
+    with pytest.raises(InputError, match=r"--refine-camera: camera: its estimate .* is not plausible; .* insertion"):
+        calibrate_session(frames, bundled_body, config=SETTINGS, refine_camera=True)
+
+
 def off(camera: Camera, at: Posed, points: np.ndarray, seen: np.ndarray) -> float:
     """Return how far points of the root's frame are seen from where they should be, px."""
     return float(np.linalg.norm(camera.project(apply(at.pose, points)) - seen, axis=1).mean())

@@ -110,7 +110,7 @@ def test_poses_are_as_good_as_with_the_right_file(by_right: SolvedSession, turne
 def test_exchanged_eyes_are_named(bundled_body: Body, frames_of: dict[str, list[SessionFrame]]) -> None:
     """None is ok; which of the wrong poses is found, and so whether the other side fits it, is chance."""
     named = 0
-    for frame, seed in product(frames_of["right"], (0, 2)):
+    for frame, seed in product(frames_of["right"][:3], (0, 2)):
         assert isinstance(frame.data, FrameData)
         left, right = (view.mask for view in frame.data.views)
         masks, config = {"left": right, "right": left}, EstimateConfig(seed=seed)
@@ -118,7 +118,7 @@ def test_exchanged_eyes_are_named(bundled_body: Body, frames_of: dict[str, list[
         assert found.status == "doubtful"
         named += found.reasons[0].startswith("views disagree: right fits left only from its other side: the ")
         assert not any("other side" in text for text in frame.result.reasons)
-    assert named >= len(frames_of["right"])
+    assert named >= 3
 
 
 def test_one_frame_far_off_counts_little() -> None:

@@ -35,7 +35,7 @@ from dvrk_cmaes.synth.recording import RecordedArm, record_arm
 from dvrk_cmaes.synth.session import SessionPlan
 from dvrk_cmaes.synth.truth import exact_mask
 
-FRAMES = 20
+FRAMES = 12
 QUICK = EstimateConfig(session=SessionConfig(test_camera=False))
 
 

@@ -32,8 +32,8 @@ _FLAGS = (
 
 
 @contextmanager
-def chromium(profile: Path, *, scripts: bool = True) -> Iterator[WebDriver]:
-    """Run headless Chromium with a new profile, with or without JavaScript."""
+def chromium(profile: Path) -> Iterator[WebDriver]:
+    """Run headless Chromium with a new profile."""
     browser, server = shutil.which("chromium"), shutil.which("chromedriver")
     assert browser is not None
     assert server is not None
@@ -41,8 +41,6 @@ def chromium(profile: Path, *, scripts: bool = True) -> Iterator[WebDriver]:
     options.binary_location = browser
     for flag in (*_FLAGS, f"--user-data-dir={profile}"):
         options.add_argument(flag)
-    if not scripts:
-        options.add_experimental_option("prefs", {"profile.managed_default_content_settings.javascript": 2})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = webdriver.Chrome(options=options, service=Service(executable_path=server))
     try:
@@ -66,6 +64,17 @@ def requests(driver: WebDriver) -> list[str]:
 def command(driver: WebDriver, name: str, **parameters: Any) -> Any:
     """Send a command of the Chrome DevTools Protocol."""
     return driver.execute_cdp_cmd(name, parameters)  # type: ignore[attr-defined]
+
+
+@contextmanager
+def without_scripts(driver: WebDriver, address: str) -> Iterator[WebDriver]:
+    """Load a page without JavaScript."""
+    command(driver, "Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        driver.get(address)
+        yield driver
+    finally:
+        command(driver, "Emulation.setScriptExecutionDisabled", value=False)
 
 
 def emulate(driver: WebDriver, *, width: int, height: int = 900, media: str = "", scheme: str = "light") -> None:

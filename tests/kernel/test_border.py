@@ -66,6 +66,36 @@ def equations(**changed: Any) -> Any:
     return _kernel.normal_equations(**(given | {"change": np.zeros((1, 9))} | changed))
 
 
+def of_shared(**changed: Any) -> Any:
+    given = {"compared": [comparison()], "factors": [1.0], "density": [1.0] * 9, "cauchy": 1.0, "stride": 1}
+    given |= {"axes": [[1.0, 0.0]], "deviations": [[1.0] * 4], "sharing": _kernel.Sharing(None, 0.01, 4)}
+    given |= {"more": [], "offsets": [], "shown": _kernel.Shown(0.5, 2.0, 8.0), "views": 1}
+    return _kernel.shared_equations(**(given | changed))
+
+
+def shared_errors(**changed: Any) -> Any:
+    shaft = _kernel.Sharing(np.array([[0.0, 0, 0], [0, 0, 1]]), 0.01, 4)
+    given = {"link": np.zeros(2, dtype=np.int64), "normals": PIXELS, "points": np.zeros((2, 3)), "axis": [1.0, 0.0]}
+    given |= {"deviations": [1.0] * 4, "sharing": shaft, "offsets": None, "shown": _kernel.Shown(0.5, 2.0, 8.0)}
+    return _kernel.shared_errors(**(given | changed))
+
+
+def contour_errors(**changed: Any) -> _kernel.ContourErrors:
+    given = {"reach": 8, "least": 1, "normal_median": 1.5, "least_sigma": 0.5, "clip": 2.5, "correlated": 0.9}
+    return _kernel.ContourErrors(**(given | {"length": 9.0, "farthest": 9.0, "grid": 0.1, "inflation": 1.0} | changed))
+
+
+def contour(**changed: Any) -> Any:
+    given = {
+        "mask": IMAGE > 0,
+        "weight": IMAGE + 1,
+        "camera_from_root": LINKS[:, 0],
+        "root_from_link": np.eye(4)[None, None],
+    }
+    given |= {"by_joint": np.zeros((1, 3, 1, 4, 4)), "camera_from_link": LINKS, "errors": contour_errors()}
+    return plate().contours(CAMERA, **(given | {"threads": 1, "decide": None} | changed))
+
+
 def minimum(**changed: Any) -> np.ndarray:
     given = {"compared": [comparison()], "factors": [1.0], "density": [1.0] * 9, "cauchy": 1.0, "weight": np.ones(1)}
     given |= {"information": np.eye(9)[None], "slope": np.zeros((1, 9)), "damping": None, "iterations": 2}
@@ -280,11 +310,39 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: straight(points=np.full((40, 2), np.nan)),
         "contour and lines: expected finite numbers",
     ),
-    "a Jacobian of other points": (
-        lambda: comparison().with_jacobian(1, np.zeros((1, 9))),
-        "jacobian: expected an array",
+    "no stride": (lambda: of_shared(stride=0), "stride: expected a positive number"),
+    "no view": (lambda: of_shared(views=0), "views: expected a positive number"),
+    "axes of another number": (lambda: of_shared(axes=[]), "compared: expected as many as axes"),
+    "comparisons of half a pose": (lambda: of_shared(views=2), "compared: expected as many as axes"),
+    "displacements of other points": (lambda: of_shared(more=[np.zeros((1, 2))]), "more: expected an array"),
+    "offsets of other points": (lambda: of_shared(offsets=[np.zeros(1)]), "offsets: expected an array"),
+    "errors of which nothing is known": (
+        lambda: of_shared(deviations=[[np.inf] * 4]),
+        "equations: expected finite ones with a solution",
     ),
-    "no stride": (lambda: comparison().with_jacobian(0, np.zeros((1, 9))), "stride: expected a positive number"),
+    "nodes of no distance": (lambda: _kernel.Sharing(None, 0.0, 4), "nodes: expected a positive number"),
+    "an axis of the shaft without direction": (
+        lambda: _kernel.Sharing(np.zeros((1, 3)), 0.01, 4),
+        r"shaft: expected an array \(2, 3\), got \(1, 3\)",
+    ),
+    "shared errors of links below 0": (
+        lambda: shared_errors(link=np.array([0, -1])),
+        "link: expected numbers of links",
+    ),
+    "shared errors of other normals": (lambda: shared_errors(normals=np.ones((1, 2))), "normals: expected an array"),
+    "shared errors of endless points": (
+        lambda: shared_errors(points=np.full((2, 3), np.inf)),
+        "points: expected finite numbers",
+    ),
+    "shared errors of a shaft without end": (
+        lambda: shared_errors(points=np.array([[0.0, 0, 0], [0, 0, 1e9]])),
+        "points: expected a shorter shaft",
+    ),
+    "a contour of another size": (lambda: contour(mask=np.zeros((2, 2), dtype=bool)), "mask: expected an array"),
+    "weights of another size": (lambda: contour(weight=IMAGE[:1]), "weight: expected an array"),
+    "a contour without reach": (lambda: contour_errors(reach=0), "reach: expected a positive number"),
+    "errors of no length": (lambda: contour_errors(length=0.0), "errors: expected positive numbers"),
+    "errors that are correlated fully": (lambda: contour_errors(correlated=1.0), "correlated: expected 0 to 1"),
     "coverage of no width": (lambda: comparison().coverage(0), "width: expected that of the images"),
     "coverage of another width": (lambda: comparison().coverage(3), "width: expected that of the images"),
 }

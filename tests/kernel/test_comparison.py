@@ -96,13 +96,3 @@ def test_views_count_by_their_factors(bundled_body: Body) -> None:
     both = _kernel.normal_equations([one, other], [2.0, 3.0], density, 0.5, change)
     for sum_of_both, of_one, of_other in zip(both, _equations(one, change), _equations(other, change), strict=True):
         np.testing.assert_allclose(sum_of_both, 2 * of_one + 3 * of_other, rtol=1e-12)
-
-
-def test_a_part_of_the_points_stands_for_all(bundled_body: Body) -> None:
-    drawing = renderer(bundled_body, 2)
-    target = _kernel.Target(*mask_and_weight(drawing, ignored=False), blur_filter(BLUR), REACH)
-    (one,) = drawing.compare(TRUE[None], target, [0.5])
-    part = one.with_jacobian(3, one.jacobian[::3])
-    np.testing.assert_array_equal(part.normals, 3 * one.normals[::3])
-    change = np.zeros((1, one.unknowns))
-    np.testing.assert_allclose(_equations(part, change)[0], _equations(one, change)[0], rtol=0.2, atol=1e3)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 from helpers.frame_terms import Terms, readings_of, view_of
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, signed_distance
+from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise, solve_correlated
+from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise
+from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250)
@@ -109,13 +112,41 @@ def test_hidden_joints_without_readings_stay_as_they_are(bundled_body: Body) -> 
     assert np.isfinite(there.pose).all()
 
 
-def test_banded_solution_is_that_of_the_whole_covariance() -> None:
-    rng = np.random.default_rng(0)
-    along = rng.permutation(np.linspace(0, 1, 300))
-    pixels = np.column_stack([100 + 300 * along, 200 + 20 * np.sin(20 * along) + 50 * (along > 0.5)])
-    uncorrelated, right = 0.8 + 0.1 * rng.uniform(size=300), rng.standard_normal((300, 4))
+def test_steps_are_those_of_the_whole_covariance(bundled_body: Body) -> None:
+    """Correlations that are left out, between points farther apart than 40 px, hardly change a step."""
+    view = terms(bundled_body, noisy_mask(bundled_body, 3)).views[0]
+    at = TRUE.moved(np.array([2e-4, -1e-4, 3e-4, 0.01, 0.0, 0.02, 0.02, -0.03, 0.05]))
+    (drawn,) = CorrelatedContour([view]).draw(at[None])
+    information, slope, cost = _whole(view, at)
+    deviations = np.sqrt(np.diag(np.linalg.inv(information)))
+    np.testing.assert_allclose(np.sqrt(np.diag(np.linalg.inv(drawn.information))), deviations, rtol=1e-4)
+    steps = np.linalg.solve(drawn.information, drawn.slope), np.linalg.solve(information, slope)
+    assert (np.abs(steps[0] - steps[1]) < 1e-3 * deviations).all()
+    assert drawn.cost == pytest.approx(cost, rel=1e-4)
+
+
+def _whole(view: SizedView, at: Posed) -> tuple[np.ndarray, np.ndarray, float]:
+    """Give information, slope and sum of squares with the covariance of all points."""
+    (outline,) = view.outlines(at[None])
+    (jacobian,) = view.jacobians([outline], at[None])
+    lengths = np.linalg.norm(outline.normals, axis=1)
+    errors = []
+    for (u, v), normal in zip(outline.pixels, outline.normals, strict=True):
+        flat = abs(normal[0]) < abs(normal[1])
+        line = view.mask[:, round(u)] if flat else view.mask[round(v)]
+        along, outwards = (v, np.sign(normal[1])) if flat else (u, np.sign(normal[0]))
+        edges = np.flatnonzero(np.diff(line.astype(int)) == -outwards)
+        edges = edges[np.abs(edges - np.floor(along)) <= 8]
+        off = edges + 0.5 - along
+        errors.append(outwards * off[np.abs(off).argmin()] if len(off) else np.nan)
+    error = np.array(errors) / lengths
+    sigma = max(NORMAL_MEDIAN * float(np.nanmedian(np.abs(error))), 0.5)
+    used = np.abs(error) < 2.5 * sigma
+    error, pixels, lengths, jacobian = error[used], outline.pixels[used], lengths[used], jacobian[used]
+    jacobian = jacobian / lengths[:, None]
+    variance = float(np.mean(error**2)) - 1 / 24
     apart = np.linalg.norm(pixels[:, None] - pixels, axis=2)
-    covariance = 0.9 * np.exp(-np.pi * (apart / 21) ** 2) + np.diag(uncorrelated)
-    expected = np.linalg.solve(covariance, right)
-    found = solve_correlated(pixels, 0.9, uncorrelated, right)
-    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    covariance = 0.95 * variance * np.exp(-np.pi * (apart / 21) ** 2)
+    covariance += np.diag(0.05 * 21 * variance + 1 / 12 / lengths**2)
+    solved = np.linalg.solve(covariance, np.c_[jacobian, error]) / 2
+    return jacobian.T @ solved[:, :-1], -jacobian.T @ solved[:, -1], float(error @ solved[:, -1])

@@ -20,7 +20,7 @@ def edge(offset: float, rows: int = 30) -> np.ndarray:
 
 
 def profiles(target: np.ndarray, cauchy: float = 0.5) -> Profiles:
-    """Give profiles of a vertical outline at column 20 whose points move right by the only unknown, px."""
+    """Give profiles of a vertical outline at column 20, whose points move right by 1000 px per m of the pose."""
     rows = len(target)
     corners = np.array([[-200.0, -200], [20, -200], [20, 200], [-200, 200]]) - [20, (rows - 1) / 2]
     plate = np.column_stack([corners, np.full(4, 100.0)]) / 1000
@@ -30,17 +30,23 @@ def profiles(target: np.ndarray, cauchy: float = 0.5) -> Profiles:
     here, no_joints = np.eye(4)[None], np.zeros((1, 0, 1, 4, 4))
     (drawn,) = mesh.compare(camera, mask, here, here[None], no_joints, here[None], 1, [cauchy], 1, None)
     assert len(drawn.pixels) == rows
-    return Profiles([(drawn.with_jacobian(1, np.ones((rows, 1))),)], [1.0], density(1.2), cauchy)
+    return Profiles([(drawn,)], [1.0], density(1.2), cauchy)
 
 
-FREE = Quadratic.zero(1, 1)
 ONE = np.ones(1)
+HELD = np.diag([0.0, *[1e12] * 5])
+"""Information (6, 6) that keeps the pose as it is but for its motion to the right."""
+FREE = Quadratic(HELD[None], np.zeros((1, 6)))
+
+
+def found(at: Profiles, prior: Quadratic = FREE, damping: np.ndarray = 0 * ONE, iterations: int = 20) -> float:
+    """Give by how much the outline moves, px."""
+    return float(1e3 * minimise(at, ONE, prior, damping, iterations)[0, 0])
 
 
 @pytest.mark.parametrize("offset", [-0.4, 0.0, 0.3])
 def test_outline_moves_onto_the_edge(offset: float) -> None:
-    change = minimise(profiles(edge(offset)), ONE, FREE, np.zeros(1), 20)
-    assert change[0, 0] == pytest.approx(offset, abs=0.05)
+    assert found(profiles(edge(offset))) == pytest.approx(offset, abs=0.05)
 
 
 def test_robust_loss_follows_the_majority() -> None:
@@ -48,19 +54,17 @@ def test_robust_loss_follows_the_majority() -> None:
     target = edge(0.0)
     target[:10] = edge(2.5)[:10]  # a third of the outline is off
     target[10:] = edge(offset)[10:]
-    robust, squares = (
-        minimise(profiles(target, cauchy=width), ONE, FREE, np.zeros(1), 30)[0, 0] for width in (0.03, 10.0)
-    )
+    robust, squares = (found(profiles(target, cauchy=width), iterations=30) for width in (0.03, 10.0))
     assert robust == pytest.approx(offset, abs=0.05)
     assert squares > 2 * offset
 
 
 def test_prior_and_damping_hold_back() -> None:
     at = profiles(edge(0.5))
-    free = minimise(at, ONE, FREE, np.zeros(1), 20)[0, 0]
-    strong = Quadratic(np.full((1, 1, 1), 1e3), np.zeros((1, 1)))
-    assert abs(minimise(at, ONE, strong, np.zeros(1), 20)[0, 0]) < 0.1 * free
-    assert minimise(at, ONE, FREE, np.ones(1), 20)[0, 0] < 0.7 * free
+    free = found(at)
+    strong = Quadratic(HELD[None] + 1e9 * np.eye(6), np.zeros((1, 6)))
+    assert abs(found(at, strong)) < 0.1 * free
+    assert found(at, damping=ONE) < 0.7 * free
 
 
 def test_what_nothing_tells_stays_without_damping() -> None:
@@ -71,6 +75,5 @@ def test_what_nothing_tells_stays_without_damping() -> None:
 def test_outlines_of_different_length_are_solved_together() -> None:
     long, short = profiles(edge(0.3)), profiles(edge(-0.2, 10))
     both = replace(long, drawn=[*long.drawn, *short.drawn])
-    together = minimise(both, np.ones(2), Quadratic.zero(2, 1), np.zeros(2), 20)
-    alone = [minimise(each, ONE, FREE, np.zeros(1), 20)[0, 0] for each in (long, short)]
-    np.testing.assert_allclose(together[:, 0], alone, atol=1e-3)
+    together = minimise(both, np.ones(2), Quadratic.joined([FREE, FREE]), np.zeros(2), 20)
+    np.testing.assert_allclose(1e3 * together[:, 0], [found(each) for each in (long, short)], atol=1e-3)

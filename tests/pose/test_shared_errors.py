@@ -30,8 +30,8 @@ def outline_of(body: Body) -> OutlinePoints:
     return SizedView(view_at(body, CAMERA, TRUE), blur=1.2).outlines(Posed.stacked([TRUE]))[0]
 
 
-def errors_of(body: Body, noise: OutlineNoise = NOISE) -> SharedErrors:
-    return shared_errors(outline_of(body), body.instrument, CAMERA, TRUE, noise)
+def errors_of(body: Body, noise: OutlineNoise = NOISE, offsets: np.ndarray | None = None) -> SharedErrors:
+    return shared_errors(outline_of(body), body.instrument, CAMERA, TRUE, noise, offsets)
 
 
 def test_margin_displaces_the_whole_outline(bundled_body: Body) -> None:
@@ -68,11 +68,12 @@ def test_a_side_whose_mask_is_far_from_the_outline_is_expected_to_err_as_much(bu
     """A shadow beside one side of the shaft: that side tells little, and the other one as much as without it."""
     errors = errors_of(bundled_body)
     side, other = errors.columns[:, 0], errors.columns[:, 1]
-    seen = errors.as_seen(6.0 * side)
+    seen = errors_of(bundled_body, offsets=6.0 * side)
     assert seen.deviations[0] > 6.0
     assert seen.deviations[1] == errors.deviations[1]
     assert seen.deviations[LASTING] == errors.deviations[LASTING]  # the margin of the whole mask
-    np.testing.assert_array_equal(errors.as_seen(-6.0 * other).deviations[:LASTING] > 6.0, [False, True])
+    seen = errors_of(bundled_body, offsets=-6.0 * other)
+    np.testing.assert_array_equal(seen.deviations[:LASTING] > 6.0, [False, True])
 
 
 @pytest.mark.parametrize("points", [0, 1, 3])
@@ -82,14 +83,14 @@ def test_outline_of_few_points_still_has_both_sides_and_the_margin(bundled_body:
     few = OutlinePoints(*(part[:points] for part in every))
     errors = shared_errors(few, bundled_body.instrument, CAMERA, TRUE, NOISE)
     assert errors.columns.shape == (points, LASTING + 1)
-    far = errors.as_seen(np.full(points, 6.0))
+    far = shared_errors(few, bundled_body.instrument, CAMERA, TRUE, NOISE, np.full(points, 6.0))
     assert far.deviations[LASTING] == errors.deviations[LASTING]
 
 
 def test_usual_distances_of_the_mask_change_no_error(bundled_body: Body) -> None:
     errors = errors_of(bundled_body)
     offsets = np.random.default_rng(0).uniform(-0.4, 0.4, len(errors.columns))
-    np.testing.assert_array_equal(errors.as_seen(offsets).deviations, errors.deviations)
+    np.testing.assert_array_equal(errors_of(bundled_body, offsets=offsets).deviations, errors.deviations)
 
 
 def test_shadow_beside_the_shaft_hardly_moves_a_fit_that_sees_it(bundled_body: Body) -> None:
@@ -118,6 +119,29 @@ def test_elimination_leaves_the_marginal_of_the_pose() -> None:
     np.testing.assert_allclose(np.linalg.inv(left.information[0]), covariance[:4, :4])
     best = -covariance @ terms.slope[0]
     np.testing.assert_allclose(-np.linalg.solve(left.information[0], left.slope[0]), best[:4])
+
+
+@pytest.mark.parametrize(("stride", "as_seen"), [(1, False), (1, True), (3, True)])
+def test_terms_are_those_of_columns_that_are_eliminated(bundled_body: Body, stride: int, as_seen: bool) -> None:
+    """The shared errors as further unknowns of the outline, eliminated with what is known of them beforehand."""
+    view = SizedView(view_at(bundled_body, CAMERA, TRUE), blur=1.2)
+    coverage, at = Coverage([view], OutlineConfig()), TRUE.moved(np.full(9, 3e-3))
+    (drawn,) = coverage.draw(Posed.stacked([at]))
+    outline = OutlinePoints(drawn[0].link, drawn[0].pixels, drawn[0].normals, drawn[0].points).every(stride)
+    offsets = view.offsets(outline) if as_seen else None
+    errors = shared_errors(outline, bundled_body.instrument, CAMERA, at, NOISE, offsets)
+
+    def columns(_: int, points: OutlinePoints, by_pose: np.ndarray) -> np.ndarray:
+        return errors.columns * np.linalg.norm(points.normals, axis=1)[:, None]
+
+    exact = OutlineNoise(1e-9, 8.0)  # so that the errors are known but for those that last, which are left out
+    dense = coverage.near_with_lasting(at, [exact], columns, drawn, stride=stride)
+    own = dense.dimension - LASTING
+    expected = without_last(Quadratic(dense.information[:, :own, :own], dense.slope[:, :own]), errors.information)
+    sparse = coverage.near_with_lasting(at, [NOISE], None, drawn, stride=stride, as_seen=as_seen)
+    found = without_last(sparse, np.eye(LASTING))
+    np.testing.assert_allclose(found.information, expected.information, rtol=1e-6)
+    np.testing.assert_allclose(found.slope, expected.slope, rtol=1e-6)
 
 
 @pytest.mark.parametrize("unknown", range(3))

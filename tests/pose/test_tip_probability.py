@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import pytest
 
-from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.pose.tip_probability import tip_probability
 
 
@@ -24,12 +23,7 @@ def test_it_depends_on_the_ratio_of_error_and_distance() -> None:
 def test_it_falls_with_the_doubt_of_the_mode() -> None:
     found = [tip_probability(0.3, 1.8, of_mode=mode) for mode in (1.0, 0.99, 0.9, 0.6, 0.3)]
     assert all(a >= b for a, b in pairwise(found))
-    assert found[-1] < 0.5 < found[2]
-
-
-def test_it_falls_with_the_distance_from_the_readings_up_to_a_limit() -> None:
-    near, far, farther = (tip_probability(1.0, 1.8, reading_squares=squares) for squares in (0.0, 8.0, 1000.0))
-    assert near > TrustConfig().least_probability > far > farther > 0.1
+    assert found[-1] < 0.6 < found[2]
 
 
 def test_extreme_inputs_have_a_probability() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.browser import CONTRAST, chromium, command, complaints, emulate, requests
+from helpers.browser import CONTRAST, command, complaints, emulate, requests, without_scripts
 from helpers.page_results import doubtful, failed, overlay, result, write_results
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
@@ -286,9 +286,8 @@ def test_controls_have_names_and_parts_are_landmarks(page: WebDriver) -> None:
         assert plot.get_attribute("aria-label")
 
 
-def test_page_is_readable_without_javascript(report: str, tmp_path: Path) -> None:
-    with chromium(tmp_path / "profile", scripts=False) as page:
-        page.get(report)
+def test_page_is_readable_without_javascript(driver: WebDriver, report: str) -> None:
+    with without_scripts(driver, report) as page:
         headings = page.find_elements(By.CSS_SELECTOR, "article h3")
         assert [heading.text for heading in headings] == BY_DOUBT
         assert not page.find_element(By.ID, "tools").is_displayed()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from helpers.browser import CONTRAST, VIOLATIONS, chromium, complaints, emulate, requests, show_whole
+from helpers.browser import CONTRAST, VIOLATIONS, complaints, emulate, requests, show_whole, without_scripts
 from helpers.track_rows import recording, row
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
@@ -164,10 +164,9 @@ def test_curves_are_drawn_where_the_values_are(page: WebDriver) -> None:
     assert colours == wanted
 
 
-def test_page_can_be_read_without_scripts(report: str, tmp_path: Path) -> None:
-    with chromium(tmp_path, scripts=False) as driver:
-        driver.get(report)
-        assert "drawn by a script" in driver.find_element(By.TAG_NAME, "noscript").text
-        assert not driver.find_element(By.ID, "player").is_displayed()
-        assert len(driver.find_elements(By.CSS_SELECTOR, "#events tbody tr")) == 4
-        assert len(driver.find_elements(By.CSS_SELECTOR, "#strip img")) == 30
+def test_page_can_be_read_without_scripts(driver: WebDriver, report: str) -> None:
+    with without_scripts(driver, report) as page:
+        assert "drawn by a script" in page.find_element(By.TAG_NAME, "noscript").text
+        assert not page.find_element(By.ID, "player").is_displayed()
+        assert len(page.find_elements(By.CSS_SELECTOR, "#events tbody tr")) == 4
+        assert len(page.find_elements(By.CSS_SELECTOR, "#strip img")) == 30

@@ -11,16 +11,16 @@ pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
 
 def drawn_inputs(count: int) -> np.ndarray:
-    """Draw what the probability is computed from, (3, count)."""
+    """Draw what the probability is computed from, (2, count)."""
     rng = np.random.default_rng(0)
     mode, nearness = rng.uniform(0, 9, count), rng.uniform(-1, 3, count)
-    return np.stack([mode, nearness, rng.uniform(0, 6, count)])
+    return np.stack([mode, nearness])
 
 
 def test_constants_are_found_again_from_outcomes() -> None:
     from measure.accuracy.tip_probability import fitted_constants, probability
 
-    constants = (-1.0, 1.5, 0.5, 2.0, -0.3)
+    constants = (-1.0, 1.5, 0.5, 2.0)
     inputs = drawn_inputs(20000)
     is_near = np.random.default_rng(1).random(20000) < probability(constants, inputs)
     assert fitted_constants(inputs, is_near) == pytest.approx(constants, abs=0.25)
@@ -30,10 +30,7 @@ def test_program_states_the_probability_of_its_constants() -> None:
     from measure.accuracy.tip_probability import _START, probability
 
     inputs = drawn_inputs(20)
-    stated = [
-        tip_probability(1.8 * np.exp(-near), 1.8, of_mode=1 - np.exp(-mode), reading_squares=squares)
-        for mode, near, squares in inputs.T
-    ]
+    stated = [tip_probability(1.8 * np.exp(-near), 1.8, of_mode=1 - np.exp(-mode)) for mode, near in inputs.T]
     assert stated == pytest.approx(probability(_START, inputs), abs=1e-6)
 
 

@@ -79,7 +79,7 @@ class TurnedContours(OutlineTerm[DrawnContour]):
         further = zip(self.views[1:], at.turns, strict=True)
         views = [self.views[0], *(v.placed(turned_place(v.view_from_camera, turn)) for v, turn in further)]
         information, slope, cost = np.zeros((count, count)), np.zeros(count), 0.0
-        for k, drawn in enumerate(CorrelatedContour(views, reach=_REACH).of_views(at)):
+        for k, (drawn,) in enumerate(CorrelatedContour(views, reach=_REACH).of_views(Posed.stacked([at]))):
             columns = np.eye(own, count)
             if k > 0:
                 columns[:, own + 3 * (k - 1) : own + 3 * k] = turned
@@ -110,8 +110,8 @@ def rotations_of_views(
         return []
     contours = TurnedContours([both.sized for both in views])
     start = PosedInRig(at.pose, at.joints, np.zeros((len(views) - 1, 3)))
-    drawn = CorrelatedContour(contours.views, reach=_REACH).of_views(at)
-    if not all(of_view.information.any() for of_view in drawn):
+    drawn = CorrelatedContour(contours.views, reach=_REACH).of_views(Posed.stacked([at]))
+    if not all(of_view.information.any() for (of_view,) in drawn):
         return [(np.zeros(3), _UNKNOWN * np.eye(3))] * (len(views) - 1)
     steps = Steps(1, tested="none")
     turned = _refined(contours, terms, start, steps)

@@ -14,7 +14,6 @@ that happens to fit best would have nearly all the weight.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.profiles import Profiles, density
-from dvrk_cmaes.pose.terms.shared_errors import LASTING, without_last
+from dvrk_cmaes.pose.terms.shared_errors import SHOWN, deviations_of
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import OutlinePoints
@@ -175,27 +174,37 @@ class Coverage(OutlineTerm[DrawnCoverage]):
         gives E further unknowns, if any, which stay beside the pose: (1, D + E + V * LASTING), in standard deviations.
         ``drawn`` is the pose where it was drawn before, with derivatives. Only every ``stride``-th point of the
         outlines is used, which stands for those beside it. ``as_seen`` is whether errors are expected to be as large as
-        the mask shows them at the pose, where that is more than usual (`SharedErrors.as_seen`).
+        the mask shows them at the pose, where that is more than usual (`shared_errors`).
         """
         if drawn is None:
             (drawn,) = self.draw(Posed.stacked([at]))
-        weight, parts = self.weight_of(drawn), []
-        for k, (view, noise, one, share) in enumerate(zip(self.views, noises, drawn, self._shares, strict=True)):
+        more, offsets = [], []
+        for k, (view, one) in enumerate(zip(self.views, drawn, strict=True)):
+            if kept is None and not as_seen:
+                break
             outline = OutlinePoints(one.link, one.pixels, one.normals, one.points).every(stride)
-            of_pose, length = one.jacobian[::stride], np.linalg.norm(outline.normals, axis=1)[:, None]
-            errors = view.shared_errors(outline, at, noise)
             if as_seen:
-                errors = errors.as_seen(view.offsets(outline))
-            lasting = np.zeros((len(outline.link), LASTING * len(self.views)))
-            lasting[:, LASTING * k : LASTING * (k + 1)] = errors.columns[:, :LASTING] * errors.deviations[:LASTING]
-            of_kept = [] if kept is None else [kept(k, outline, of_pose * length) / length]
-            jacobian = np.column_stack([of_pose, *of_kept, lasting, errors.columns[:, LASTING:]])
-            both = replace(self.near([drawn], at), drawn=[(one.with_jacobian(stride, jacobian),)], factors=[share])
-            information, slope = both.normal_equations(np.zeros((1, jacobian.shape[1])))
-            parts.append(
-                without_last(Quadratic(weight * information, weight * slope), errors.information[LASTING:, LASTING:])
+                offsets.append(view.offsets(outline))
+            if kept is not None:
+                length = np.linalg.norm(outline.normals, axis=1)[:, None]
+                more.append(np.ascontiguousarray(kept(k, outline, one.jacobian[::stride] * length) / length))
+        weight = self.weight_of(drawn)
+        return Quadratic(
+            *_kernel.shared_equations(
+                list(drawn),
+                [weight * share for share in self._shares],
+                self._density,
+                self._width,
+                stride,
+                [view.axis(at).tolist() for view in self.views],
+                [deviations_of(noise) for noise in noises],
+                self.views[0].sharing,
+                more,
+                offsets,
+                SHOWN,
+                len(self.views),
             )
-        return sum(parts, start=Quadratic.zero(1, parts[0].dimension))
+        )
 
 
 def of_camera(view: SizedView, outline: OutlinePoints) -> Float64:

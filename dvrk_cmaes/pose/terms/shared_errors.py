@@ -40,6 +40,9 @@ DIRECTIONS = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
 MEAN_ERRORS = 1 + LASTING + DIRECTIONS.shape[1]
 """Number of the mean errors of all masks (`mean_errors`)."""
 
+SHOWN = _kernel.Shown(usual=0.5, factor=2.0, most=8.0)
+"""How errors at a pose are larger than usual beyond 0.5 px: by 2 standard deviations a pixel, up to 8 px."""
+
 _NODES = 0.008  # m along the shaft
 _LEAST_POINTS = 4  # of the outline that an error changes, for it to count
 _AHEAD = 0.004  # m, to another point of the shaft's axis
@@ -50,10 +53,6 @@ _MARGIN, _NODE, _SIDE, _LINK = 0.1, 0.2, 0.15, 0.15
 _LEAST_SIDE = 0.25  # px, of a side of the shaft
 # The same, in those of the part of the noise that stays the same over more contour than usual.
 _SIDE_OF_LONG, _LINK_OF_LONG = 0.8, 0.3
-_USUALLY_SEEN = 0.5  # px, of an error at a pose, beyond which it is larger than usual by ...
-_SEEN_FACTOR = 2.0  # ... that many standard deviations a pixel
-_MOST_SEEN = 8.0  # px
-_LEAST_SHARE = 1e-9
 _USUAL_LENGTH, _LENGTH_SCALE = 19.0, 17.0  # px of contour
 
 
@@ -69,24 +68,6 @@ class SharedErrors:
     columns: Float64
     deviations: Float64
 
-    def as_seen(self, offsets: Float64) -> SharedErrors:
-        """Return the errors with standard deviations as large as the mask shows them, where that is more than usual.
-
-        A shadow that is taken for the shaft moves one side of the mask by several pixels for a second. A few such
-        frames would pull a session's solution as hard as many that are right: the farther a stretch of the mask lies
-        from where a pose expects it, the less it tells. The margin of the whole mask stays as it is.
-
-        Parameters
-        ----------
-        offsets : (N,)
-            By how much the mask lies outwards of the outline's points, px.
-        """
-        shares = np.maximum(self.columns.sum(axis=0), _LEAST_SHARE)
-        seen = self.columns.T @ np.clip(offsets, -_MOST_SEEN, _MOST_SEEN) / shares
-        more = _SEEN_FACTOR * np.maximum(np.abs(seen) - _USUALLY_SEEN, 0.0)
-        more[LASTING] = 0.0
-        return SharedErrors(self.columns, np.hypot(self.deviations, more))
-
     @property
     def information(self) -> Float64:
         """What is known of the errors beforehand, (M, M)."""
@@ -94,24 +75,40 @@ class SharedErrors:
 
 
 def shared_errors(
-    outline: OutlinePoints, instrument: Instrument, camera: Camera, seen: Posed, noise: OutlineNoise
+    outline: OutlinePoints,
+    instrument: Instrument,
+    camera: Camera,
+    seen: Posed,
+    noise: OutlineNoise,
+    offsets: Float64 | None = None,
 ) -> SharedErrors:
-    """Return the shared errors of the outline of one pose ``seen`` in a camera, for a contour with some noise."""
-    normals = outline.normals / np.linalg.norm(outline.normals, axis=1)[:, None]
-    axis = image_axis(instrument, camera, seen)
-    ahead, aside = normals @ axis, normals @ np.array([-axis[1], axis[0]])
-    shaft, sides = _sides(outline, instrument, aside)
-    side, link = side_deviation(noise), np.hypot(_LINK * noise.sigma, _LINK_OF_LONG * _long(noise))
-    groups = [(np.column_stack(sides).astype(np.float64), side), (np.ones((len(ahead), 1)), _MARGIN * noise.sigma)]
-    groups += [(_between_nodes(outline, instrument, of_side), _NODE * noise.sigma) for of_side in sides]
-    for number in np.flatnonzero(np.bincount(outline.link[~shaft])):
-        facing = np.maximum(np.column_stack([ahead, -ahead, aside, -aside]), 0.0)
-        groups.append((facing * (outline.link == number)[:, None], link))
-    columns = np.concatenate([values for values, _ in groups], axis=1)
-    deviations = np.concatenate([np.full(values.shape[1], deviation) for values, deviation in groups])
-    counts = (columns > 0).sum(axis=0) >= _LEAST_POINTS
-    counts[: LASTING + 1] = True  # the margin, too
-    return SharedErrors(columns[:, counts], deviations[counts])
+    """Return the shared errors of the outline of one pose ``seen`` in a camera, for a contour with some noise.
+
+    With ``offsets`` (N,), px, by which the mask lies outwards of the points, standard deviations are as large as the
+    mask shows the errors, where that is more than usual. A shadow that is taken for the shaft moves one side of the
+    mask by several pixels for a second. A few such frames would pull a session's solution as hard as many that are
+    right: the farther a stretch of the mask lies from where a pose expects it, the less it tells. The margin of the
+    whole mask stays as it is.
+    """
+    link, points = outline.link.astype(np.int64), np.ascontiguousarray(outline.points)
+    axis, known = image_axis(instrument, camera, seen).tolist(), deviations_of(noise)
+    found = _kernel.shared_errors(
+        link, np.ascontiguousarray(outline.normals), points, axis, known, sharing(instrument), offsets, SHOWN
+    )
+    return SharedErrors(*found)
+
+
+def deviations_of(noise: OutlineNoise) -> list[float]:
+    """Return the standard deviations of shared errors, px: a side of the shaft's, the margin, a node's, a link's."""
+    link = float(np.hypot(_LINK * noise.sigma, _LINK_OF_LONG * _long(noise)))
+    return [side_deviation(noise), _MARGIN * noise.sigma, _NODE * noise.sigma, link]
+
+
+def sharing(instrument: Instrument) -> _kernel.Sharing:
+    """Return which points of an instrument's outline share errors."""
+    shaft = instrument.shaft
+    axis = None if shaft is None else np.array([shaft.point, shaft.direction], dtype=np.float64)
+    return _kernel.Sharing(axis, _NODES, _LEAST_POINTS)
 
 
 def mean_errors(outline: OutlinePoints, instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
@@ -120,17 +117,16 @@ def mean_errors(outline: OutlinePoints, instrument: Instrument, camera: Camera, 
     They are (N, 7): by a margin all round, by the errors of both sides of the shaft, and by those of what faces right,
     left, down and up in the image, px each. Arguments are as in `shared_errors`.
     """
+    length = np.linalg.norm(outline.normals, axis=1)[:, None]
+    sides = length * sides_of_shaft(outline, instrument, camera, seen)
+    return np.column_stack([length, sides, np.maximum(outline.normals @ DIRECTIONS, 0.0)])
+
+
+def sides_of_shaft(outline: OutlinePoints, instrument: Instrument, camera: Camera, seen: Posed) -> Bool:
+    """Return which points (N, 2) are on each side of the shaft. Arguments are as in `shared_errors`."""
     along, aside = image_axis(instrument, camera, seen)
-    _, sides = _sides(outline, instrument, outline.normals @ np.array([-aside, along]))
-    length = np.linalg.norm(outline.normals, axis=1)
-    facing = np.maximum(outline.normals @ DIRECTIONS, 0.0)
-    return np.column_stack([length, *(length * side for side in sides), facing])
-
-
-def _sides(outline: OutlinePoints, instrument: Instrument, aside: Float64) -> tuple[Bool, list[Bool]]:
-    """Return which points (N,) are of the shaft, and of each side of it; ``aside`` (N,) is how they face across it."""
-    shaft = outline.link == 0 if instrument.shaft is not None else np.zeros(len(aside), dtype=np.bool_)
-    return shaft, [shaft & (sign * aside > 0) for sign in (1.0, -1.0)]
+    across = outline.normals @ np.array([[-aside, aside], [along, -along]])
+    return np.asarray((across > 0) & (outline.link == 0)[:, None] & (instrument.shaft is not None))
 
 
 def side_deviation(noise: OutlineNoise) -> float:
@@ -167,14 +163,3 @@ def without_last(terms: Quadratic, information: Float64) -> Quadratic:
     From terms of D + M unknowns, (N, D + M), to those of the first D, (N, D).
     """
     return Quadratic(*_kernel.eliminate_last(terms.information, terms.slope, information))
-
-
-def _between_nodes(outline: OutlinePoints, instrument: Instrument, of_side: Bool) -> Float64:
-    """Return the shares (N, M) of the errors at nodes along one side of the shaft in those of the outline's points."""
-    if instrument.shaft is None or not of_side.any():
-        return np.zeros((len(of_side), 0))
-    along = (outline.points[of_side] - instrument.shaft.point) @ instrument.shaft.direction / _NODES
-    nodes = np.arange(np.floor(along.min()), np.ceil(along.max()) + 1)
-    shares = np.zeros((len(of_side), len(nodes)))
-    shares[of_side] = np.maximum(1 - np.abs(along[:, None] - nodes), 0.0)
-    return shares

@@ -13,7 +13,14 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import shrunk, window_around
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, less_margin
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, mean_errors, shared_errors
+from dvrk_cmaes.pose.terms.shared_errors import (
+    SharedErrors,
+    image_axis,
+    mean_errors,
+    shared_errors,
+    sharing,
+    sides_of_shaft,
+)
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import OutlinePoints, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
@@ -22,9 +29,6 @@ Float64 = NDArray[np.float64]
 
 REACH = 4
 """Distance, px, from the outline up to which differences are sampled."""
-
-ANY_NOISE = OutlineNoise(1.0, 19.0)
-"""Noise with which the columns of shared errors are made; it does not change them."""
 
 REMEMBERED = 64  # drawings that a view keeps
 _FARTHEST_SIDE = 8.0  # px, of the mask from a side of the shaft
@@ -144,6 +148,10 @@ class SizedView:
         seen = at.seen_from(self.view_from_camera)
         return self._renderer.outlines(seen.pose, seen.joints)
 
+    def contours(self, at: Posed, errors: _kernel.ContourErrors) -> tuple[Float64, Float64, Float64]:
+        """Compare the outlines of C poses with the mask's contour, as `Renderer.contours`."""
+        return self._renderer.contours(at.seen_from(self.view_from_camera), self.mask, self.weight, errors)
+
     def jacobians(self, outlines: Sequence[OutlinePoints], at: Posed) -> list[Float64]:
         """Return the Jacobian (N, 6 + J) of the points of the outlines of C poses, as in `MovingPoints`."""
         seen = at.seen_from(self.view_from_camera)
@@ -157,9 +165,23 @@ class SizedView:
     def side_offsets(self, at: Posed) -> Float64:
         """Return by how much the mask lies outwards of both sides of the shaft of a pose, (2,), px; 0 where unseen."""
         (outline,) = self.outlines(Posed.stacked([at]))
-        sides = self.shared_errors(outline, at, ANY_NOISE).columns[:, :LASTING]
+        sides = self.sides_of_shaft(outline, at)
         offsets = np.clip(self.offsets(outline), -_FARTHEST_SIDE, _FARTHEST_SIDE)
         return np.asarray(sides.T @ offsets / np.maximum(sides.sum(axis=0), 1.0))
+
+    def sides_of_shaft(self, outline: OutlinePoints, at: Posed) -> NDArray[np.bool_]:
+        """Return which points (N, 2) of the outline of one pose are on each side of the shaft."""
+        seen = at.seen_from(self.view_from_camera)
+        return sides_of_shaft(outline, self._renderer.body.instrument, self.camera, seen)
+
+    def axis(self, at: Posed) -> Float64:
+        """Return the direction (2,) in the image along which the shaft of one pose points."""
+        return image_axis(self._renderer.body.instrument, self.camera, at.seen_from(self.view_from_camera))
+
+    @property
+    def sharing(self) -> _kernel.Sharing:
+        """Which points of the instrument's outline share errors."""
+        return sharing(self._renderer.body.instrument)
 
     def shared_errors(self, outline: OutlinePoints, at: Posed, noise: OutlineNoise) -> SharedErrors:
         """Return what the points of the outline of one pose may err by together, for a contour with some noise."""

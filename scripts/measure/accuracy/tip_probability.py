@@ -1,8 +1,8 @@
 """Fit of the stated probability that the tips are within a distance of the truth, and how often it is right.
 
-A result's probability of the mode, its expected error and the distance of its joints from their readings go into the
-two logistic functions of `dvrk_cmaes.pose.tip_probability`. Their five constants are those that make the outcomes of
-given frames most likely. Frames that set them must not be the ones that check them.
+A result's probability of the mode and its expected error go into the two logistic functions of
+`dvrk_cmaes.pose.tip_probability`. Their four constants are those that make the outcomes of given frames most likely.
+Frames that set them must not be the ones that check them.
 """
 
 from __future__ import annotations
@@ -23,33 +23,30 @@ from measure.cases import Run
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-_START: Final = (-0.88, 1.72, 1.41, 2.92, -0.23)
+_START: Final = (0.0, 0.81, 1.33, 2.64)
 _PRIOR: Final = 0.02  # weight of the squares of the constants, which few frames do not determine
 _BINS: Final = 10
 
 
-def inputs_of(instrument: Instrument, runs: Sequence[Run], config: EstimateConfig) -> Float64:
-    """Return what the probability is computed from, (3, N): -log(1 - mode), log(limit / error), readings' squares."""
-    sigma = np.deg2rad([config.readings.of(name) for name in instrument.joint_names])
+def inputs_of(runs: Sequence[Run], config: EstimateConfig) -> Float64:
+    """Return what the probability is computed from, (2, N): -log(1 - mode), log(limit / error)."""
     rows = []
     for run in runs:
-        read = [run.result.readings.get(name, np.nan) for name in instrument.joint_names]
-        squares = np.nansum(((run.at(instrument).joints - read) / sigma) ** 2)
         error, of_mode = run.result.expected_error, run.result.mode_probability
         assert error is not None
         doubt = max(1 - (1.0 if of_mode is None else of_mode), 1e-4)
-        rows.append((-np.log(doubt), np.log(config.trust.tip_mm / error.of_tips_mm), min(squares, 20.0)))
+        rows.append((-np.log(doubt), np.log(config.trust.tip_mm / error.of_tips_mm)))
     return np.array(rows).T
 
 
 def probability(constants: Sequence[float], inputs: Float64) -> Float64:
-    """Return the probabilities (N,) of some inputs (3, N), as `dvrk_cmaes.pose.tip_probability.tip_probability`."""
-    a, b, c, d, e = constants
-    return np.asarray(expit(a + b * inputs[0]) * expit(c + d * inputs[1] + e * inputs[2]))
+    """Return the probabilities (N,) of some inputs (2, N), as `dvrk_cmaes.pose.tip_probability.tip_probability`."""
+    a, b, c, d = constants
+    return np.asarray(expit(a + b * inputs[0]) * expit(c + d * inputs[1]))
 
 
 def fitted_constants(inputs: Float64, is_near: Bool) -> list[float]:
-    """Return the five constants for which the outcomes (N,) of inputs (3, N) are most likely."""
+    """Return the four constants for which the outcomes (N,) of inputs (2, N) are most likely."""
 
     def cost(constants: Float64) -> float:
         p = np.clip(probability(constants.tolist(), inputs), 1e-9, 1 - 1e-9)
@@ -97,11 +94,11 @@ def tip_probability_report(
     """Report the constants that fit some runs best, how right the stated probabilities of these are, and limits."""
     posed = [run for run in runs if not run.failed and (run.case.truth is None or run.case.truth.visible >= 0.5)]
     tip_mm = np.array([frame_errors(instrument, run)["tip_mm"] for run in posed])
-    inputs, is_near = inputs_of(instrument, posed, config), tip_mm < config.trust.tip_mm
+    inputs, is_near = inputs_of(posed, config), tip_mm < config.trust.tip_mm
     stated = np.array([run.result.tip_probability or 0.0 for run in posed])
     doubts = ("tips not accurate", "mode in doubt", "tips in doubt")  # those that the probability stands for
     others = np.array([any(not reason.startswith(doubts) for reason in run.result.reasons) for run in posed])
-    names = ("mode", "mode_slope", "tips", "tips_slope", "readings_slope")
+    names = ("mode", "mode_slope", "tips", "tips_slope")
     return {
         "constants that fit these frames": [dict(zip(names, fitted_constants(inputs, is_near), strict=True))],
         "stated probability and share near the truth": list(reliability_rows(stated, is_near)),

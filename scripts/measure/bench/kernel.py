@@ -176,7 +176,7 @@ def _timed_kernel() -> Iterator[list[float]]:
 
     with ExitStack() as stack:
         stack.enter_context(mock.patch.object(Body, "mesh", property(mesh_of)))
-        for name in ("move_points", "normal_equations", "minimise"):
+        for name in ("move_points", "normal_equations", "shared_equations", "minimise"):
             stack.enter_context(mock.patch.object(_kernel, name, timed(getattr(_kernel, name))))
         yield spent
 
