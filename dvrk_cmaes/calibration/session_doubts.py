@@ -14,7 +14,6 @@ import numpy as np
 from dvrk_cmaes.calibration.instrument_test import better_instrument
 from dvrk_cmaes.camera.critical import known_mistakes
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
 
@@ -29,13 +28,6 @@ DISAGREES: Final = "disagrees with the session"
 _LARGEST_LOSS = 0.15  # of the overlap, from the frames' own fits to their predictions by the others
 _TRUSTED_SHARE = 0.5  # of the frames that were solved together; if fewer agree, these few may be the wrong ones
 _LARGEST_MARGIN_PX = 2.0  # of all masks of a session
-_FAR_JOINTS = 2.1
-"""Largest mean square of the joints' deviations in standard deviations, in images whose masks are found in them.
-
-Of three joints, 90 % of normal errors are within it. In 19 recordings that were followed by masks, it is so of 98.5 %
-of the ok frames; of the 11 images of another one in which a flap of tissue hides the tips, nine are beyond it, all
-that are more than 3 mm off.
-"""
 _FAR_INSERTION = 3.0  # standard deviations of prior and estimate together
 _LARGEST_INSERTION = 10e-3  # m, beyond which tools of one kind do not differ
 _BEYOND_CABLES_DEG = {"roll": 15.0, "wrist": 20.0, "jaw": 30.0}  # by the beginning of the joint's name
@@ -48,31 +40,6 @@ _CAUSES_OF_INSERTION = (
     "another focal length than the camera file's, an instrument with another shaft (--instrument), a tool or arm of "
     "another length (--tool, --arm), or a lag between images and readings that is not taken out"
 )
-
-
-def far_joints(found: Posed, expected: Posed, spread: Float64, names: Sequence[str]) -> str:
-    """Say that the joints of an image are far from what its recording expects; empty if they are not.
-
-    Where something hides the end of an instrument, the edges that are left are explained by other joints.
-
-    Parameters
-    ----------
-    found, expected
-        The pose and joints that were found, and what calibration and readings expect.
-    spread : (D, D)
-        Covariance of the expected ones.
-    names
-        Names of the J joints.
-    """
-    off = found.joints - expected.joints
-    deviations = off / np.sqrt(np.diag(spread)[-len(off) :])
-    if float(np.mean(deviations**2)) <= _FAR_JOINTS:
-        return ""
-    worst = int(np.abs(deviations).argmax())
-    return (
-        f"joints far from the recording: {names[worst]} is {np.degrees(off[worst]):+.0f} deg from what readings and "
-        "calibration expect; something may hide the end of the instrument"
-    )
 
 
 def doubts_of(

@@ -40,6 +40,13 @@ Both are root mean squares over the frames of one recording.
 
 In 13 made recordings with rough masks, that is so of 3 of 780 frames with right columns, of 45 % with exchanged ones.
 """
+_FAR_JOINTS = 2.1
+"""Largest mean square of the joints' deviations in standard deviations, in images whose masks are found in them.
+
+Of three joints, 90 % of normal errors are within it. In 19 recordings that were followed by masks, it is so of 98.5 %
+of the ok frames; of the 11 images of another one in which a flap of tissue hides the tips, nine are beyond it, all
+that are more than 3 mm off.
+"""
 _CLEAR = 4.0  # standard deviations of a rotation
 _CERTAIN_MODE = 0.97  # probability of a mode that is not what makes the tips doubtful
 _MINOR = 0.15  # probability that may be missing from the modes found, before they are not named
@@ -211,6 +218,31 @@ def doubts_of_tips(expected: ExpectedError, trust: TrustConfig) -> list[str]:
         f"{TIPS_NOT_ACCURATE}: their expected error is {error:.1f} mm, the probability that they are within {limit:g} "
         f"mm {probability:.2f}"
     ]
+
+
+def far_joints(found: Posed, expected: Posed, spread: Float64, names: Sequence[str]) -> str:
+    """Say that the joints of an image are far from what its recording expects; empty if they are not.
+
+    Where something hides the end of an instrument, the edges that are left are explained by other joints.
+
+    Parameters
+    ----------
+    found, expected
+        The pose and joints that were found, and what calibration and readings expect.
+    spread : (D, D)
+        Covariance of the expected ones.
+    names
+        Names of the J joints.
+    """
+    off = found.joints - expected.joints
+    deviations = off / np.sqrt(np.diag(spread)[-len(off) :])
+    if float(np.mean(deviations**2)) <= _FAR_JOINTS:
+        return ""
+    worst = int(np.abs(deviations).argmax())
+    return (
+        f"joints far from the recording: {names[worst]} is {np.degrees(off[worst]):+.0f} deg from what readings and "
+        "calibration expect; something may hide the end of the instrument"
+    )
 
 
 def outside_image(points: Float64, camera: Camera) -> Bool:
