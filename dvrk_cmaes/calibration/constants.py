@@ -41,6 +41,8 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 """
 CLEAR = 3.0
 """Standard deviations from the value of a file, beyond which a constant differs from it."""
+NAMED = 2.5
+"""Standard deviations from the value of a file, above which one of several unknowns is named."""
 TOLD = 0.9
 """Share of the standard deviation beforehand, below which a session tells an unknown."""
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1

@@ -15,6 +15,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.constants import (
+    NAMED,
     PASSES,
     SHARED_ERRORS,
     Constant,
@@ -59,7 +60,6 @@ IMPLAUSIBLE = (
 """Why a session does not tell its camera: the estimate lies too far away for outlines that were linearised here."""
 
 _NOT_ASKED = "camera: not tested, as the settings say"
-_NAMED = 2.5  # standard deviations from no change, above which one of the unknowns is named
 _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
     "another length has a similar effect"
@@ -203,8 +203,8 @@ class SessionCamera(Document):
         file_std = file_deviations(config)
         scale, std = self.focal_scale - 1, self.std_focal_scale
         shift, std_shift = np.array(self.principal_point_px), np.array(self.std_principal_point_px)
-        of_focal_length = abs(scale) > _NAMED * np.hypot(std, file_std[0])
-        of_centre = bool((np.abs(shift) > _NAMED * np.hypot(std_shift, file_std[1:])).any())
+        of_focal_length = abs(scale) > NAMED * np.hypot(std, file_std[0])
+        of_centre = bool((np.abs(shift) > NAMED * np.hypot(std_shift, file_std[1:])).any())
         parts = []
         if of_focal_length or not of_centre:
             than = "longer" if scale > 0 else "shorter"
