@@ -58,7 +58,14 @@ def files_of_nodes() -> dict[Path, str]:
     return files | dict.fromkeys(SCRIPTS.rglob("*.py"), "scripts")
 
 
-def is_module(parts: list[str]) -> bool:
+@cache
+def tree_of(file: Path) -> ast.Module:
+    """Parse a file."""
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
+@cache
+def is_module(*parts: str) -> bool:
     """Whether a dotted name is that of a module or package in this checkout."""
     path = ROOT.joinpath(*parts)
     return path.is_dir() or path.with_suffix(".py").is_file() or path.with_suffix(".pyi").is_file()
@@ -73,7 +80,7 @@ def imported_modules(statement: ast.AST, file: Path) -> Iterator[str]:
         parts = [*package, *(statement.module or "").split(".")]
         for alias in statement.names:
             name = [part for part in (*parts, alias.name) if part]
-            yield ".".join(name if is_module(name) else name[:-1])
+            yield ".".join(name if is_module(*name) else name[:-1])
 
 
 def node_of(module: str) -> str | None:
@@ -95,7 +102,7 @@ def imports() -> list[Import]:
     """Give all imports of one node by another, including those inside functions and under TYPE_CHECKING."""
     found = []
     for file, source in sorted(files_of_nodes().items()):
-        for statement in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for statement in ast.walk(tree_of(file)):
             for module in imported_modules(statement, file):
                 target = node_of(module)
                 if target is not None and target != source:
@@ -130,9 +137,9 @@ def at_import_time(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
             yield from at_import_time(ast.iter_child_nodes(node))
 
 
-def imported_at_once(file: Path, text: str) -> set[str]:
-    """Give the modules of the package that a module with this text imports when it is imported itself."""
-    named = {module for node in at_import_time([ast.parse(text)]) for module in imported_modules(node, file)}
+def imported_at_once(file: Path, tree: ast.Module) -> set[str]:
+    """Give the modules of the package that a module with this content imports when it is imported itself."""
+    named = {module for node in at_import_time([tree]) for module in imported_modules(node, file)}
     return {module for module in named if module.partition(".")[0] == PACKAGE.name} - {module_of(file)}
 
 
@@ -146,9 +153,7 @@ def cycle_of(graph: Mapping[str, set[str]]) -> list[str]:
 
 
 def test_no_module_imports_itself_through_others() -> None:
-    graph = {
-        module_of(file): imported_at_once(file, file.read_text(encoding="utf-8")) for file in PACKAGE.rglob("*.py")
-    }
+    graph = {module_of(file): imported_at_once(file, tree_of(file)) for file in PACKAGE.rglob("*.py")}
     assert "dvrk_cmaes.io.files" in graph["dvrk_cmaes.io.json_file"]
     cycle = cycle_of(graph)
     assert not cycle, f"a cycle of imports: {' -> '.join(cycle)}"
@@ -168,8 +173,8 @@ def test_no_module_imports_itself_through_others() -> None:
 def test_cycle_within_a_package_is_found(statement: str, is_cycle: bool) -> None:
     files, json_file = PACKAGE / "io" / "files.py", PACKAGE / "io" / "json_file.py"
     graph = {
-        module_of(files): imported_at_once(files, statement),
-        module_of(json_file): imported_at_once(json_file, json_file.read_text(encoding="utf-8")),
+        module_of(files): imported_at_once(files, ast.parse(statement)),
+        module_of(json_file): imported_at_once(json_file, tree_of(json_file)),
     }
     assert bool(cycle_of(graph)) == is_cycle
 

@@ -416,6 +416,13 @@ std::tuple<Made<double>, Made<double>, Made<double>> move_points(
   return {depth, pixel, jacobian};
 }
 
+// Whether any of several numbers differs from another one.
+bool differs(const float* values, std::size_t count, float other) {
+  int found = 0;
+  for (std::size_t i = 0; i < count; ++i) found |= values[i] != other;
+  return found;
+}
+
 Target make_target(const Given<float>& mask, const Given<float>& weight, const std::vector<float>& taps, int reach) {
   check_shape("mask", mask, {kAny, kAny});
   const long height = static_cast<long>(mask.shape(0)), width = static_cast<long>(mask.shape(1));
@@ -423,20 +430,23 @@ Target make_target(const Given<float>& mask, const Given<float>& weight, const s
   if (mask.size() == 0 || width > (1 << 14) || height > (1 << 14)) {
     throw std::invalid_argument("mask: expected at least one pixel, and at most 16384 in a row or column");
   }
-  for (std::size_t i = 0; i < mask.size(); ++i) {
-    if (!std::isfinite(mask.data()[i])) throw std::invalid_argument("mask: expected finite numbers");
-  }
   if (taps.empty() || taps.size() > 1000) throw std::invalid_argument("taps: expected 1 to 1000 of them");
   if (reach < 1 || reach > 1000) throw std::invalid_argument("reach: expected 1 to 1000 px");
   Target target;
   target.taps = taps, target.reach = reach;
   target.weight.assign(weight.data(), weight.data() + weight.size());
-  target.weighted = std::any_of(target.weight.begin(), target.weight.end(), [](float one) { return one != 1.0f; });
+  target.weighted = differs(target.weight.data(), target.weight.size(), 1.0f);
   target.mask.begin(int(width), int(height), taps);
   for (long row = 0; row < height; ++row) {
     const float* values = mask.data() + width * row;
+    constexpr int kBlock = 32;  // pixels that are looked at together
     for (int i = 0; i < width; ++i) {
-      if (i == 0 || values[i] != values[i - 1]) target.mask.runs.push_back({i, values[i]});
+      if (i > 0) {
+        while (i + kBlock <= width && !differs(values + i, kBlock, values[i - 1])) i += kBlock;
+        if (i == width || values[i] == values[i - 1]) continue;
+      }
+      if (!std::isfinite(values[i])) throw std::invalid_argument("mask: expected finite numbers");
+      target.mask.runs.push_back({i, values[i]});
     }
     target.mask.end_row();
   }

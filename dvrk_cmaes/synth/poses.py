@@ -187,10 +187,10 @@ def is_sensible(body: Body, camera: Camera, truth: Truth, view: ViewLimits = DEF
     if bend < np.deg2rad(view.least_bend):
         return False
     root, jaws = 0, [tip.link for tip in truth.instrument.jaw_tips]
-    posed = truth.instrument, camera, truth.camera_from_root, truth.values
-    where = window_of_links(*posed, jaws)
+    posed = camera, truth.camera_from_root, truth.values
+    where = window_of_links(truth.instrument, *posed, jaws)
     where[[0, -1]] = where[:, [0, -1]] = True
-    link = links_at(*posed, where)
+    link = links_at(body, *posed, where)
     border = np.concatenate([link[0], link[-1], link[:, 0], link[:, -1]])
     return bool(
         (border == root).sum() >= 20

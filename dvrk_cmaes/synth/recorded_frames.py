@@ -115,8 +115,8 @@ def _visible_share(plan: SessionPlan, truth: Truth, hidden: Bool | None) -> floa
     small = plan.camera.scaled(plan.camera.width // _VISIBLE_SHRINK, plan.camera.height // _VISIBLE_SHRINK)
     width, height = small.width, small.height
     wide = small.cropped(-width, -height, 3 * width, 3 * height)
-    posed = plan.body.instrument, wide, truth.camera_from_root, truth.values
-    jaw = np.isin(links_at(*posed, window_of_links(*posed, jaws)), jaws)
+    posed = wide, truth.camera_from_root, truth.values
+    jaw = np.isin(links_at(plan.body, *posed, window_of_links(plan.body.instrument, *posed, jaws)), jaws)
     inside = jaw[height : 2 * height, width : 2 * width]
     if hidden is not None:
         inside = inside & (cv2.resize(hidden.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) < 0.5)

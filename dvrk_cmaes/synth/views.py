@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Bool, Float32, Float64, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.silhouette import NEAR
+from dvrk_cmaes.silhouette import NEAR, Body
 
 NOTHING = -1
 """Link index of a pixel that sees no link."""
@@ -63,15 +63,11 @@ def trace_links(instrument: Instrument, camera: Camera, camera_from_root: Float6
     return _traced(surface, pixel_rays(camera), _window(camera, surface.corners.reshape(-1, 3)))
 
 
-def links_at(
-    instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64, where: Bool
-) -> NDArray[np.int32]:
+def links_at(body: Body, camera: Camera, camera_from_root: Float64, joints: Float64, where: Bool) -> NDArray[np.int32]:
     """Return the index (H, W) of the link that is seen at the pixels ``where`` (H, W); ``NOTHING`` at the others."""
-    surface = _Surface.of(instrument, camera_from_root, joints)
     links = np.full(where.shape, NOTHING, dtype=np.int32)
-    rays = pixel_rays(camera)[where]
-    faces = surface.scene().run(np.ascontiguousarray(NEAR * rays), rays)
-    links[where] = np.where(faces == NOTHING, NOTHING, surface.owner[faces])
+    poses = camera_from_root @ body.instrument.forward(joints)
+    links[where] = body.scenes.depths(poses, pixel_rays(camera)[where].astype(np.float64))[1]
     return links
 
 

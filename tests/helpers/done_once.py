@@ -11,11 +11,12 @@ import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import pytest
-from cyclopts import App
-from cyclopts.argument import ArgumentCollection
+from cyclopts import App, core
+from cyclopts.argument import Argument, ArgumentCollection
 
 from dvrk_cmaes import segment as segmentation
 from dvrk_cmaes.instrument import Instrument, measure
@@ -30,7 +31,7 @@ SEGMENT_CLASSIC = segmentation.segment_classic
 
 @contextmanager
 def done_once() -> Iterator[None]:
-    """Assemble a command's options (10 ms), measure and prepare an instrument (200 ms), segment an image (1 s) once."""
+    """Assemble a command's options (15 ms), measure and prepare an instrument (200 ms), segment an image (1 s) once."""
     with pytest.MonkeyPatch.context() as patch:
         _options_assembled_once(patch)
         _instruments_measured_once(patch)
@@ -50,6 +51,18 @@ def _options_assembled_once(patch: pytest.MonkeyPatch) -> None:
         return _unused(known[key][1])
 
     patch.setattr(App, "assemble_argument_collection", assembled)
+    patch.setattr(core, "validate_command", cache(core.validate_command))
+    negatives = Argument.negatives.__get__
+    names: dict[tuple[int, int], tuple[Any, Any]] = {}
+
+    def negated(argument: Argument) -> Any:
+        given = argument.parameter, argument.field_info
+        key = id(given[0]), id(given[1])
+        if key not in names:
+            names[key] = given, negatives(argument)  # with both, whose numbers are then not used again
+        return names[key][1]
+
+    patch.setattr(Argument, "negatives", property(negated))
 
 
 def _unused(options: ArgumentCollection) -> ArgumentCollection:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from functools import cache
 from pathlib import Path
@@ -18,7 +19,7 @@ from selenium.webdriver.remote.webdriver import WebDriver
 from selenium.webdriver.remote.webelement import WebElement
 
 from dvrk_cmaes.draw.canvas import AXES
-from dvrk_cmaes.io.atomic import write_image, write_json
+from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.report import page_layers, page_thumbnails
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.report.page_layers import EMBEDDED
@@ -307,8 +308,9 @@ def test_thousand_frames_load_and_scroll_quickly(
     picture = tmp_path / "picture.jpg"
     write_image(picture, overlay(doubtful("x", "far: jaw", "far: yaw"), width=400))
     (tmp_path / "overlays").mkdir()
+    (tmp_path / "frames").mkdir()
     for k in range(1000):
-        write_json(tmp_path / "frames" / f"{k:04d}.json", document | {"frame": f"{k:04d}"})
+        (tmp_path / "frames" / f"{k:04d}.json").write_text(json.dumps(document | {"frame": f"{k:04d}"}))
         (tmp_path / "overlays" / f"{k:04d}.jpg").hardlink_to(picture)
     path = write_page(tmp_path)
     assert path.stat().st_size < 18e6 + EMBEDDED

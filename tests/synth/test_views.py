@@ -50,7 +50,7 @@ def test_part_of_the_pixels_and_given_rays_see_the_same(world: MovingWorld) -> N
     truth, view = world.truths[0], view_of(world, 0)
     where = np.zeros(view.link.shape, bool)
     where[60:200, 40:250:2] = True
-    links = links_at(truth.instrument, SMALL, truth.camera_from_root, truth.values, where)
+    links = links_at(world.body, SMALL, truth.camera_from_root, truth.values, where)
     assert np.array_equal(links, np.where(where, view.link, NOTHING))
     some = trace_rays(truth.instrument, pixel_rays(SMALL)[100:140], truth.camera_from_root, truth.values)
     assert np.array_equal(some.link, view.link[100:140])
