@@ -32,7 +32,8 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
 
 _SETTLED = 0.25  # standard deviations of the constants, below which the outlines are not linearised again
-PASSES = 6  # largest number of linearisations
+PASSES = {"camera": 6, "margin": 5, "rig": 4}
+"""Largest number of linearisations in which these constants are estimated."""
 SHARED_ERRORS = 1.2
 """Factor on the standard deviations, because the frames of a session share errors of masks and meshes.
 
@@ -281,7 +282,7 @@ class FramesAt(NamedTuple):
 
 
 def linearise(
-    frames: FramesAt, outlines: SessionOutlines, solver: Solver, names: Sequence[str], *, passes: int = PASSES
+    frames: FramesAt, outlines: SessionOutlines, solver: Solver, names: Sequence[str], *, passes: int
 ) -> Linearised:
     """Estimate constants beside a calibration, linearising the outlines until those of some names are settled.
 

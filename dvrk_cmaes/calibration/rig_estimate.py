@@ -15,6 +15,7 @@ import numpy as np
 
 from dvrk_cmaes.calibration.constants import (
     CLEAR,
+    PASSES,
     SHARED_ERRORS,
     TOLD,
     Constant,
@@ -108,7 +109,7 @@ def estimate_rig(frames: FramesAt, outlines: SessionOutlines, stated: Sequence[V
     """
     further = [one for one in outlines.constants if isinstance(one, ViewDifference)]
     names = [one.name for one in further]
-    there = linearise(frames, outlines, solve_unchanged, names)
+    there = linearise(frames, outlines, solve_unchanged, names, passes=PASSES["rig"])
     scales = _scales(there.solution, names)
     undetermined = tuple(text for each in stated for text in _undetermined(each, scales))
     solution, free = _with_clear_scales(there, scales, names)

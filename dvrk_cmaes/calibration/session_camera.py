@@ -405,7 +405,7 @@ def check_camera(
     plausible, only what the frames tell at the camera of the file is left, which may contradict it or say nothing.
     """
     reason = _lacking(frames.model, _LEAST_FRAMES, "test") if config.test_camera or applied is not None else _NOT_ASKED
-    passes = PASSES if reason is None and applied is None else 1
+    passes = PASSES[CAMERA] if reason is None and applied is None else 1
     try:
         estimate = estimate_camera(frames, config, outlines, passes=passes)
         if far := passes > 1 and not estimate.plausible:

@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dvrk_cmaes.calibration.constants import Constant, FramesAt, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
+from dvrk_cmaes.calibration.constants import (
+    PASSES,
+    Constant,
+    FramesAt,
+    OutlineOfView,
+    SessionOutlines,
+    ViewAsSeen,
+    linearise,
+)
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
@@ -233,7 +241,7 @@ def estimate_margin(frames: FramesAt, outlines: SessionOutlines) -> tuple[Margin
     the file: a change of the camera that is estimated beside the margin is not used.
     """
     model, calibration, prior, at = frames
-    there = linearise(frames, outlines, solve_unchanged, [MARGIN])
+    there = linearise(frames, outlines, solve_unchanged, [MARGIN], passes=PASSES[MARGIN])
     value = float(there.value(MARGIN)[0])
     (std,) = (float(there.std(one)[0]) for one in outlines.constants if one.name == MARGIN)
     margin = Margin.of(value, std)
