@@ -77,7 +77,7 @@ def workers(others: Sequence[psutil.Process] = ()) -> list[psutil.Process]:
 
 
 def test_arms_in_processes_of_their_own_have_the_same_poses() -> None:
-    (here, lines), (apart, same_lines) = (played(start, 20) for start in (None, partial(WorkerProcess, for_long=True)))
+    (here, lines), (apart, same_lines) = (played(start, 26) for start in (None, partial(WorkerProcess, for_long=True)))
     assert lines == same_lines
     assert here.statuses == apart.statuses
     assert {arm: len(poses) for arm, poses in here.poses.items()} == {arm: len(apart.poses[arm]) for arm in SEEDS}
@@ -111,9 +111,9 @@ def test_step_that_fails_does_not_end_the_process() -> None:
 
 
 def test_process_that_dies_costs_three_images_and_its_arm_begins_anew() -> None:
-    stage, lines = played(partial(WorkerProcess, for_long=True), 32, dies_at=14)
+    stage, lines = played(partial(WorkerProcess, for_long=True), 40, dies_at=18)
     assert sum("ProcessDiedError" in line for line in lines) == len(SEEDS)
     assert sum("the process of this arm has ended" in line for line in lines) == 2 * len(SEEDS)
     for arm, poses in stage.poses.items():
-        assert min(poses) < BEGIN + 14e9 / 30, arm
+        assert min(poses) < BEGIN + 18e9 / 30, arm
         assert max(poses) == stage.stamp, arm
