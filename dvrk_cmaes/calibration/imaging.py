@@ -111,6 +111,8 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
         state = state.noted(remarks=[check.camera.describe_found(state.stored[0].camera)])
     elif check.camera.applied:
         state = state.noted(remarks=check.camera.contradictions(config))
+    elif check.hint:
+        state = state.noted(remarks=[check.hint])
     if change is not None:
         frames = [frame.with_data(partial(with_changed_cameras, change)) for frame in state.frames]
         state = replace(state, stored=tuple(problem.run(gather_task, frames)))

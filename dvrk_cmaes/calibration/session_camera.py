@@ -42,6 +42,9 @@ from dvrk_cmaes.pose.terms.coverage import of_camera
 CAMERA = "camera"
 """Name of the constant."""
 
+HINT = "the camera file may be wrong"
+"""What the remark begins with where the frames fit another camera better, without being sure of it."""
+
 _WEAK_STD = np.array([0.3, 300.0, 300.0])  # of the change where it is estimated from the frames: relative, and px
 PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
 _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
@@ -57,6 +60,7 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 _CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
 _LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
+_LEAST_HINT = 2.71  # of the same, where it is a remark; that of 90 % with one unknown
 _PASSES = 6  # largest number of linearisations of the outlines
 IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
@@ -135,6 +139,11 @@ class SessionCamera(Document):
             contradicts = contradicts and first > limit and (unusual or estimate.gain >= _LEAST_GAIN)
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
+        return cls.at(change, covariance, width, contradicts=contradicts, applied=applied)
+
+    @classmethod
+    def at(cls, change: Float64, covariance: Float64, width: int, *, contradicts: bool, applied: bool) -> SessionCamera:
+        """State a change (3,) with its covariance (3, 3), of images of some width, px."""
         scale, std = float(np.exp(change[0])), np.sqrt(np.diag(covariance))
         return cls(
             focal_scale=scale,
@@ -278,7 +287,8 @@ class CameraCheck:
     ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
     ``growth`` and ``shaft`` are what the outlines tell of errors of the masks on some sides, beside the camera, and of
-    the radius of the shaft, with the camera of the file; None where the camera cannot be changed.
+    the radius of the shaft, with the camera of the file; None where the camera cannot be changed. ``hint`` is as of
+    `CameraEstimate.hint`, empty where the file is contradicted or not used.
     """
 
     camera: SessionCamera | None
@@ -286,6 +296,7 @@ class CameraCheck:
     covariance: Float64
     growth: GrowthEstimate | None = None
     shaft: SessionShaft | None = None
+    hint: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,6 +322,23 @@ class CameraEstimate:
     gain: float = np.inf
     growth: GrowthEstimate | None = None
     shaft: SessionShaft | None = None
+
+    def hint(self, width: int) -> str:
+        """Say that the frames fit another camera better, without being sure of it; empty if they do not.
+
+        Parameters
+        ----------
+        width
+            That of the images, px.
+        """
+        if self.gain < _LEAST_HINT:
+            return ""
+        covariance = _SHARED_ERRORS**2 * self.covariance
+        other = SessionCamera.at(self.change, covariance, width, contradicts=False, applied=False)
+        return (
+            f"{HINT}: these frames fit another one better ({other.describe()}), but do not tell it for sure; frames "
+            "with other insertions of the arm do"
+        )
 
 
 def estimate_camera(
@@ -379,22 +407,19 @@ def check_camera(
     """Test the camera of a calibrated session.
 
     ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the constant starts; None
-    if they were fitted with the file's. The other arguments are as in `estimate_camera`.
+    if they were fitted with the file's. The other arguments are as in `estimate_camera`. Where an estimate is not
+    plausible, only what the frames tell at the camera of the file is left, which may contradict it or say nothing.
     """
     reason = _lacking(frames.model, _LEAST_FRAMES, "test") if config.test_camera or applied is not None else _NOT_ASKED
     passes = _PASSES if reason is None and applied is None else 1
     try:
         estimate = estimate_camera(frames, config, outlines, passes=passes)
-        if passes > 1 and not estimate.plausible:
-            reason = IMPLAUSIBLE
+        if far := passes > 1 and not estimate.plausible:
             estimate = estimate_camera(frames, config, outlines, passes=1)
     except InputError as error:
         return CameraCheck(None, f"camera: {error}", np.zeros_like(frames.prior))
     if applied is not None:
         estimate = replace(estimate, change=applied)
-    covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None)
-    if reason is not None:
-        return CameraCheck(None, reason, covariance, estimate.growth, estimate.shaft)
     camera = SessionCamera.of(
         estimate,
         config,
@@ -403,7 +428,13 @@ def check_camera(
         frames=len(frames.at),
         unusual=any(text.startswith(FILE) for text in outlines.camera.remarks),
     )
-    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft)
+    if far and not camera.contradicts:
+        reason = IMPLAUSIBLE
+    covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None)
+    if reason is not None:
+        return CameraCheck(None, reason, covariance, estimate.growth, estimate.shaft)
+    hint = "" if camera.applied or camera.contradicts else estimate.hint(camera.width)
+    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft, hint)
 
 
 def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool, applied: bool) -> Float64:

@@ -8,27 +8,27 @@ full size. Prompts (a box, points) fix the labels of the pixels that they determ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.geometry import Bool, Float32
-from dvrk_cmaes.segment.around import ROUGH, segmentation_around
+from dvrk_cmaes.geometry import Bool, Float32, Image
+from dvrk_cmaes.segment.around import segmentation_around
 from dvrk_cmaes.segment.colours import (
     LARGEST_COLOUR_ODDS,
     Colours,
     ColourTable,
     greyness_log_odds,
+    local_colour_log_odds,
     measure_colours,
 )
+from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
-from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation
+from dvrk_cmaes.segment.segmentation import Box, Hints, Segmentation
 from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 
 # lengths without a unit are fractions of the image's longer side
@@ -46,25 +46,29 @@ _BIASES = (1.0, 2.0, 3.0)  # log-odds added to the prior in further attempts, if
 _ENOUGH_OVERLAP = 0.9  # IoU of the mask's bounding box and the given box, from which no further bias is tried
 
 
-def segment_classic(
-    image: NDArray[np.uint8],
-    *,
-    box: Box | None = None,
-    points: Sequence[Pixel] = (),
-    not_points: Sequence[Pixel] = (),
-) -> Segmentation:
-    """Segment the instrument in an image (H, W, 3) uint8 BGR; prompts as in `dvrk_cmaes.segment.segment`."""
+def rough_mask(image: Image, hints: Hints) -> Segmentation:
+    """Find the mask of the instrument in an image (H, W, 3) uint8 BGR at a reduced size, of which it is."""
     height, width = image.shape[:2]
+    small, scale = shrunk(image, _REDUCED), size_within(image.shape, _REDUCED)[1]
     if min(height, width) < _SMALLEST:
-        return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
-    scale = size_within(image.shape, _REDUCED)[1]
-    small = shrunk(image, _REDUCED)
-    rough = _segment_reduced(
-        measure_colours(small),
-        draw_prompts(small.shape, scale, box, points, not_points).with_outside(outside_view(small)),
-    )
-    prompts = draw_prompts(image.shape, 1.0, box, points, not_points).with_outside(outside_view(image))
-    found = segmentation_around(image, resized(rough, (width, height)), prompts, ROUGH, straight=True)
+        return Segmentation(np.zeros(small.shape[:2], np.bool_), None, 0.0, ("no instrument found",))
+    prompts = draw_prompts(small.shape, scale, hints.box, hints.points, hints.not_points)
+    prompts = prompts.with_outside(outside_view(small))
+    colours = measure_colours(small)
+    mask = _segment_reduced(colours, prompts)
+    odds = local_colour_log_odds(ColourTable(colours), mask)
+    verdict = assess_mask(mask, np.s_[:, :], odds, colours, prompts=prompts)
+    return Segmentation(mask, None, verdict.confidence, verdict.notes)
+
+
+def segment_classic(image: Image, hints: Hints, rough: Segmentation | None = None) -> Segmentation:
+    """Segment the instrument in an image (H, W, 3) uint8 BGR, given its `rough_mask` if that is known."""
+    rough = rough_mask(image, hints) if rough is None else rough
+    if not rough.mask.any():
+        return Segmentation(np.zeros(image.shape[:2], np.bool_), None, 0.0, ("no instrument found",))
+    prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points)
+    prompts = prompts.with_outside(outside_view(image))
+    found = segmentation_around(image, resized(rough.mask, (image.shape[1], image.shape[0])), prompts, rough=True)
     return found if prompts.outside is None else replace(found, mask=found.mask & ~prompts.outside)
 
 

@@ -138,7 +138,7 @@ def mask_by_colours(image: Image, colours: ColourModel, prompts: Prompts) -> Seg
     odds = _by_colours(small, colours)
     rough = cut(odds, around.guide(small), background=fixed.background, tool=fixed.tool)
     rough = fill_holes(instrument_region(rough, _GAP * max(size), fixed))
-    return around.segmentation_around(image, resized(rough, (width, height)), prompts, around.ROUGH, straight=True)
+    return around.segmentation_around(image, resized(rough, (width, height)), prompts, rough=True)
 
 
 def _by_colours(image: Image, colours: ColourModel) -> Float32:

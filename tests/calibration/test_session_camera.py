@@ -97,6 +97,14 @@ def test_camera_that_explains_frames_hardly_better_does_not_contradict_a_usual_f
     assert SessionCamera.of(replace(off, gain=20.0), CONFIG, 640, applied=False, frames=20).contradicts
 
 
+def test_camera_that_explains_frames_a_little_better_is_a_remark() -> None:
+    near = replace(estimate((-0.09, 5.0, 0.0), (0.05, 20.0, 20.0)), gain=4.0)
+    assert not SessionCamera.of(near, CONFIG, 640, applied=False, frames=20).contradicts
+    text = "the camera file may be wrong: these frames fit another one better (focal length -8.6 % (std 5.5), "
+    assert near.hint(640).startswith(text)
+    assert replace(near, gain=1.0).hint(640) == ""
+
+
 def test_change_that_only_far_linearisations_tell_does_not_contradict_the_file() -> None:
     """As of a short recording, of which each linearisation is farther away than the one before."""
     far = estimate((0.1, 155.0, 112.0), (0.021, 41.0, 44.0))
@@ -218,11 +226,16 @@ def test_document_is_read_back() -> None:
     assert again.to_dict() == document
 
 
-def test_estimate_far_away_says_nothing_about_the_camera(
-    bundled_body: Body, made: Made, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("focal_scale", "contradicts"), [(0.6, True), (1.0, False)])
+def test_of_an_estimate_that_is_not_plausible_what_is_told_at_the_files_camera_is_left(
+    bundled_body: Body, made: Made, monkeypatch: pytest.MonkeyPatch, focal_scale: float, contradicts: bool
 ) -> None:
-    monkeypatch.setattr("dvrk_cmaes.calibration.session_camera.PLAUSIBLE", 1.0)  # 0.3 in the logarithm of the factor
-    found, _ = check(bundled_body, made, 0.6)
-    assert found.camera is None
-    assert found.undetermined.startswith("camera: its estimate from these frames is not plausible; ")
+    monkeypatch.setattr("dvrk_cmaes.calibration.session_camera.PLAUSIBLE", 1e-6)
+    found, _ = check(bundled_body, made, focal_scale)
+    assert (found.camera is not None) == contradicts
+    if found.camera is None:
+        assert found.undetermined.startswith("camera: its estimate from these frames is not plausible; ")
+    else:
+        assert found.camera.contradicts
+        assert found.camera.focal_scale < 0.85
     assert (np.diag(found.covariance)[:6] > 0).all()

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Final
 
+import numpy as np
 import pytest
 
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.report import page_layers, page_thumbnails
 
 ONE_PIXEL: Final = "data:image/webp;base64,UklGRhoAAABXRUJQVlA4TA0AAAAvAAAAEAcQERGIiP4HAA=="
@@ -20,10 +23,18 @@ def _one_pixel(*_: object) -> str:
     return ONE_PIXEL
 
 
+def _black(path: Path, **_: object) -> np.ndarray:
+    """Stand for an image that is read."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    return np.zeros((24, 32, 3), np.uint8)
+
+
 @contextmanager
 def plain_pictures() -> Iterator[None]:
-    """Let the pictures of pages be of one pixel."""
+    """Let the pictures of pages be of one pixel, without reading those of the results."""
     with pytest.MonkeyPatch.context() as patch:
         for module in (page_thumbnails, page_layers):
             patch.setattr(module, "webp_address", _one_pixel)
+            patch.setattr(module, "read_image", _black)
         yield

@@ -25,7 +25,14 @@ from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
 from measure.accuracy.endoscope import endoscope_figures, without_ecm
 from measure.accuracy.figures import base_errors
-from measure.accuracy.fleet_calibrations import MOST_STD, base_in_std, calibrated, pooled, wrong_focal_length
+from measure.accuracy.fleet_calibrations import (
+    MOST_STD,
+    base_in_std,
+    calibrated,
+    names_focal_length,
+    pooled,
+    wrong_focal_length,
+)
 from measure.accuracy.tip_probability import reliability_rows
 from measure.cases import Measurement
 
@@ -178,7 +185,8 @@ def _followed(
         pooled_right = TipErrors.pooled(right)
         total["ok in view, right ones"] = _share(pooled_right.ok[pooled_right.in_view])
     total[f"base within {MOST_STD:g} std"] = sum((row["base / std"] or np.inf) <= MOST_STD for row in rows)
-    total["camera contradicted"] = sum(bool(row["camera contradicted"]) for row in rows)
+    for name in ("camera contradicted", "focal length named"):
+        total[name] = sum(bool(row[name]) for row in rows)
     if wrong_focal is not None:
         total["wrong focal length named"] = sum(row["wrong focal length named"] is True for row in rows)
     report: dict[str, Any] = {"recordings": rows, "all": [total]}
@@ -192,7 +200,7 @@ def _followed(
 def _of_calibration(found: SessionCalibration | None, golden: Mapping[str, Any]) -> dict[str, Any]:
     """Return the figures of a recording's calibration; None where there is none, or no truth."""
     row: dict[str, Any] = {"base, deg": None, "base, mm": None, "base / std": None, "camera contradicted": None}
-    row |= {"lag": None, "doubts": None}
+    row |= {"focal length named": None, "lag": None, "doubts": None}
     if found is None:
         return row
     if golden.get("camera_from_base") is not None:
@@ -200,6 +208,7 @@ def _of_calibration(found: SessionCalibration | None, golden: Mapping[str, Any])
         row["base, deg"], row["base, mm"] = base_errors(found.camera_from_base, true)
         row["base / std"] = base_in_std(found, true)
     row["camera contradicted"] = found.camera is not None and found.camera.contradicts
+    row["focal length named"] = names_focal_length(found)
     row["lag"] = None if found.lag is None else found.lag.frames
     return row | {"doubts": len(found.doubts)}
 

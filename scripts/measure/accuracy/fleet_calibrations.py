@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.session_camera import HINT
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -88,7 +89,10 @@ def base_in_std(found: SessionCalibration, true: Float64) -> float:
 def wrong_focal_length(
     session: Session, body: Body, config: EstimateConfig, workers: int, every: int, *, longer: bool
 ) -> bool | str:
-    """Return whether every N-th frame of a recording names a focal length that is 10 % off, or why it is refused."""
+    """Return whether every N-th frame of a recording names a focal length that is 10 % off, or why it is refused.
+
+    A remark that it may be off names it, too.
+    """
     scale = _FOCAL if longer else 1 / _FOCAL
     changed = {view.name: view.camera.changed(scale, (0.0, 0.0)) for view in session.rig.views}
     wrong = replace(session, rig=session.rig.with_cameras(changed))
@@ -96,8 +100,13 @@ def wrong_focal_length(
         solved = calibrate_share(wrong, body, config, workers, every)
     except InputError as error:
         return str(error)
-    camera = solved.calibration.camera
-    return camera is not None and camera.contradicts
+    return names_focal_length(solved.calibration)
+
+
+def names_focal_length(found: SessionCalibration) -> bool:
+    """Return whether a calibration says that the camera's focal length is wrong, or may be."""
+    contradicted = found.camera is not None and found.camera.contradicts
+    return contradicted or any(text.startswith(HINT) for text in found.remarks)
 
 
 def calibrate_share(session: Session, body: Body, config: EstimateConfig, workers: int, every: int) -> SolvedSession:
