@@ -89,7 +89,7 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def _with(self, views: Sequence[SizedView] = (), **changed: Any) -> Coverage:
         """Return the same term of other views, or with other arguments."""
-        given = {"correlations": self._correlations, "cauchy": self._width, "noise": self.noise}
+        given: dict[str, Any] = {"correlations": self._correlations, "cauchy": self._width, "noise": self.noise}
         return Coverage(views or self.views, self._config, **(given | changed))
 
     def with_correlations(self, lengths: Sequence[float]) -> Coverage:
