@@ -94,7 +94,7 @@ def segment(
         from dvrk_cmaes.silhouette.threads import single_blas_thread
 
         with single_blas_thread():
-            return _segment_classic(image, background, hints, instrument, camera, joints)
+            return with_classic(image, background, hints, instrument, camera, joints)
 
     if model == "classic":
         if weights is not None:
@@ -111,7 +111,7 @@ def segment(
     raise InputError(f"model: expected one of {', '.join(nearest_first(str(model), MODELS))}, got {model!r}")
 
 
-def _segment_classic(
+def with_classic(
     image: NDArray[np.uint8],
     background: NDArray[np.uint8] | None,
     hints: Hints,

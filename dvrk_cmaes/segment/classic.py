@@ -32,21 +32,21 @@ from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 
 # lengths without a unit are fractions of the image's longer side
 _SMALLEST = 8  # px, least shorter side of an image that is segmented
-_REDUCED = 320  # px, the longer side at the reduced size
+REDUCED = 320  # px, the longer side at the reduced size
 # (share of the instrument that may have any colour, largest number of iterations); a large share lets the mask grow
 # into parts whose colours are not in the mask yet, such as the wrist
 _SCHEDULE = ((0.5, 8), (0.1, 2), (0.02, 2))
 _CONVERGED = 0.97  # IoU of the masks of two successive iterations, above which the iteration stops
 _REACH = 0.125  # largest distance from the last mask at which a pixel may be labelled instrument
 _AROUND = 0.19  # largest distance from the mask of the pixels that the background's histogram is taken from
-_GAP = 0.06  # largest distance between pieces of an instrument, at the reduced size
+GAP = 0.06  # largest distance between pieces of an instrument, at the reduced size
 _PRIOR_WEIGHT, _LARGEST_PRIOR = 0.3, 2.0  # weight of the greyness log-odds beside the histograms', and their bound
 
 
 def rough_mask(image: Image, hints: Hints) -> Segmentation:
     """Find the mask of the instrument in an image (H, W, 3) uint8 BGR at a reduced size, of which it is."""
     height, width = image.shape[:2]
-    small, scale = shrunk(image, _REDUCED), size_within(image.shape, _REDUCED)[1]
+    small, scale = shrunk(image, REDUCED), size_within(image.shape, REDUCED)[1]
     if min(height, width) < _SMALLEST:
         return Segmentation(np.zeros(small.shape[:2], np.bool_), None, 0.0, ("no instrument found",))
     prompts = draw_prompts(small.shape, scale, hints.box, hints.points, hints.not_points)
@@ -74,7 +74,7 @@ def segment_classic(image: Image, hints: Hints, rough: Segmentation | None = Non
 def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts: Prompts) -> Bool:
     """Alternate graph cut and colour histograms, starting from the log-odds ``prior`` (H, W); returns a mask (H, W)."""
     longer = max(colours.shape)
-    mask = instrument_region(_cut(prior, colours, prompts), _GAP * longer, prompts)
+    mask = instrument_region(_cut(prior, colours, prompts), GAP * longer, prompts)
     for unseen, iterations in _SCHEDULE:
         for _ in range(iterations):
             if not mask.any():
@@ -84,7 +84,7 @@ def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts:
             odds = np.clip(odds, -LARGEST_COLOUR_ODDS, LARGEST_COLOUR_ODDS)
             odds += _PRIOR_WEIGHT * np.clip(prior, -_LARGEST_PRIOR, _LARGEST_PRIOR)
             before, mask = mask, _cut(odds, colours, prompts, away > _REACH * longer)
-            mask = instrument_region(mask, _GAP * longer, prompts)
+            mask = instrument_region(mask, GAP * longer, prompts)
             if (before & mask).sum() > _CONVERGED * (before | mask).sum():
                 break
     return fill_holes(mask)
