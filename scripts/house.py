@@ -32,7 +32,7 @@ NAMED: Final = {
     "loops that solve": """
         pose/refine/gauss_newton.py:refine              pose/refine/direct.py:_coordinate_descent
         calibration/solve.py:solve                      calibration/solve.py:alternate
-        calibration/alternation.py:solved               track/colour_edges.py:fit_edges""",
+        calibration/alternation.py:solved""",
     "drivers of a fit": """
         calibration/frame_fit.py:fit_frame""",
     "predictions from readings": """

@@ -24,7 +24,7 @@ from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose import find_pose
 from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
-from dvrk_cmaes.pose.search.modes import Candidate
+from dvrk_cmaes.pose.search.modes import PoseCandidate
 from dvrk_cmaes.silhouette import Body, Renderer
 
 QUICK = EstimateConfig()
@@ -183,7 +183,7 @@ def test_another_search_follows_where_the_first_does_not_explain_the_mask(
 
     def poor_at_first(
         renderer: Renderer, evidence: Evidence, known: Readings, config: EstimateConfig
-    ) -> tuple[list[Candidate], list[Renderer]]:
+    ) -> tuple[list[PoseCandidate], list[Renderer]]:
         seeds.append(config.seed)
         found, drawing = search(renderer, evidence, known, config)
         if len(seeds) == 1:

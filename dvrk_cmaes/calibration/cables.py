@@ -4,6 +4,10 @@ Given the base, each frame's fit is an uncertain observation of the errors of ro
 Models of these errors, from one offset a joint to coupling, play and wander, are compared by the likelihood of all
 observations with the priors of `joints.cable_prior`. A larger model is only used where it is more likely than one
 offset by a margin; otherwise nothing is corrected. Each frame is corrected by what all other frames tell of it.
+
+The parameters are not unknowns of the session's linearised problem, as its other constants are: the choice between the
+models needs the likelihood of each, which the filters give with the parameters, and wander differs from frame to frame.
+As such unknowns, those of a chosen model find the same base, and predict frames that are left out hardly better.
 """
 
 from __future__ import annotations
@@ -14,10 +18,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.lasting_errors import frames_alike
 from dvrk_cmaes.calibration.model import Calibration, Correction, Deviations, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solution
+from dvrk_cmaes.calibration.session_lag import LagEstimate
+from dvrk_cmaes.calibration.solve import FrameFits, Solved
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.joints.cable_inference import (
     Assumed,
@@ -110,7 +114,7 @@ class CableFit:
 def estimate_cables(
     model: SessionModel,
     fits: FrameFits,
-    solution: Solution,
+    solution: Solved,
     lag: LagEstimate,
     usual: Deviations,
     offset_std: Float64,

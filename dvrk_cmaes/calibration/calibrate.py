@@ -21,7 +21,6 @@ from dvrk_cmaes.calibration.frame_reports import reported
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
 from dvrk_cmaes.calibration.imaging import checked_camera
 from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
-from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
@@ -128,7 +127,8 @@ def solving_arm(
     settings, instrument = problem.config, problem.instrument
     check_config(settings)
     started = time.perf_counter()
-    usable, left_out = _usable(frames, instrument)
+    left_out = _unusable(frames)
+    usable = [frame for frame in frames if frame.name not in left_out]
     series = _series_of(usable) if problem.series is None else problem.series
     names = instrument.joint_names
     readings = [frame.result.readings for frame in usable]
@@ -245,7 +245,8 @@ def find_lag(
     settings = EstimateConfig() if config is None else config
     check_config(settings)
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
-    usable, _ = _usable(frames, body.instrument)
+    left_out = _unusable(frames)
+    usable = [frame for frame in frames if frame.name not in left_out]
     if series is None:
         series = _series_of(usable)
     run = partial(in_threads, body, settings)
@@ -276,19 +277,13 @@ def in_threads(
     return map_threaded(lambda task: function(body, config, task), tasks, config.threads)
 
 
-def _usable(frames: Sequence[SessionFrame], instrument: Instrument) -> tuple[list[SessionFrame], dict[str, str]]:
-    """Select the frames with a pose and the outer joints' readings, and give the reasons for the others by name.
+def _unusable(frames: Sequence[SessionFrame]) -> dict[str, str]:
+    """Return the reasons, by name, for the frames without a pose or the outer joints' readings.
 
-    Raises `InputError` if there are too few.
+    Raises `InputError` if there are too few others.
     """
-    left_out = {}
-    for frame in frames:
-        if frame.result.camera_from_root is None or frame.result.covariance is None:
-            left_out[frame.name] = "no pose: " + "; ".join(frame.result.reasons or ("the frame failed",))
-        elif np.isnan(outer_readings([frame.result.readings])).any():
-            left_out[frame.name] = "no readings of all outer joints (yaw, pitch, insertion, roll)"
-    usable = [frame for frame in frames if frame.name not in left_out]
-    if len(usable) < LEAST_FRAMES:
+    left_out = {frame.name: text for frame in frames if (text := frame.lacks)}
+    if (usable := len(frames) - len(left_out)) < LEAST_FRAMES:
         why = "; ".join(dict.fromkeys(left_out.values())) or "no more were given"
-        raise InputError(f"session: expected at least {LEAST_FRAMES} usable frames, got {len(usable)} ({why})")
-    return usable, left_out
+        raise InputError(f"session: expected at least {LEAST_FRAMES} usable frames, got {usable} ({why})")
+    return left_out

@@ -20,32 +20,22 @@ from dvrk_cmaes.joints.series import ReadingSeries
 RANGE = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
 """Least and largest lag of the search, by unit."""
 
-FAR_RANGE = {"frames": (-90.0, 90.0), "s": (-3.0, 3.0)}
-"""As `RANGE`, where the frames agree at no lag in that."""
+FARTHEST = {"frames": 90.0, "s": 3.0}
+"""Largest lag of the search, in either direction, where the frames agree at no lag in `RANGE`."""
 
-_STEP = {"frames": 1.0, "s": 1 / 30}  # of the search, at most the time between images
 _FRAME_SECONDS = 1 / 30  # between images that have no times
+_STEP = {"frames": 1.0, "s": _FRAME_SECONDS}  # of the search, at most the time between images
 _MOST_STEPS = 61
 _CABLE_SECONDS = 2.0  # for which the errors of the joints that cables move stay alike
 _ROUGH = 5.0  # standard deviations of a reading that it may change unevenly from row to row
 
 
-@dataclass(frozen=True)
-class Delay:
-    """A trial lag in the unit of a clock.
-
-    ``value`` is the lag in the middle of the frames, ``drift`` its change by time, and ``joints`` the lag of the
-    readings of wrist and jaw in addition to that of the outer joints.
-    """
-
-    value: float = 0.0
-    drift: float = 0.0
-    joints: float = 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class Clock:
     """Readings of a session's frames at any lag.
+
+    A ``lag`` (3,) is that in the middle of the frames, its change by time, and the lag of the readings of wrist and jaw
+    in addition to that of the outer joints, in the unit of the series.
 
     ``times`` (N,) are those of the frames' images on the clock of the ``series``, ``middle`` is the middle of the times
     of all frames. ``interpolable`` tells whether the readings may be interpolated, because the rows follow each other
@@ -83,16 +73,18 @@ class Clock:
         """Return the clock of some of the frames."""
         return replace(self, times=self.times[np.asarray(index, dtype=np.intp)])
 
-    def delay_of(self, lag: Lag) -> Delay:
-        """Return a lag as a delay of this clock."""
+    def values_of(self, lag: Lag | None) -> Float64:
+        """Return a lag (3,) in the unit of this clock; zero for None."""
+        if lag is None:
+            return np.zeros(3)
         middle = np.array([self.middle + self.series.origin])
-        return Delay(float(lag.at(middle, self.series.unit)[0]), lag.drift)
+        return np.array([lag.at(middle, self.series.unit)[0], lag.drift, 0.0])
 
-    def model_at(self, model: SessionModel, delay: Delay) -> SessionModel:
+    def model_at(self, model: SessionModel, lag: Float64) -> SessionModel:
         """Return the model with the readings of the times of the images less the lag."""
-        return self._model_at(model, delay, model.deviations, smoothed=False)
+        return self._model_at(model, lag, model.deviations, smoothed=False)
 
-    def model_to_compare(self, model: SessionModel, delay: Delay, *, lasting: bool = True) -> SessionModel:
+    def model_to_compare(self, model: SessionModel, lag: Float64, *, lasting: bool = True) -> SessionModel:
         """Return the model of `model_at` by which lags are compared.
 
         Its readings are smoothed where they may be interpolated: otherwise a lag between two rows would agree better
@@ -105,27 +97,27 @@ class Clock:
         factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count))) if lasting else 1.0
         own = model.deviations
         outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
-        return self._model_at(model, delay, replace(own, outer=outer, joints=factor * own.joints), smoothed=True)
+        return self._model_at(model, lag, replace(own, outer=outer, joints=factor * own.joints), smoothed=True)
 
-    def _model_at(self, model: SessionModel, delay: Delay, deviations: Deviations, *, smoothed: bool) -> SessionModel:
-        read, spline = self.read_times(delay), smoothed and self.interpolable
+    def _model_at(self, model: SessionModel, lag: Float64, deviations: Deviations, *, smoothed: bool) -> SessionModel:
+        read, spline = self.read_times(lag), smoothed and self.interpolable
         outer = self.series.at(OUTER_JOINTS, read, smoothed=spline)
-        joints = self.series.at(model.names, read - delay.joints, smoothed=spline)
+        joints = self.series.at(model.names, read - lag[2], smoothed=spline)
         endoscope = model.endoscope
         if isinstance(endoscope, Steered):
             endoscope = endoscope.at(self.series.at(ECM_JOINTS, read))
         return replace(model, outer=outer, joints=joints, deviations=deviations, endoscope=endoscope)
 
-    def seconds(self, delay: Delay) -> Float64:
+    def seconds(self, lag: Float64) -> Float64:
         """Return the times (N,), s, at which the arm was read; images that are only counted are 1 / 30 s apart."""
-        return self._unit_seconds * self.read_times(delay)
+        return self._unit_seconds * self.read_times(lag)
 
-    def play(self, names: Sequence[str], readings: Float64, width: Float64, delay: Delay) -> Play:
+    def play(self, names: Sequence[str], readings: Float64, width: Float64, lag: Float64) -> Play:
         """Return how far C joints stay behind their readings (N, C) at the times of the frames less the lag.
 
         ``width`` (C,), rad, is that of their play; all readings of the series count.
         """
-        at, of_joints = self.read_times(delay), []
+        at, of_joints = self.read_times(lag), []
         for name, column, band in zip(names, readings.T, width, strict=True):
             times, values = self.series.times.get(name), self.series.values.get(name)
             if times is None or values is None:
@@ -133,10 +125,10 @@ class Clock:
             of_joints.append(play_between(times, values, float(band), at, column))
         return Play(*(np.stack(part, axis=1) for part in zip(*of_joints, strict=True)))
 
-    def has_readings(self, delay: Delay) -> Bool:
+    def has_readings(self, lag: Float64) -> Bool:
         """Whether each frame has readings of all outer joints at a lag, (N,)."""
-        return np.asarray(~np.isnan(self.series.at(OUTER_JOINTS, self.read_times(delay))).any(axis=1))
+        return np.asarray(~np.isnan(self.series.at(OUTER_JOINTS, self.read_times(lag))).any(axis=1))
 
-    def read_times(self, delay: Delay) -> Float64:
+    def read_times(self, lag: Float64) -> Float64:
         """Return the times (N,) at which the arm was read as the images show it."""
-        return np.asarray(self.times - delay.value - delay.drift * (self.times - self.middle))
+        return np.asarray(self.times - lag[0] - lag[1] * (self.times - self.middle))

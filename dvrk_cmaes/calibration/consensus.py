@@ -18,7 +18,7 @@ from dvrk_cmaes.results.result import Result, modes_of
 
 _MAX_HYPOTHESIS_FRAMES = 60  # frames whose modes are used as hypotheses
 _MAX_TEST_FRAMES = 240  # frames on which each hypothesis is scored
-_MOST_AT_ONCE = 2000  # modes of test frames times hypotheses that are scored at once, in some 5 MB
+MOST_AT_ONCE = 2000  # modes of test frames times hypotheses that are scored at once, in some 5 MB
 _ENOUGH = 0.5  # share of the frames that agree, from which on no other offset of roll is tried
 _MAX_ROLLED_FRAMES = 20  # frames whose modes are tried, and scored, at other offsets of roll
 _ROLL_STEP = np.deg2rad(20.0)  # between offsets of roll, and standard deviation of each frame's
@@ -213,7 +213,7 @@ class _Hypotheses:
 
     def costs(self, sources: Indices, test_frames: Indices) -> Float64:
         """Return the sums (H,) of the costs of test frames (V,) by the calibrations from ``sources`` (H, 2)."""
-        at_once = max(1, _MOST_AT_ONCE // (len(test_frames) * self._covariance.shape[1]))
+        at_once = max(1, MOST_AT_ONCE // (len(test_frames) * self._covariance.shape[1]))
         parts = (sources[first : first + at_once] for first in range(0, len(sources), at_once))
         return np.concatenate([self._tested(part, test_frames)[2].sum(axis=1) for part in parts])
 

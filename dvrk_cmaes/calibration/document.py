@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
+from dvrk_cmaes.calibration.constants import TOLD
 from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.instrument_test import CandidateFit
-from dvrk_cmaes.calibration.lag import LagCurve
+from dvrk_cmaes.calibration.lag_search import LagCurve
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
     BASE_AXES,
@@ -27,11 +28,11 @@ from dvrk_cmaes.calibration.model import (
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_doubts import doubts_of
-from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
+from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
 from dvrk_cmaes.calibration.session_shaft import SessionShaft
-from dvrk_cmaes.calibration.solve import Solution
+from dvrk_cmaes.calibration.solve import Solved
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, changed_views
 from dvrk_cmaes.camera.view_document import ViewDocument
@@ -61,8 +62,6 @@ SCHEMA = 1
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
 """What messages about arguments say of the type."""
 # standard deviations above which a part of the calibration is reported as not determined
-_UNDETERMINED_SHARE = 0.9  # of an offset, relative to the standard deviation of its prior
-_UNDETERMINED_ROTATION = np.deg2rad(5.0)  # of the base
 _UNDETERMINED_POSITION = 5e-3  # of the base, m
 _ELSEWHERE = np.deg2rad(30.0)  # from the only reading of a joint, where its offset says nothing any more
 
@@ -405,7 +404,7 @@ def _pairs(predictions: Mapping[str, _LeaveOneOut]) -> dict[str, tuple[float, fl
 
 
 def describe_solution(
-    model: SessionModel, solution: Solution, of_camera: Float64, config: EstimateConfig
+    model: SessionModel, solution: Solved, of_camera: Float64, config: EstimateConfig
 ) -> dict[str, Any]:
     """Return the parts of a solution as fields of a `SessionCalibration`.
 
@@ -420,18 +419,14 @@ def describe_solution(
     # from frame to frame, for those who correct by the offsets only
     corrected = np.concatenate([deviations.outer[3:], deviations.joints])
     uncorrected = np.hypot(corrected, np.std(model.correction.values, axis=0))
+    outer = np.concatenate([deviations.outer[:3], uncorrected[:1]])
     return {
         "camera_from_base": solution.calibration.camera_from_base,
         "offsets": dict(zip(names, solution.calibration.offsets.tolist(), strict=True)),
         "axes": (*BASE_AXES, *names),
         "covariance": covariance,
         "covariance_given_camera": given_camera,
-        "spreads": {
-            **dict(zip(("yaw", "pitch", "insertion"), deviations.outer[:3].tolist(), strict=True)),
-            **dict(zip(("roll", *model.names), uncorrected.tolist(), strict=True)),
-            "slack_translation": float(deviations.slack[0]),
-            "slack_rotation": float(deviations.slack[3]),
-        },
+        "spreads": replace(deviations, outer=outer, joints=uncorrected[1:]).by_name(model.names),
         "untold": tuple(_undetermined(std, names, config)),
         "seed": config.seed,
     }
@@ -442,13 +437,13 @@ def _undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) 
     texts = []
     if std[:3].max() > _UNDETERMINED_POSITION:
         texts.append(f"place of the base: standard deviation {std[:3].max() * 1e3:.1f} mm")
-    if std[3:6].max() > _UNDETERMINED_ROTATION:
+    if std[3:6].max() > UNDETERMINED_ROTATION:
         texts.append(
             f"rotation of the base: standard deviation {np.degrees(std[3:6].max()):.1f} deg; the arm hardly turns, and "
             "its rotation cannot be told from the offset of roll"
         )
     for name, deviation, before in zip(names, std[6:], offset_deviations(config, names[2:]), strict=True):
-        if deviation > _UNDETERMINED_SHARE * before:
+        if deviation > TOLD * before:
             amount = f"{deviation * 1e3:.2f} mm" if name == "insertion" else f"{np.degrees(deviation):.1f} deg"
             texts.append(f"offset of {name}: standard deviation {amount}, as wide as expected beforehand")
     return texts

@@ -16,7 +16,7 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lasting_errors import frames_alike
 from dvrk_cmaes.calibration.model import Calibration, SessionModel, ecm_readings
 from dvrk_cmaes.calibration.session_state import SessionState
-from dvrk_cmaes.calibration.solve import Solution, robust_costs, solve_with_modes
+from dvrk_cmaes.calibration.solve import Solved, robust_costs, solve_with_modes
 from dvrk_cmaes.geometry import inverse
 
 Float64 = NDArray[np.float64]
@@ -214,7 +214,7 @@ class _Cut:
     """All frames solved with a base for each piece, and all else shared; ``pieces`` is None where there is one."""
 
     pieces: Pieces | None
-    solution: Solution
+    solution: Solved
 
     @classmethod
     def of(
@@ -264,7 +264,7 @@ class _Run:
     """Consecutive frames and what they tell by themselves."""
 
     index: Indices
-    solution: Solution
+    solution: Solved
 
     @property
     def cost(self) -> float:

@@ -1,7 +1,7 @@
 """Detection of faults that concern a session as a whole, from its frames' modes.
 
 Faults are: an arm that does not move, and readings of another arm or tool. A base or camera that moved is found in
-`dvrk_cmaes.calibration.endoscope_search`, the lag between images and readings in `dvrk_cmaes.calibration.lag`.
+`dvrk_cmaes.calibration.endoscope_search`, the lag between images and readings in `dvrk_cmaes.calibration.lag_search`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, ROLL_OFFSET, ROLL_OFFSET_LONG
 
 _STILL_RAD, _STILL_M = np.deg2rad(0.05), 2e-4  # standard deviation below which readings are constant
-_IMPROVEMENT = 0.5  # largest ratio of mean misfits at which another explanation replaces the first
+IMPROVEMENT = 0.5  # largest ratio of mean misfits at which another explanation replaces the first
 _GOOD_MISFIT = 0.5  # mean misfit at which no other explanation is needed
 
 
@@ -60,7 +60,7 @@ def check_arm(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: 
         outer = model.outer.copy()
         outer[:, 2] += difference
         other = find_consensus(replace(model, outer=outer), modes, offset_std)
-        if other.mean_misfit < _IMPROVEMENT * misfit:
+        if other.mean_misfit < IMPROVEMENT * misfit:
             than = "longer" if difference > 0 else "shorter"
             raise InputError(
                 f"session: the readings fit an arm or tool {abs(difference) * 1e3:.0f} mm {than}"

@@ -43,11 +43,7 @@ def predict_from_first(
         The root's pose in the reference camera and the joints, by name; without the frames that have no readings of
         all outer joints at the time of their image less the lag. Empty if the first frames do not agree.
     """
-    usable = [
-        frame
-        for frame in first
-        if frame.result.covariance is not None and not np.isnan(outer_readings([frame.result.readings])).any()
-    ]
+    usable = [frame for frame in first if not frame.lacks]
     try:
         state = initialised(with_lag_of_modes(with_readings(SessionState.of(problem, usable))))
     except InputError:  # too few frames, or they contradict each other: then they tell nothing about the others

@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame
 from dvrk_cmaes.calibration.masks_again import FindMasks, read_data
+from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
 from dvrk_cmaes.camera.rig import ViewChange, changed_views
 from dvrk_cmaes.config import EstimateConfig
@@ -55,7 +56,16 @@ class SessionFrame:
     find_masks: FindMasks | None = None
     brief: bool = False
 
-    def with_data(self, change: Callable[[FrameData], FrameData]) -> SessionFrame:
+    @property
+    def lacks(self) -> str:
+        """What it lacks to be solved with others, in words: a pose, or readings of all outer joints; else empty."""
+        if self.result.camera_from_root is None or self.result.covariance is None:
+            return "no pose: " + "; ".join(self.result.reasons or ("the frame failed",))
+        if np.isnan(outer_readings([self.result.readings])).any():
+            return "no readings of all outer joints (yaw, pitch, insertion, roll)"
+        return ""
+
+    def with_data(self, change: Callable[[FrameData], FrameData]) -> Self:
         """Return the frame with data that are changed once they are read.
 
         Parameters
@@ -65,7 +75,7 @@ class SessionFrame:
         """
         return replace(self, data=partial(_changed_data, self.data, change))
 
-    def with_changed_views(self, changes: Mapping[str, ViewChange], places: Mapping[str, Float64]) -> SessionFrame:
+    def with_changed_views(self, changes: Mapping[str, ViewChange], places: Mapping[str, Float64]) -> Self:
         """Return the frame with further views changed, by name; its own result says by how much they are turned still.
 
         ``view_fits`` of the result are then those against the changed views.

@@ -27,6 +27,8 @@ from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.pose.terms.shared_errors import without_last
 from dvrk_cmaes.pose.terms.term import Quadratic
 
+CORRELATED_FRAMES = 3.0
+"""Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 _AT_ONE_TIME = 0.999  # correlation of the errors of frames of one time
 
 

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.constants import weak
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, LastingSize
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, marginalise
+from dvrk_cmaes.calibration.solve import FrameFits, Solved, marginalise
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.term import Quadratic
 
@@ -24,7 +25,6 @@ _SCALE_STD, _SECONDS_STD = 0.5, 0.6  # of the logarithms of both, beforehand
 _SCALES = USUAL_SIZE.scale * np.geomspace(0.2, 5.0, 11)
 _SECONDS = USUAL_SIZE.seconds * np.geomspace(0.1, 10.0, 9)
 _BLOCK = 40  # frames whose errors are compared with each other
-_LEAST_BASE = 1.0, 1.0  # m and rad, known of the base beforehand, for sessions that do not determine all of it
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class LastingEstimate:
 
 
 def estimate_lasting(
-    model: SessionModel, fits: Sequence[FrameFit], solution: Solution, prior: Float64, times: Float64
+    model: SessionModel, fits: Sequence[FrameFit], solution: Solved, prior: Float64, times: Float64
 ) -> LastingEstimate:
     """Estimate the size of the errors that last.
 
@@ -75,7 +75,7 @@ def estimate_lasting(
         _Block.of(frames.left, jacobian, solution.weights, times, part)
         for part in np.array_split(order, -(-len(order) // _BLOCK))
     ]
-    base = np.diag([*[_LEAST_BASE[0] ** -2] * 3, *[_LEAST_BASE[1] ** -2] * 3, *[0.0] * (len(prior) - 6)])
+    base = weak(len(prior))
     log = np.array(
         [
             [_log_likelihood(blocks, prior + base, LastingSize(scale, seconds)) for seconds in _SECONDS]

@@ -53,6 +53,11 @@ class Deviations:
         slack = [config.slack_mm * 1e-3] * 3 + [np.deg2rad(config.slack_deg)] * 3
         return cls(np.array(outer), joints, np.array(slack))
 
+    def by_name(self, joint_names: Sequence[str]) -> dict[str, float]:
+        """Return them by the names of the joints, and those of the slack by ``slack_translation`` and ``_rotation``."""
+        names = (*OUTER_JOINTS, *joint_names, "slack_translation", "slack_rotation")
+        return dict(zip(names, np.concatenate([self.outer, self.joints, self.slack[[0, 3]]]).tolist(), strict=True))
+
 
 def offset_deviations(config: EstimateConfig, joint_names: Sequence[str]) -> Float64:
     """Return the standard deviations (2 + J,) of the offsets about zero before the session, m and rad."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -15,14 +15,13 @@ from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_fram
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
-from dvrk_cmaes.calibration.session_doubts import OF_FRAMES
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.joints.sparse import LEAST_ERROR
-from dvrk_cmaes.pose.doubts import doubts_in_views
+from dvrk_cmaes.pose.doubts import OF_FRAMES, doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.quality import measure_views, pooled_quality
@@ -197,8 +196,7 @@ class Prediction:
         return found
 
 
-@dataclass(frozen=True)
-class FoundLag:
+class FoundLag(NamedTuple):
     """A lag and its standard deviation, s."""
 
     seconds: float
@@ -227,13 +225,9 @@ def lag_of(calibration: SessionCalibration, unknown: float) -> FoundLag | None:
     return FoundLag(value, std)
 
 
-def lag_and_std(calibration: SessionCalibration, unknown: float) -> tuple[float, float]:
-    """Return the lag that is taken out of the readings and its standard deviation, s, as in `lag_of`.
-
-    They are 0 and ``unknown`` where nothing tells one.
-    """
-    found = lag_of(calibration, unknown)
-    return (0.0, unknown) if found is None else (found.seconds, found.std)
+def lag_and_std(calibration: SessionCalibration, unknown: float) -> FoundLag:
+    """Return the lag as `lag_of`; 0 with the standard deviation ``unknown`` where nothing tells one."""
+    return lag_of(calibration, unknown) or FoundLag(0.0, unknown)
 
 
 def fit_session_pose(
@@ -293,7 +287,8 @@ def fit_session_pose(
     quality = pooled_quality(qualities)
     deviation = fit.at.minus(expected.mean)
     misfit = float(deviation @ expected.information @ deviation) / len(deviation)
-    if doubts := OF_FRAMES["alone"].doubts(quality, misfit, session, config.session):
+    usual = session.iou, session.contour_px_95
+    if doubts := OF_FRAMES["alone"].doubts_in_session(quality, misfit, *usual, config.session):
         return f"session: {'; '.join(doubts)}: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
     camera = views[0].evidence.camera

@@ -14,6 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvrk_cmaes.calibration.constants import (
+    CLEAR,
+    PASSES,
+    SHARED_ERRORS,
+    TOLD,
     Constant,
     FramesAt,
     Linearised,
@@ -24,20 +28,16 @@ from dvrk_cmaes.calibration.constants import (
 )
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.session_rig import LEAST_STD, ViewRotation, ViewScale, is_turned
-from dvrk_cmaes.calibration.solve import Solution, marginalise, solve, solve_unchanged
+from dvrk_cmaes.calibration.solve import Solved, marginalise, solve, solve_unchanged
 from dvrk_cmaes.camera.rig import ViewChange, turned_place
 from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse
 from dvrk_cmaes.pose.terms.coverage import of_camera, of_margin
 
 _STD = np.array([*[np.deg2rad(1.0)] * 3, 0.2, 0.1, 0.5])  # rad, logarithms, and px by which the margins of eyes differ
 _PINNED = 1e-3  # standard deviation of what stays as in the file, in those of the prior
-_SHARED_ERRORS = 1.2  # factor on standard deviations, as of the camera
 _SCALES = {"baseline": 3, "relative focal length": 4}  # numbers of unknowns
 _LEAST_SCALE_STD = {3: 0.008, 4: 0.003}
 _LEAST_SCALE = {3: 0.01, 4: 0.004}  # below which they stay as in the file
-_CLEAR = 3.0  # standard deviations
-_TOLD = 0.9  # of the prior's standard deviation, below which the session tells an unknown
-_PASSES = 4  # largest number of linearisations of the outlines
 _Scales = dict[tuple[str, int], ViewScale | None]  # by view and number among its unknowns; None if not told
 
 
@@ -109,7 +109,7 @@ def estimate_rig(frames: FramesAt, outlines: SessionOutlines, stated: Sequence[V
     """
     further = [one for one in outlines.constants if isinstance(one, ViewDifference)]
     names = [one.name for one in further]
-    there = linearise(frames, outlines, solve_unchanged, names, passes=_PASSES)
+    there = linearise(frames, outlines, solve_unchanged, names, passes=PASSES["rig"])
     scales = _scales(there.solution, names)
     undetermined = tuple(text for each in stated for text in _undetermined(each, scales))
     solution, free = _with_clear_scales(there, scales, names)
@@ -120,7 +120,7 @@ def estimate_rig(frames: FramesAt, outlines: SessionOutlines, stated: Sequence[V
     for name in names:
         own = solution.calibration.place(name)
         angles = slice(own.start, own.start + 3)
-        covariance = np.degrees(_SHARED_ERRORS) ** 2 * solution.covariance[angles, angles] + np.diag(LEAST_STD**2)
+        covariance = np.degrees(SHARED_ERRORS) ** 2 * solution.covariance[angles, angles] + np.diag(LEAST_STD**2)
         rotation = np.degrees(solution.calibration.constants[name][:3])
         free[angles] = applied = is_turned(rotation, covariance)
         turned[name] = rotation, np.sqrt(np.diag(covariance)), applied
@@ -136,7 +136,7 @@ def estimate_rig(frames: FramesAt, outlines: SessionOutlines, stated: Sequence[V
     return RigEstimate(tuple(views.values()), undetermined, changes, alone, at, moved=True)
 
 
-def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str]) -> tuple[Solution, Bool]:
+def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str]) -> tuple[Solved, Bool]:
     """Return the solution with those baselines and focal lengths that are clear of the file, and what is free (K,).
 
     What is not clear any more once the others are as in the file stays as there, too; ``scales`` is brought up to date.
@@ -154,7 +154,7 @@ def _with_clear_scales(there: Linearised, scales: _Scales, names: Sequence[str])
     return solution, free
 
 
-def _solved(there: Linearised, calibration: Calibration, free: Bool) -> Solution:
+def _solved(there: Linearised, calibration: Calibration, free: Bool) -> Solved:
     """Return the solution where constants that are not free (K,) are as in the file."""
     constants = {
         name: np.where(free[calibration.place(name)], block, 0.0) for name, block in calibration.constants.items()
@@ -163,20 +163,20 @@ def _solved(there: Linearised, calibration: Calibration, free: Bool) -> Solution
     return solve(there.model, there.fits, replace(calibration, constants=constants), there.prior + pinned)
 
 
-def _std(solution: Solution, name: str) -> Float64:
+def _std(solution: Solved, name: str) -> Float64:
     """Return the standard deviations (6,) of a view's unknowns."""
-    return np.asarray(_SHARED_ERRORS * np.sqrt(np.diag(solution.covariance)[solution.calibration.place(name)]))
+    return np.asarray(SHARED_ERRORS * np.sqrt(np.diag(solution.covariance)[solution.calibration.place(name)]))
 
 
-def _scales(solution: Solution, names: Sequence[str]) -> _Scales:
+def _scales(solution: Solved, names: Sequence[str]) -> _Scales:
     """Return what is told of the further views' baselines and focal lengths; None where it is not told."""
     out: _Scales = {}
     for name in names:
         found, std = solution.calibration.constants[name], _std(solution, name)
         for unknown, least in _LEAST_SCALE_STD.items():
             value, own = float(found[unknown]), float(np.hypot(std[unknown], least))
-            clear = abs(value) > max(_CLEAR * own, _LEAST_SCALE[unknown])
-            told = own < _TOLD * _STD[unknown]
+            clear = abs(value) > max(CLEAR * own, _LEAST_SCALE[unknown])
+            told = own < TOLD * _STD[unknown]
             out[name, unknown] = ViewScale(float(np.exp(value)), own, clear) if told else None
     return out
 

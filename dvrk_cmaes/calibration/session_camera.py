@@ -15,6 +15,9 @@ import numpy as np
 
 from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.constants import (
+    NAMED,
+    PASSES,
+    SHARED_ERRORS,
     Constant,
     FramesAt,
     Linearised,
@@ -50,18 +53,10 @@ PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
 _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
-_SHARED_ERRORS = 1.2
-"""Factor on the standard deviations, because the frames of a session share errors of masks and meshes.
-
-In six synthetic sessions of 20 frames with the right camera (three of easy, three of medium masks) the mean squared
-distance of the estimate from the truth was 4.0 instead of 3, in its own standard deviations.
-"""
-
 _CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
 _LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
 _LEAST_HINT = 2.71  # of the same, where it is a remark; that of 90 % with one unknown
-_PASSES = 6  # largest number of linearisations of the outlines
 IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
     "insertion, tell it better"
@@ -69,7 +64,6 @@ IMPLAUSIBLE = (
 """Why a session does not tell its camera: the estimate lies too far away for outlines that were linearised here."""
 
 _NOT_ASKED = "camera: not tested, as the settings say"
-_NAMED = 2.5  # standard deviations from no change, above which one of the unknowns is named
 _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
     "another length has a similar effect"
@@ -131,11 +125,11 @@ class SessionCamera(Document):
         contradict it as well. Unless the file is ``unusual`` in itself, few frames must contradict it clearly, and
         another camera must explain the frames better.
         """
-        change, covariance = estimate.change, _SHARED_ERRORS**2 * estimate.covariance
+        change, covariance = estimate.change, SHARED_ERRORS**2 * estimate.covariance
         limit = _CONTRADICTION if unusual or applied or frames >= _MANY_FRAMES else _CLEAR_CONTRADICTION
         contradicts = _distance(change, covariance, config) > limit
         if not applied:
-            first = _distance(estimate.first_change, _SHARED_ERRORS**2 * estimate.first_covariance, config)
+            first = _distance(estimate.first_change, SHARED_ERRORS**2 * estimate.first_covariance, config)
             contradicts = contradicts and first > limit and (unusual or estimate.gain >= _LEAST_GAIN)
         if not (contradicts or applied):
             change, covariance = _with_file(change, covariance, config)
@@ -218,8 +212,8 @@ class SessionCamera(Document):
         file_std = file_deviations(config)
         scale, std = self.focal_scale - 1, self.std_focal_scale
         shift, std_shift = np.array(self.principal_point_px), np.array(self.std_principal_point_px)
-        of_focal_length = abs(scale) > _NAMED * np.hypot(std, file_std[0])
-        of_centre = bool((np.abs(shift) > _NAMED * np.hypot(std_shift, file_std[1:])).any())
+        of_focal_length = abs(scale) > NAMED * np.hypot(std, file_std[0])
+        of_centre = bool((np.abs(shift) > NAMED * np.hypot(std_shift, file_std[1:])).any())
         parts = []
         if of_focal_length or not of_centre:
             than = "longer" if scale > 0 else "shorter"
@@ -333,7 +327,7 @@ class CameraEstimate:
         """
         if self.gain < _LEAST_HINT:
             return ""
-        covariance = _SHARED_ERRORS**2 * self.covariance
+        covariance = SHARED_ERRORS**2 * self.covariance
         other = SessionCamera.at(self.change, covariance, width, contradicts=False, applied=False)
         return (
             f"{HINT}: these frames fit another one better ({other.describe()}), but do not tell it for sure; frames "
@@ -411,7 +405,7 @@ def check_camera(
     plausible, only what the frames tell at the camera of the file is left, which may contradict it or say nothing.
     """
     reason = _lacking(frames.model, _LEAST_FRAMES, "test") if config.test_camera or applied is not None else _NOT_ASKED
-    passes = _PASSES if reason is None and applied is None else 1
+    passes = PASSES[CAMERA] if reason is None and applied is None else 1
     try:
         estimate = estimate_camera(frames, config, outlines, passes=passes)
         if far := passes > 1 and not estimate.plausible:
@@ -446,9 +440,9 @@ def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool,
     if not tested:
         square = np.diag(file_deviations(config) ** 2)
     elif applied:
-        square = _SHARED_ERRORS**2 * estimate.covariance
+        square = SHARED_ERRORS**2 * estimate.covariance
     else:
-        change, covariance = _with_file(estimate.change, _SHARED_ERRORS**2 * estimate.covariance, config)
+        change, covariance = _with_file(estimate.change, SHARED_ERRORS**2 * estimate.covariance, config)
         square = covariance + np.outer(change, change)
     return np.asarray(estimate.sensitivity @ square @ estimate.sensitivity.T)
 

@@ -1,12 +1,12 @@
-"""What makes a session doubtful, and every result that rests on it, and a frame that is not what its session expects.
+"""What makes a session doubtful, and every result that rests on it: the rows of the table `OF_SESSIONS`.
 
-All of it is decided here, by the rows of two tables: `OF_SESSIONS` and `OF_FRAMES`.
+The table of frames is `OF_FRAMES` of `pose.doubts`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
@@ -15,8 +15,7 @@ from dvrk_cmaes.calibration.instrument_test import better_instrument
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE
 from dvrk_cmaes.camera.critical import known_mistakes
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.results.result import Quality, Result
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
 
 if TYPE_CHECKING:
@@ -35,13 +34,6 @@ _TELL_THE_CAMERA = 40
 
 It did so in 2 of 159 sessions of more than 30 frames, both wrong, and in 4 of 100 of 10 to 30, some of them right.
 """
-_FAR_JOINTS = 2.1
-"""Largest mean square of the joints' deviations in standard deviations, in images whose masks are found in them.
-
-Of three joints, 90 % of normal errors are within it. In 19 recordings that were followed by masks, it is so of 98.5 %
-of the ok frames; of the 11 images of another one in which a flap of tissue hides the tips, nine are beyond it, all
-that are more than 3 mm off.
-"""
 _FAR_INSERTION = 3.0  # standard deviations of prior and estimate together
 _LARGEST_INSERTION = 10e-3  # m, beyond which tools of one kind do not differ
 _BEYOND_CABLES_DEG = {"roll": 15.0, "wrist": 20.0, "jaw": 30.0}  # by the beginning of the joint's name
@@ -54,93 +46,6 @@ _CAUSES_OF_INSERTION = (
     "another focal length than the camera file's, an instrument with another shaft (--instrument), a tool or arm of "
     "another length (--tool, --arm), or a lag between images and readings that is not taken out"
 )
-
-
-@dataclass(frozen=True)
-class FrameLimits:
-    """Limits on how far a frame may be from what its session expects: a row of the table of frames.
-
-    what : the frames that it belongs to, in words. overlap_loss : below the session's median intersection over union.
-    largest_px, contour_factor : 95 % of the contour are within the larger one of the first, px, and of the second times
-    the session's median.
-    """
-
-    what: str
-    overlap_loss: float
-    largest_px: float
-    contour_factor: float
-
-    def doubts(
-        self, quality: Quality, misfit: float, calibration: SessionCalibration, config: SessionConfig
-    ) -> list[str]:
-        """List the reasons, in words, for which a frame is not what its session expects.
-
-        Parameters
-        ----------
-        quality
-            That of the frame's pose.
-        misfit
-            Squared distance of the pose from what is expected by the covariance, per parameter.
-        calibration, config
-            The session, and its settings.
-        """
-        reasons, least = [], calibration.iou - self.overlap_loss
-        largest_px = max(self.largest_px, self.contour_factor * calibration.contour_px_95)
-        if quality.iou < least or quality.contour_px_95 > largest_px:
-            reasons.append(
-                f"mask not explained: IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour, "
-                f"expected at least {least:.3f} and at most {largest_px:.1f} px"
-            )
-        return reasons + self.disagreement(misfit, config)
-
-    def disagreement(self, misfit: float, config: SessionConfig, source: str = "mask") -> list[str]:
-        """List the reason, in words, for which a pose is too far from what its session expects; empty if it is not.
-
-        Parameters
-        ----------
-        misfit, config
-            As in `doubts`.
-        source
-            What of the image tells the pose: its mask, or the image itself.
-        """
-        if misfit <= config.largest_misfit:
-            return []
-        return [
-            f"disagrees with the {self.what}: the {source} is {misfit**0.5:.1f} times the expected error from what the "
-            "calibration and the readings expect"
-        ]
-
-
-OF_FRAMES: Final = {
-    "alone": FrameLimits("session", 0.03, 3.5, 1.5),
-    "followed": FrameLimits("recording", 0.15, 9.0, 3.0),
-}
-"""The table of frames: a frame by itself, and one whose pose its neighbours support, too."""
-
-
-def far_joints(found: Posed, expected: Posed, spread: Float64, names: Sequence[str]) -> str:
-    """Say that the joints of an image are far from what its recording expects; empty if they are not.
-
-    Where something hides the end of an instrument, the edges that are left are explained by other joints.
-
-    Parameters
-    ----------
-    found, expected
-        The pose and joints that were found, and what calibration and readings expect.
-    spread : (D, D)
-        Covariance of the expected ones.
-    names
-        Names of the J joints.
-    """
-    off = found.joints - expected.joints
-    deviations = off / np.sqrt(np.diag(spread)[-len(off) :])
-    if float(np.mean(deviations**2)) <= _FAR_JOINTS:
-        return ""
-    worst = int(np.abs(deviations).argmax())
-    return (
-        f"joints far from the recording: {names[worst]} is {np.degrees(off[worst]):+.0f} deg from what readings and "
-        "calibration expect; something may hide the end of the instrument"
-    )
 
 
 def doubts_of(

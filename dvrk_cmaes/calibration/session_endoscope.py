@@ -30,7 +30,8 @@ from dvrk_cmaes.joints.names import ECM_JOINTS
 Float64 = NDArray[np.float64]
 Row = tuple[Number, ...]
 
-_TOLD: Final = np.deg2rad(5.0)  # rad, largest standard deviation of the camera in the tip that is told
+UNDETERMINED_ROTATION: Final = np.deg2rad(5.0)
+"""Standard deviation, rad, of the base or the camera in the tip, beyond which a session does not tell it."""
 _BEFORE: Final = 0.7  # of the deviations beforehand, from which on an offset is not told
 
 
@@ -187,7 +188,7 @@ class SessionEndoscope:
         """Descriptions of what the motions do not tell."""
         texts = []
         std = np.array(self.std_tip_from_camera)
-        if len(std) and std[3:].max() > _TOLD:
+        if len(std) and std[3:].max() > UNDETERMINED_ROTATION:
             axis = "xyz"[int(std[3:].argmax())]
             texts.append(
                 f"camera in the endoscope's tip: rotation about its {axis} axis known to "

@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dvrk_cmaes.calibration.constants import Constant, FramesAt, OutlineOfView, SessionOutlines, ViewAsSeen, linearise
+from dvrk_cmaes.calibration.constants import (
+    PASSES,
+    Constant,
+    FramesAt,
+    OutlineOfView,
+    SessionOutlines,
+    ViewAsSeen,
+    linearise,
+)
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
@@ -32,7 +40,6 @@ _STD = 1.0  # px beforehand
 _CLEAR = 2.5  # standard deviations from zero, and ...
 _LEAST_MARGIN = 0.15  # ... px, beyond which a margin is taken off the masks
 _LEAST_STD = 0.12  # px; margins of parts of one real recording, 0.57 to 1.11, scatter by this beside their errors
-_PASSES = 5  # largest number of linearisations of the outlines
 _ON_SIDES = 6  # errors of both sides of the shaft, and of what faces four directions
 _MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those less the margin
 
@@ -234,7 +241,7 @@ def estimate_margin(frames: FramesAt, outlines: SessionOutlines) -> tuple[Margin
     the file: a change of the camera that is estimated beside the margin is not used.
     """
     model, calibration, prior, at = frames
-    there = linearise(frames, outlines, solve_unchanged, [MARGIN], passes=_PASSES)
+    there = linearise(frames, outlines, solve_unchanged, [MARGIN], passes=PASSES[MARGIN])
     value = float(there.value(MARGIN)[0])
     (std,) = (float(there.std(one)[0]) for one in outlines.constants if one.name == MARGIN)
     margin = Margin.of(value, std)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dvrk_cmaes.calibration.constants import CLEAR, NAMED
 from dvrk_cmaes.camera.rig import ViewChange
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
@@ -28,9 +29,7 @@ About y the eyes see an instrument at 5 mm / 150 mm = 2 deg apart, which errors 
 1 % of the focal length and half a pixel of the shaft's width are 1.5 % of the distance.
 """
 
-_CLEAR = 3.0  # standard deviations from zero, and ...
-_LEAST_ANGLE = 0.04  # ... deg, beyond which a view is turned
-_NAMED = 2.5  # standard deviations of a component that is named
+_LEAST_ANGLE = 0.04  # deg, beyond which a view is turned, if it clearly is
 _PASSES = 20  # of the weights
 _TAIL = 9.0  # squared distance, in units of the common one, at which a frame has half of its weight
 _MEDIAN_SQUARE = 2.366  # median of the squared distance of three unknowns
@@ -125,7 +124,7 @@ class ViewRotation(Document):
 
     def describe(self) -> str:
         """Describe the rotation in words: the components that are clear of zero, or the largest one."""
-        clear = np.abs(self.rotation_deg) > _NAMED * self.std_deg
+        clear = np.abs(self.rotation_deg) > NAMED * self.std_deg
         clear[np.argmax(np.abs(self.rotation_deg) / self.std_deg)] = True
         parts = [
             f"{value:.2f} +- {max(std, 0.005):.2f} deg about {axis}"
@@ -165,7 +164,7 @@ def rotations_of_views(results: Iterable[Result]) -> Iterator[tuple[str, int, Fl
 def is_turned(rotation_deg: Float64, covariance_deg2: Float64) -> bool:
     """Return whether a rotation (3,) with its covariance (3, 3) is clear of zero."""
     sigmas = float(np.sqrt(rotation_deg @ np.linalg.solve(covariance_deg2, rotation_deg)))
-    return sigmas > _CLEAR and float(np.linalg.norm(rotation_deg)) > _LEAST_ANGLE
+    return sigmas > CLEAR and float(np.linalg.norm(rotation_deg)) > _LEAST_ANGLE
 
 
 def changes_of(rig: Sequence[ViewRotation]) -> Mapping[str, ViewChange]:

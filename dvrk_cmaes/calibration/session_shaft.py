@@ -11,19 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, ViewAsSeen
+from dvrk_cmaes.calibration.constants import CLEAR, Constant, Linearised, OutlineOfView, ViewAsSeen
 from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
+from dvrk_cmaes.pose.terms.shared_errors import NEAREST
 
 SHAFT = "shaft"
 """Name of the constant."""
 
 _STD = 0.01  # of the logarithm of the radius, between tools of one kind
 _WEAK_STD = 0.5  # of the same where it is asked which tool is there
-_NEAREST = 1e-3  # m
-_CLEAR, _LEAST = 3.0, 0.05
-"""Standard deviations, and share of the radius, beyond which a shaft is another one.
+_LEAST = 0.05
+"""Share of the radius, beyond which a shaft is another one.
 
 A margin that is taken off all masks explains a part of it; in nine made recordings the right one was found to 0.5 %.
 """
@@ -47,7 +47,7 @@ class ShaftRadius(Constant):
         view, points = outline.view, outline.points
         sides = view.sides_of_shaft(points, outline.at).sum(axis=1)
         seen = outline.at.seen_from(view.view_from_camera)
-        depth = np.maximum(apply(seen.pose, points.points)[:, 2], _NEAREST)
+        depth = np.maximum(apply(seen.pose, points.points)[:, 2], NEAREST)
         length = np.linalg.norm(points.normals, axis=1)
         return np.asarray(sides * length * view.camera.fx * self._radius / depth)[:, None]
 
@@ -70,7 +70,7 @@ class SessionShaft(Document):
     @property
     def contradicts(self) -> bool:
         """Whether the frames contradict the radius of the instrument."""
-        return abs(self.radius_scale - 1) > max(_LEAST, _CLEAR * self.std_radius_scale)
+        return abs(self.radius_scale - 1) > max(_LEAST, CLEAR * self.std_radius_scale)
 
     def contradiction(self) -> str:
         """Say by how much the frames contradict the radius of the instrument's shaft; empty where they do not."""

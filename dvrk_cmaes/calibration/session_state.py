@@ -12,16 +12,16 @@ from dvrk_cmaes.calibration.cables import CableFit
 from dvrk_cmaes.calibration.consensus import Mode
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
-from dvrk_cmaes.calibration.lag_estimate import LagEstimate
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.mask_growth import GrowthEstimate
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
 from dvrk_cmaes.calibration.session_doubts import DISAGREES
+from dvrk_cmaes.calibration.session_lag import LagEstimate
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, leave_one_out
+from dvrk_cmaes.calibration.solve import FrameFits, Solved, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -171,7 +171,7 @@ class SessionState:
     notes: Notes = Notes()
     stored: tuple[StoredFrame, ...] = ()
     fits: tuple[FrameFit, ...] = ()
-    found: Solution | None = None
+    found: Solved | None = None
     again: FoundMasks | None = None
 
     @classmethod
@@ -202,7 +202,7 @@ class SessionState:
         )
 
     @property
-    def solution(self) -> Solution:
+    def solution(self) -> Solved:
         """The current solution."""
         assert self.found is not None
         return self.found

@@ -23,7 +23,8 @@ from dvrk_cmaes.calibration.alternation import (
 )
 from dvrk_cmaes.calibration.endoscope import Pieces, Place
 from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, with_pieces, with_readings
-from dvrk_cmaes.calibration.lag import LagCurve
+from dvrk_cmaes.calibration.lag_search import LagCurve
+from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.masks_again import (
     AgainTask,
     FoundAgain,
@@ -42,7 +43,6 @@ MOST_LAGS: Final = 3
 _LIKELY = 1.5  # largest ratio of the misfit at a lag that is tried to the least one
 _CLEAR = 2.0  # standard deviations of a mean difference, and ...
 _LEAST_GAIN = 0.005  # ... of overlap, by which a lag must predict better than none
-_ALIKE = 3.0  # frames near each other in time err alike, so that each counts as one of so many
 _MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
 _WELL = 0.06  # of overlap, by which left-out frames may be worse than their own fits for the session to predict well
 
@@ -153,7 +153,7 @@ def best_predicting(first: Mapping[str, float], others: Sequence[Mapping[str, fl
     for other in others:
         both = sorted(first.keys() & other.keys())
         change = np.array([other[name] - first[name] for name in both])
-        error = float(change.std() / np.sqrt(max(len(change) / _ALIKE, 1.0))) if len(change) else np.inf
+        error = float(change.std() / np.sqrt(max(len(change) / CORRELATED_FRAMES, 1.0))) if len(change) else np.inf
         gain = float(change.mean()) if len(change) else -np.inf
         gains.append(gain if gain > max(_CLEAR * error, _LEAST_GAIN) else -np.inf)
     best = int(np.argmax(gains)) if gains else 0

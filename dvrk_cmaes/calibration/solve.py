@@ -92,6 +92,17 @@ class FrameFits:
         outlines = Quadratic(self.outlines.information[:, :own, :own], self.outlines.slope[:, :own])
         return FrameFits(self.at, outlines, shares=self.shares)
 
+    def along(self, name: str, values: Float64, effect: Float64) -> FrameFits:
+        """Return the fits with a block of n further unknowns that change what is predicted, as the frames' own errors.
+
+        ``values`` (n,) are those at which the predictions are made, ``effect`` (N, D, n) the changes of these by the
+        unknowns. Each frame counts as one, and its errors as independent of others.
+        """
+        across, told = np.swapaxes(effect, 1, 2), self.outlines.information @ effect
+        information = np.block([[self.outlines.information, told], [np.swapaxes(told, 1, 2), across @ told]])
+        slope = np.concatenate([self.outlines.slope, times(across, self.outlines.slope)], axis=1)
+        return FrameFits(self.at, Quadratic(information, slope), {name: values})
+
     def optimum(self, further: Float64) -> Float64:
         """Return the change (N, D) from the points of expansion to where the outline terms are least.
 
@@ -118,7 +129,7 @@ class FrameFits:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solved:
     """An estimated calibration with its information matrix (K, K), K = 8 + J + E, in the order of its steps.
 
     ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
@@ -171,16 +182,16 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
-Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solution]]
+Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solved]]
 """Estimates a calibration from a model, fits, a start and the prior's information, as `solve`; the model may change."""
 
-Change = Callable[[SessionModel, FrameFits, Solution], tuple[SessionModel, FrameFits] | None]
+Change = Callable[[SessionModel, FrameFits, Solved], tuple[SessionModel, FrameFits] | None]
 """Changes what a calibration is estimated from by a solution; None where nothing changes."""
 
 
 def solve(
     model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64, *, steps: int = MOST_STEPS
-) -> Solution:
+) -> Solved:
     """Estimate the calibration by iteratively reweighted Gauss-Newton steps.
 
     Parameters
@@ -224,7 +235,7 @@ def cost_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prio
 
 def solve_unchanged(
     model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64, *, steps: int = MOST_STEPS
-) -> tuple[SessionModel, Solution]:
+) -> tuple[SessionModel, Solved]:
     """Estimate the calibration as `solve`, and return the model as it was, too."""
     return model, solve(model, fits, start, prior, steps=steps)
 
@@ -237,7 +248,7 @@ def alternate(
     change: Change,
     most: int,
     solver: Solver = solve_unchanged,
-) -> tuple[SessionModel, Solution]:
+) -> tuple[SessionModel, Solved]:
     """Alternate between estimating the calibration and changing what it is estimated from by that.
 
     Parameters
@@ -253,7 +264,7 @@ def alternate(
 
     Returns
     -------
-    (SessionModel, Solution)
+    (SessionModel, Solved)
         The model after the last change, and the last solution.
     """
     for _ in range(most):
@@ -267,14 +278,14 @@ def alternate(
 
 def solve_with_modes(
     model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration, prior: Float64
-) -> Solution:
+) -> Solved:
     """Alternate between choosing a mode of each frame and estimating the calibration from these.
 
     Arguments are as in `choose_modes` and `solve`.
     """
     chosen = choose_modes(model, modes, start)
 
-    def again(model: SessionModel, fits: FrameFits, solution: Solution) -> tuple[SessionModel, FrameFits] | None:
+    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits] | None:
         nonlocal chosen
         before, chosen = chosen, choose_modes(model, modes, solution.calibration)
         same = all(a is b for a, b in zip(chosen, before, strict=True))
@@ -283,7 +294,7 @@ def solve_with_modes(
     return alternate(model, FrameFits.of_modes(chosen), start, prior, again, _MODE_ITERATIONS)[1]
 
 
-def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> Solution:
+def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> Solved:
     """Return a calibration with what the frames, weighted there, tell of it; arguments as in `solve`."""
     frames, jacobian = marginalise(model, fits, calibration), model.jacobian(calibration)
     misfit = _misfit(frames, fits.optimum(calibration.further))
@@ -298,33 +309,9 @@ def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, 
     by_lag = np.zeros(len(information))
     if fits.by_lag is not None:
         by_lag = times(weighted @ frames.left.information[:, :, :own], fits.by_lag).sum(axis=0)
-    return Solution(
+    return Solved(
         calibration, information, weights, misfit, frame_information, frame_slopes, independent, lasting, by_lag
     )
-
-
-def along(model: SessionModel, fits: FrameFits, solution: Solution, effect: Float64) -> tuple[Float64, float]:
-    """Return what frames tell of a further unknown that changes their predictions, where the calibration follows it.
-
-    Parameters
-    ----------
-    model, fits, solution
-        As in `solve`, without further constants, and its result.
-    effect : (N, D)
-        Changes of the predictions by the unknown, as those by the calibration.
-
-    Returns
-    -------
-    ((N,), float)
-        The slopes of half the frames' sums of squares by the unknown, and the sum of their curvatures.
-    """
-    frames, jacobian = marginalise(model, fits, solution.calibration), model.jacobian(solution.calibration)
-    shares = np.broadcast_to(fits.shares, len(effect))[:, None, None]
-    told = solution.weights[:, None, None] * frames.left.information
-    cross = (np.swapaxes(jacobian, 1, 2) @ (shares * told) @ effect[:, :, None]).sum(axis=0)[:, 0]
-    whole = effect - jacobian @ np.linalg.solve(solution.information, cross)
-    slopes = solution.weights * (whole * frames.left.slope).sum(axis=1)
-    return slopes, float((whole * times(told, whole)).sum())
 
 
 def _of_calibration(fits: FrameFits, frames: Eliminated, weighted: Float64) -> LastingSlopes:
@@ -377,7 +364,7 @@ def scatter(slopes: Float64) -> Float64:
     return np.atleast_2d(len(sums) * np.cov(sums, rowvar=False))
 
 
-def leave_one_out(solution: Solution, index: int) -> Calibration:
+def leave_one_out(solution: Solved, index: int) -> Calibration:
     """Return the calibration without one frame, by one Gauss-Newton step from the solution with unchanged weights.
 
     The step is exact if the problem is linear.
@@ -386,7 +373,7 @@ def leave_one_out(solution: Solution, index: int) -> Calibration:
     return solution.calibration.changed(np.linalg.solve(information, solution.frame_slopes[index]))
 
 
-def frame_covariances(model: SessionModel, fits: FrameFits, solution: Solution) -> Float64:
+def frame_covariances(model: SessionModel, fits: FrameFits, solution: Solved) -> Float64:
     """Compute the covariance (N, D, D) of each frame's pose and joints, including that of the calibration.
 
     Axes are the changes of the root's pose in its own axes and the joints, m and rad.

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
-from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solution, alternate, marginalise, solve_unchanged
+from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solved, alternate, marginalise, solve_unchanged
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Float64
 
@@ -35,17 +35,21 @@ def solve_with_variances(
     initial: Deviations | None = None,
     *,
     steps: int = MOST_STEPS,
-) -> tuple[SessionModel, Solution]:
+) -> tuple[SessionModel, Solved]:
     """Alternate between estimating the calibration and the variances; arguments as in `solve` and below."""
 
-    def again(model: SessionModel, fits: FrameFits, solution: Solution) -> tuple[SessionModel, FrameFits]:
+    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits]:
         return estimate_variances(model, fits, solution, config, initial), fits
 
     return alternate(model, fits, start, prior, again, _ITERATIONS, partial(solve_unchanged, steps=steps))
 
 
 def estimate_variances(
-    model: SessionModel, fits: FrameFits, solution: Solution, config: SessionConfig, initial: Deviations | None = None
+    model: SessionModel,
+    fits: FrameFits,
+    solution: Solved,
+    config: SessionConfig,
+    initial: Deviations | None = None,
 ) -> SessionModel:
     """Return the model after one iteration of expectation-maximisation.
 

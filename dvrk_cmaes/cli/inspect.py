@@ -94,7 +94,7 @@ def _recording(path: Path) -> Finding | None:
     """Describe the topics of a ROS recording; None for other files, and without the library that reads recordings."""
     from importlib.util import find_spec
 
-    from dvrk_cmaes.inspection.suffixes import RECORDINGS
+    from dvrk_cmaes.inspection.finding import RECORDINGS
 
     if not (path.is_dir() or path.suffix.lower() in RECORDINGS) or not path.exists() or find_spec("rosbags") is None:
         return None

@@ -18,7 +18,7 @@ from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
-from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
+from dvrk_cmaes.segment.mask_or_pose import CLEARLY, attribute_doubt, colours_side_with
 from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
@@ -57,9 +57,9 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
     """Find the instrument's masks in the images of a frame's views, and its pose from these masks.
 
     Each image is segmented; with the classic model, the pose is estimated and the image segmented again with the pose's
-    silhouette as prior, up to two times. A mask by a background, or of a learned model, is kept as it is. The result of
-    a frame of one view is doubtful if the mask's confidence is low; if it is doubtful, it states whether the mask or
-    the pose is likely to be wrong.
+    silhouette as prior, up to two times, until the image's colours side with the mask before. A mask by a background,
+    or of a learned model, is kept as it is. The result of a frame of one view is doubtful if the mask's confidence is
+    low; if it is doubtful, it states whether the mask or the pose is likely to be wrong.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def _find_mask(
         result = solve([own])
         silhouette = _silhouette(result, view, body)
         again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints, outside=outside)
-        if again is None:
+        if again is None or (colours_side_with(image, found.mask, again.mask, view.ignore) or 0.0) > CLEARLY:
             break
         which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
         less_sure, notes = again.confidence, (*again.notes, *which)

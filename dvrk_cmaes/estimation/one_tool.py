@@ -26,7 +26,7 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.doubts import exchanged_readings
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
-from dvrk_cmaes.pose.search.modes import Candidate
+from dvrk_cmaes.pose.search.modes import PoseCandidate
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result, Source, modes_of
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -223,12 +223,12 @@ def estimate_views(
     return resting_on(result, session)
 
 
-def _modes(start: Result, view: SeenView, model: Instrument) -> list[Candidate]:
+def _modes(start: Result, view: SeenView, model: Instrument) -> list[PoseCandidate]:
     """Return the pose of a result and its alternatives, the best first, in a view's camera; none without a pose."""
     if start.camera_from_root is None:
         return []
     modes = enumerate(modes_of(start, model.joint_names))
-    return [Candidate(mode.seen_from(view.view_from_camera), float(k)) for k, mode in modes]
+    return [PoseCandidate(mode.seen_from(view.view_from_camera), float(k)) for k, mode in modes]
 
 
 def _check_session(session: SessionCalibration, instrument: str, arm: Arm | None) -> None:

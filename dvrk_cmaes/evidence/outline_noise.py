@@ -22,7 +22,7 @@ from dvrk_cmaes.geometry import Float64
 _LEAST_SIGMA = 0.25  # px; that of an exact mask, from quantisation to pixels
 _LENGTHS = (2.0, 40.0)  # px, smallest and largest correlation length
 _REMAP_WIDTH = 512  # points in a row; OpenCV limits each side of the array that it samples
-_CLIP = 3.0  # standard deviations; larger errors are outliers of the segmentation
+CLIP = 3.0  # standard deviations; larger errors are outliers of the segmentation
 _NEXT = 1.0  # px, of margins for which pixels 2 px from the outline and farther count alike
 _NEIGHBOURS = cv2.MORPH_CROSS, cv2.MORPH_RECT
 
@@ -105,7 +105,7 @@ def measure_noise(contour: Contour, silhouette: NDArray[np.bool_]) -> OutlineNoi
         return OutlineNoise(sigma=2.0, length=_LENGTHS[1])
     error = distances_to(silhouette, contour.pixels)
     sigma = max(NORMAL_MEDIAN * median(np.abs(error)), _LEAST_SIGMA)
-    error = np.clip(error, -_CLIP * sigma, _CLIP * sigma)
+    error = np.clip(error, -CLIP * sigma, CLIP * sigma)
     rms = max(float(np.sqrt(np.mean(error**2))), _LEAST_SIGMA)
     spacing = median(np.linalg.norm(np.diff(contour.pixels, axis=0), axis=1))
     most = min(int(_LENGTHS[1]), len(error) // 4)

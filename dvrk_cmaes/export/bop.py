@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dvrk_cmaes.export.pose_table import table_text
+from dvrk_cmaes.export.pose_texts import table_text
 from dvrk_cmaes.export.request import Exported, ExportRequest
 from dvrk_cmaes.results.result import Result
 

@@ -57,14 +57,14 @@ _ROWS: Final = (
         "csv",
         "camera_from_root and camera_from_base, mm, quaternions xyzw",
         "camera_from_root and camera_from_base, mm, deg and quaternions xyzw; poses.csv, one row for each frame.",
-        "pose_table",
+        "pose_texts",
     ),
     ExportFormat(
         "tum",
         "camera_from_root, m, quaternions xyzw: timestamp tx ty tz qx qy qz qw",
         "camera_from_root, m; ARM.tum, a trajectory as of the TUM RGB-D benchmark: a line for each frame, timestamp in "
         "s, position, quaternion xyzw.",
-        "tum",
+        "pose_texts",
     ),
     ExportFormat(
         "tracker",

@@ -1,4 +1,4 @@
-"""Result and options of an inspection."""
+"""Result and options of an inspection, and suffixes by which files are recognised without their readers."""
 
 from __future__ import annotations
 
@@ -6,10 +6,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, ReadAs
+
+RECORDINGS: Final = (".bag", ".db3", ".mcap")
+"""Of ROS recordings."""
+VIDEOS: Final = (".mp4", ".avi", ".mkv", ".mov")
+MESHES: Final = (".stl", ".obj", ".dae", ".ply")
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ from dvrk_cmaes.frames.published_layout import find_published_frames, is_publish
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.frames.session_toml import SESSION_FILE, CameraEntry, ToolEntry, read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
-from dvrk_cmaes.inspection.finding import Finding, Options, counted
+from dvrk_cmaes.inspection.finding import VIDEOS, Finding, Options, counted
 from dvrk_cmaes.inspection.pictures import inspect_image
 from dvrk_cmaes.inspection.recordings import LEROBOT, inspect_lerobot, inspect_video, next_command
-from dvrk_cmaes.inspection.suffixes import VIDEOS
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.results.folder import is_followed, read_results
 

@@ -9,8 +9,7 @@ import re
 from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.inspection.finding import Finding, Options
-from dvrk_cmaes.inspection.suffixes import MESHES, RECORDINGS, VIDEOS
+from dvrk_cmaes.inspection.finding import MESHES, RECORDINGS, VIDEOS, Finding, Options
 from dvrk_cmaes.io.csv_file import separator_of
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.short_text import is_number

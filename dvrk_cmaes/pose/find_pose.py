@@ -20,7 +20,7 @@ from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.global_search import find_candidates
 from dvrk_cmaes.pose.search.methods import SEEDS
-from dvrk_cmaes.pose.search.modes import Candidate, is_twin
+from dvrk_cmaes.pose.search.modes import PoseCandidate, is_twin
 from dvrk_cmaes.pose.views import FrameView, clearest_view
 from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, ViewCheck
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -60,7 +60,7 @@ def find_pose(
     decimated: Body,
     readings: Readings,
     config: EstimateConfig,
-    start: Sequence[Candidate] = (),
+    start: Sequence[PoseCandidate] = (),
 ) -> FoundPose:
     """Find the pose that best explains the evidence of the views of one frame.
 
@@ -116,13 +116,13 @@ def find_pose(
 
 def _searched(
     views: Sequence[FrameView], decimated: Body, readings: Readings, config: EstimateConfig
-) -> tuple[list[Candidate], list[Renderer]]:
+) -> tuple[list[PoseCandidate], list[Renderer]]:
     """Search the clearest view; returns candidates in the reference camera, and the renderers used."""
     view = clearest_view(views)
     coarse = Renderer(decimated, view.evidence.camera, threads=config.threads)
     found, drawing = find_candidates(coarse, view.evidence, readings, config)
     camera_from_view = inverse(view.view_from_camera)
-    return [Candidate(each.at.seen_from(camera_from_view), each.score) for each in found], drawing
+    return [PoseCandidate(each.at.seen_from(camera_from_view), each.score) for each in found], drawing
 
 
 def _lacks_fit(qualities: Sequence[Quality], of_mode: float, trust: TrustConfig) -> bool:

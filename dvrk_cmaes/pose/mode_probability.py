@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dvrk_cmaes.geometry import Float64, rotation_angle
-from dvrk_cmaes.pose.search.modes import Candidate
+from dvrk_cmaes.pose.search.modes import PoseCandidate
 
 SAME_MODE = np.deg2rad(30.0)
 """Largest rotation between two poses of one mode, rad."""
@@ -23,14 +23,14 @@ _TEMPERED = 0.6  # of 560 made frames with masks of all kinds, 99.8 % of the pro
 _MISSED_MM, _MISSED_POWER = 10.0, 3.0  # odds of a mode that was not found
 
 
-def mode_weights(modes: Sequence[Candidate]) -> Float64:
+def mode_weights(modes: Sequence[PoseCandidate]) -> Float64:
     """Return the share of each mode (M,) in the posterior probability of all that were found."""
     scores = np.array([mode.score for mode in modes])
     weights = np.exp(-_TEMPERED * (scores - scores.min()))
     return np.asarray(weights / weights.sum())
 
 
-def mode_probability(modes: Sequence[Candidate], expected_mm: float) -> float:
+def mode_probability(modes: Sequence[PoseCandidate], expected_mm: float) -> float:
     """Return the probability that the first mode is within 30 degrees of the truth.
 
     ``expected_mm`` is the expected error of the tips if it is.

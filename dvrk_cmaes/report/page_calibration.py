@@ -34,7 +34,7 @@ MOST_PICTURES = 12
 _SMALL = 400  # px, width of these pictures
 
 
-class Prediction(NamedTuple):
+class LeftOutFrame(NamedTuple):
     """Overlap and median contour distance, px, of the mask of a frame and its silhouette predicted by the others."""
 
     frame: str
@@ -79,7 +79,7 @@ def calibration_view(
     unsure = frozenset(place for place, result in enumerate(results) if result.status != "ok")
     std = np.sqrt(np.diag(calibration.covariance))
     predicted = calibration.leave_one_out.items()
-    predictions = [Prediction(name, *measured) for name, measured in predicted if name in folder.frames]
+    predictions = [LeftOutFrame(name, *measured) for name, measured in predicted if name in folder.frames]
     predictions.sort(key=lambda prediction: (prediction.iou, prediction.frame))
     pictured = [one for one in predictions if left_out[one.frame].picture][:MOST_PICTURES]
     poses = {place: r.camera_from_root for place, r in enumerate(results) if r.camera_from_root is not None}
@@ -110,7 +110,7 @@ def calibration_view(
     )
 
 
-def _figures(calibration: SessionCalibration, predictions: Sequence[Prediction]) -> Iterator[KeyFigure]:
+def _figures(calibration: SessionCalibration, predictions: Sequence[LeftOutFrame]) -> Iterator[KeyFigure]:
     """Yield the key figures of the calibration."""
     total = len(calibration.frames) + len(calibration.left_out)
     left = len(calibration.left_out)

@@ -10,9 +10,9 @@ from typing import Any
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import in_order, no_folder, shown
-from dvrk_cmaes.results.data_frame import data_frame
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.followed import read_followed
+from dvrk_cmaes.results.parts import data_frame
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import TRACKS
 

@@ -1,4 +1,4 @@
-"""Parts of a frame's result: its quality of fit, its expected errors, and other modes of its pose."""
+"""Parts of a frame's result: its quality of fit, its expected errors, other modes of its pose; rows for pandas."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document
 from dvrk_cmaes.io.rounding import rounded_array, rounded_values
@@ -136,3 +137,18 @@ def posed(stated: Stated, names: Sequence[str]) -> Posed:
     """Return a pose that is stated with the joints of some names in their order; there must be one."""
     assert stated.camera_from_root is not None
     return Posed(stated.camera_from_root, np.array([stated.joints[name] for name in names]))
+
+
+def data_frame(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Return rows with equal columns as a pandas DataFrame.
+
+    Raises
+    ------
+    InputError
+        pandas is not installed.
+    """
+    try:
+        from pandas import DataFrame
+    except ImportError:
+        raise InputError("to_frame: expected pandas, which is not installed (pip install pandas)") from None
+    return DataFrame([dict(row) for row in rows])

@@ -25,10 +25,9 @@ from dvrk_cmaes.io.typed_document import (
     read_covariance,
     refused,
 )
-from dvrk_cmaes.results.data_frame import data_frame
 from dvrk_cmaes.results.drawn_over import drawn_over
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
-from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck, posed, std_document
+from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck, data_frame, posed, std_document
 
 __all__ = [
     "POSE_AXES",

@@ -8,9 +8,8 @@ from typing import Any, Literal
 from dvrk_cmaes.geometry import Bool, Float64, Image
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded
-from dvrk_cmaes.results.data_frame import data_frame
 from dvrk_cmaes.results.drawn_over import drawn_over
-from dvrk_cmaes.results.parts import std_document
+from dvrk_cmaes.results.parts import data_frame, std_document
 from dvrk_cmaes.results.result import POSE_AXES
 
 TrackStatus = Literal["ok", "doubtful", "lost"]

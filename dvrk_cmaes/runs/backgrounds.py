@@ -19,7 +19,7 @@ from dvrk_cmaes.results.paths import found_masks
 from dvrk_cmaes.runs.manifest import read_manifest
 from dvrk_cmaes.segment.background import FEWEST, MOST, learn_background
 from dvrk_cmaes.segment.classic import segment_classic
-from dvrk_cmaes.segment.segmentation import GUESS, SegmentSettings
+from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.silhouette.threads import map_threaded
 
 Load = Callable[[], NDArray[np.uint8] | None]
@@ -82,7 +82,7 @@ def _learn(paths: Sequence[Load]) -> NDArray[np.uint8] | None:
 
 def _found_by_colours(paths: Sequence[Load]) -> bool:
     """Return whether the instrument is found in images by colours, mostly."""
-    sure = [segment_classic(image).confidence >= GUESS for image in _readable(paths)]
+    sure = [segment_classic(image, Hints()).confidence >= GUESS for image in _readable(paths)]
     return 2 * sum(sure) > len(sure)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.export.pose_table import table_text
+from dvrk_cmaes.export.pose_texts import table_text
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument

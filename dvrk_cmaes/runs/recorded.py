@@ -13,7 +13,6 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import ecm_readings, outer_readings
 from dvrk_cmaes.calibration.prediction import Prediction
-from dvrk_cmaes.calibration.session_doubts import far_joints
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
@@ -21,6 +20,7 @@ from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.sparse import Sparseness
+from dvrk_cmaes.pose.doubts import far_joints
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedWork, read_shown

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -93,7 +94,7 @@ def segment(
         from dvrk_cmaes.silhouette.threads import single_blas_thread
 
         with single_blas_thread():
-            return _segment_classic(image, background, hints, instrument, camera, joints)
+            return with_classic(image, background, hints, instrument, camera, joints)
 
     if model == "classic":
         if weights is not None:
@@ -110,7 +111,7 @@ def segment(
     raise InputError(f"model: expected one of {', '.join(nearest_first(str(model), MODELS))}, got {model!r}")
 
 
-def _segment_classic(
+def with_classic(
     image: NDArray[np.uint8],
     background: NDArray[np.uint8] | None,
     hints: Hints,
@@ -121,7 +122,7 @@ def _segment_classic(
     """Segment by a background, if one is known, and by the instrument's shape, colours or a smooth surface."""
     from dvrk_cmaes.frames.field_of_view import outside_view
     from dvrk_cmaes.segment.background import segment_before, smooth_background
-    from dvrk_cmaes.segment.classic import segment_classic
+    from dvrk_cmaes.segment.classic import rough_mask, segment_classic
     from dvrk_cmaes.segment.model_masks import segment_by_model
     from dvrk_cmaes.segment.prompts import draw_prompts
     from dvrk_cmaes.segment.segmentation import GUESS
@@ -135,14 +136,22 @@ def _segment_classic(
     if known is not None and known.confidence >= GUESS:
         return known
 
+    rough = cache(partial(rough_mask, image, hints))
+
+    @cache
+    def before_smooth() -> Segmentation | None:
+        behind = smooth_background(image)
+        return None if behind is None else before(behind, "smooth background")
+
     def without_shape() -> Segmentation:
-        found = segment_classic(image, box=hints.box, points=hints.points, not_points=hints.not_points)
+        found = segment_classic(image, hints, rough())
         if found.confidence >= GUESS:
             return found
-        smooth = smooth_background(image)
-        others = [known, None if smooth is None else before(smooth, "smooth background")]
-        return max([found, *(other for other in others if other is not None)], key=lambda each: each.confidence)
+        return max([found, *filter(None, (known, before_smooth()))], key=lambda each: each.confidence)
+
+    def roughly() -> Segmentation:
+        return rough() if rough().confidence >= GUESS else before_smooth() or rough()
 
     if instrument is None:
         return without_shape()
-    return segment_by_model(image, prepare(instrument), camera, joints, hints, without_shape)
+    return segment_by_model(image, prepare(instrument), camera, joints, hints, roughly, without_shape)

@@ -8,6 +8,7 @@ little narrower. No colour is assumed.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -90,10 +91,19 @@ class Appearance:
         self._bins = PixelSums.of(np.concatenate([channels, (counts & (within == 0))[None]]))
         self._edges = PixelSums.of(np.stack([edges, counts.astype(np.float32)]))
         self._whole = channels.sum(axis=(1, 2)) / max(float(counts.sum()), 1.0)
-        self._longer = max(counts.shape)
-        drawn, outlined = (tuple(Renderer(each, camera, threads=1) for each in kind) for kind in _bodies(body))
+        self._longer, self._camera = max(counts.shape), camera
+        self._draw(body)
+
+    def _draw(self, body: Body) -> None:
+        drawn, outlined = (tuple(Renderer(each, self._camera, threads=1) for each in kind) for kind in _bodies(body))
         self._wide, self._wide_shaft, self._all, self._shaft = drawn
         self._bounds = outlined
+
+    def by_meshes(self, body: Body) -> Appearance:
+        """Return what the same picture tells of poses of the same instrument, drawn by other meshes."""
+        other = copy(self)
+        other._draw(body)
+        return other
 
     def scores(self, at: Posed) -> Scores:
         """Measure C candidates."""
@@ -174,7 +184,7 @@ def edge_scores(image: Image, counts: Bool) -> Float32:
     return np.where(counts, np.minimum(-np.log(np.maximum(larger, 1e-4)), 5.0) - 1, 0).astype(np.float32)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _bodies(body: Body) -> tuple[list[Body], list[Body]]:
     """Return what is drawn, and what bounds outlines.
 

@@ -16,7 +16,7 @@ import numpy as np
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
-from dvrk_cmaes.segment.colours import ColourTable, local_colour_log_odds, measure_colours
+from dvrk_cmaes.segment.colours import Colours, ColourTable, local_colour_log_odds, measure_colours
 from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.edge_colours import edge_log_odds
 from dvrk_cmaes.segment.graph_cut import cut
@@ -30,6 +30,8 @@ FREE: Final = 3.0
 """px on either side of a silhouette's outline, in which a silhouette that is known well has no say."""
 ROUGH: Final = 10.0
 """px on either side of the outline of a rough mask that was found in the image, likewise."""
+_REFINED: Final = 8.0  # px, likewise of a mask that was found at half the size, or at
+_COARSEST: Final = 480  # px, if that is more
 FINEST: Final = 1000
 """px, longer side above which masks are found in a reduced image."""
 REACH: Final = 12.0
@@ -52,7 +54,8 @@ class Around:
     """A mask (H, W) around a silhouette; the window (rows, columns) that was looked at, and log-odds (h, w) in it.
 
     ``odds`` are all of them, ``by_colour`` those of the colours alone; ``sure`` are the pixels (h, w) of the window
-    that are the instrument's by the silhouette. All are of the size at which the mask was found.
+    that are the instrument's by the silhouette; ``measured`` are its colours, if these were learned. All are of the
+    size at which the mask was found.
     """
 
     mask: Bool
@@ -60,6 +63,7 @@ class Around:
     odds: Float32
     by_colour: Float32
     sure: Bool
+    measured: Colours | None
 
 
 def mask_around(
@@ -143,7 +147,8 @@ def mask_around(
     whole = fill_holes(whole)
     if fixed.background is not None:
         whole[window] &= ~fixed.background
-    return Around(whole, window, odds, by_colour, expected & (distance < -band) & ~never) if whole.any() else None
+    sure = expected & (distance < -band) & ~never
+    return Around(whole, window, odds, by_colour, sure, measured) if whole.any() else None
 
 
 def log_odds_beyond(distance: Float32, free: float | Float32 = FREE, steepness: float = _STEEPNESS) -> Float32:
@@ -153,30 +158,38 @@ def log_odds_beyond(distance: Float32, free: float | Float32 = FREE, steepness: 
 
 
 def segmentation_around(
-    image: Image,
-    silhouette: Bool,
-    prompts: Prompts,
-    free: float = FREE,
-    *,
-    colours: Float32 | None = None,
-    straight: bool = False,
+    image: Image, silhouette: Bool, prompts: Prompts, *, rough: bool = False, colours: Float32 | None = None
 ) -> Segmentation:
     """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W), as `mask_around`, and assess the mask.
 
-    ``colours`` are of any size.
+    A ``rough`` silhouette is a mask that was found at a reduced size, and is a shaft's with straight sides: it is first
+    refined at half the size, or at 480 px. ``colours`` are of any size.
     """
     height, width = silhouette.shape
-    size, scale = size_within(silhouette.shape, FINEST)
-    if scale < 1:
-        image, prompts = shrunk(image, FINEST), prompts.resized(*size, scale)
-    expected = resized(silhouette, size)
-    known = None if colours is None else np.asarray(cv2.resize(colours, size), np.float32)
-    passes = 3 if straight else _PASSES
-    found = mask_around(image, expected, free, colours=known, straight=straight, prompts=prompts, passes=passes)
+    longest = min(max(height, width), FINEST)
+
+    def reduced(size: int) -> tuple[Image, Prompts]:
+        at, scale = size_within(silhouette.shape, size)
+        return shrunk(image, size), prompts.resized(*at, scale) if scale < 1 else prompts
+
+    def around(expected: Bool, size: int, free: float, passes: int) -> Around | None:
+        small, fixed = reduced(size)
+        at = small.shape[1], small.shape[0]
+        known = None if colours is None else np.asarray(cv2.resize(colours, at), np.float32)
+        return mask_around(
+            small, resized(expected, at), free, colours=known, straight=rough, prompts=fixed, passes=passes
+        )
+
+    if rough:
+        half = min(max(longest // 2, _COARSEST), longest)
+        first = around(silhouette, half, ROUGH * half / longest, _PASSES)
+        found = None if first is None else around(first.mask, longest, _REFINED, 1)
+    else:
+        found = around(silhouette, longest, FREE, _PASSES)
     if found is None:
         return Segmentation(np.zeros_like(silhouette), None, 0.0, ("no instrument found",))
-    own = measure_colours(np.ascontiguousarray(image[found.window]))
-    verdict = assess_mask(found.mask, found.window, found.by_colour, own, prompts=prompts)
+    assert found.measured is not None
+    verdict = assess_mask(found.mask, found.window, found.by_colour, found.measured, prompts=reduced(longest)[1])
     score = np.zeros(found.mask.shape, np.float32)
     score[found.window] = 1 / (1 + np.exp(-found.odds))
     score = np.asarray(cv2.resize(score, (width, height)), np.float32)

@@ -8,7 +8,7 @@ Nothing is drawn by chance. What a picture tells of a candidate is in `appearanc
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,9 +25,10 @@ from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import decimated_body
 
 _REDUCED: Final = 320  # px, longer side at which candidates are compared
+_RANKED: Final = 160  # px, longer side at which places are ranked
 _LINES: Final = 800  # px, longer side at which edges are looked for
-_DETAILS: Final = 0.0015, 0.002, 0.003, 0.004, 0.006  # m, cells of the meshes
-_FACES: Final = 520  # of the meshes that are compared, at most
+_DETAILS: Final = 0.0015, 0.002, 0.003, 0.004, 0.005, 0.006  # m, cells of the meshes
+_FACES: Final = 200, 370, 520  # at most, of the meshes that are ranked, that are compared, and that are compared last
 _PAIRS: Final = 28
 _STEP: Final = 8.0  # px along an axis
 _MOST_STEPS: Final = 24
@@ -42,6 +43,7 @@ _JAW: Final = 0.5  # rad, where none is read
 _BENDS: Final = np.deg2rad([(0, 0), (45, 0), (-45, 0), (0, 45), (0, -45), (35, 35), (-35, 35), (0, 75), (0, -75)])
 """Wrist pitch and yaw that are tried without readings."""
 _STARTS: Final = 4, 2  # places of a group, and turns of each, at most
+_BEGUN: Final = 6  # of these, that are optimised, once they are at their best distance and tilt
 _INSTRUMENTS: Final = 3  # that are looked at further
 _ENDS: Final = 4, 2  # of each, that are optimised further, twice
 _PASSES: Final = 2, 4, 6  # of the first, second and last optimisation
@@ -101,20 +103,21 @@ def find_instruments(
     if instrument.shaft is None:
         return []
     (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, _REDUCED))
-    lines, small = shrunk(image, _LINES).max(axis=2), shrunk(image, _REDUCED)
+    lines = shrunk(image, _LINES).max(axis=2)
     pairs = find_pairs(lines, camera.scaled(*fine), instrument.shaft.radius, resized(outside, fine), _PAIRS)
     if not pairs:
         return []
     coarse = camera.scaled(*size)
-    reduced = _with_few_faces(body)
-    appearance = Appearance(small, coarse, reduced, resized(outside, size))
+    meshes = [_with_few_faces(body, faces) for faces in _FACES]
+    ranked = _appearance(image, outside, meshes[0], camera, _RANKED)
+    appearance = _appearance(image, outside, meshes[1], camera, _REDUCED)
     read = np.array([np.nan if joints is None else joints.get(name, np.nan) for name in instrument.joint_names])
     jaw = np.array([name == "jaw" for name in instrument.joint_names])
     straight = np.where(np.isnan(read), np.where(jaw, _JAW, 0.0), read)
     axes = _along(pairs, coarse)
     places = np.concatenate(axes)
     tried = Posed(places, np.tile(straight, (len(places), 1)))
-    scored = appearance.scores(tried).total
+    scored = ranked.scores(tried).total
     usual = float(np.percentile(scored, _USUAL))
     bent = np.isnan(read[~jaw]).any()
 
@@ -123,22 +126,25 @@ def find_instruments(
 
     def turned(at: Posed, by: Posed) -> tuple[Posed, Float64]:
         found = _turned(at, by)
-        return found, appearance.scores(found).total
+        return found, ranked.scores(found).total
 
     best = _best_along(axes, scored)
     scored[best] = turned(tried[best], turns(_FIRST_ROLLS, _FIRST_BENDS))[1].reshape(len(best), -1).max(axis=1)
     tried, scored = tried[best], scored[best]
-    renderer = Renderer(reduced, coarse, threads=1)
+    renderer = Renderer(meshes[2], coarse, threads=1)
     every = turns(_ROLLS, _BENDS)
     groups = _grouped(tried, scored, renderer, _TURNED // len(every.pose))
     if not groups:
         return []
-    tries = [turned(tried[group], every) for group in groups]
-    begin = Posed.stacked([each[k] for each, own in tries for k in _starts(each, own, len(every), coarse)])
+    begin = []
+    for group in groups:
+        at, own = turned(tried[group], every)
+        varied, own = _best_of_each(appearance, [_varied(at[[k]]) for k in _starts(at, own, len(every), coarse)])
+        begin += [varied[k] for k in np.argsort(-own, kind="stable")[:_BEGUN]]
     scale = np.concatenate([_SCALE, np.where(np.isnan(read), 0.35, 0.08)])
 
-    def best_of_each(at: Posed, most: int, ends: int) -> list[list[Candidate]]:
-        scores, masks = appearance.scores(at), renderer.masks(at.pose, at.joints)
+    def instruments(by: Appearance, at: Posed, most: int, ends: int) -> list[list[Candidate]]:
+        scores, masks = by.scores(at), renderer.masks(at.pose, at.joints)
         measures = np.c_[scores.measures, scores.total - usual]
         kept: list[list[Candidate]] = []
         for k in np.argsort(-scores.total, kind="stable").tolist():
@@ -150,17 +156,14 @@ def find_instruments(
                 own.append(found)
         return kept
 
-    varied = [_varied(begin[[k]]) for k in range(len(begin))]
-    begin = Posed.stacked([each[int(appearance.scores(each).total.argmax())] for each in varied])
     for passes, ends in zip(_PASSES[:2], _ENDS, strict=True):
-        kept = best_of_each(_optimised(appearance, begin, scale, passes), _INSTRUMENTS, ends)
+        kept = instruments(appearance, _optimised(appearance, Posed.stacked(begin), scale, passes), _INSTRUMENTS, ends)
         if not kept:
             return []
-        first = [found for own in kept for found in own]
-        begin = Posed.stacked([each.at for each in first])
-    slid = [_slid(each.at, _ROLLS[0]) for each in first]
-    begin = Posed.stacked([each[int(appearance.scores(each).total.argmax())] for each in slid])
-    last = best_of_each(_optimised(appearance, begin, scale, _PASSES[2]), most, 1)
+        begin = [found.at for own in kept for found in own]
+    slid, _ = _best_of_each(ranked, [_slid(each, _ROLLS[0]) for each in begin])
+    finest = appearance.by_meshes(meshes[2])
+    last = instruments(finest, _optimised(finest, slid, scale, _PASSES[2]), most, 1)
     return sorted((own[0] for own in last), key=lambda each: (each.confidence < GUESS, -each.score))
 
 
@@ -205,6 +208,14 @@ def _ways(at: Posed, scale: Float64) -> Float64:
     return ways
 
 
+def _best_of_each(by: Appearance, sets: Sequence[Posed]) -> tuple[Posed, Float64]:
+    """Return the best pose of each of N sets of equally many poses, and their scores (N,)."""
+    every = Posed(np.concatenate([each.pose for each in sets]), np.concatenate([each.joints for each in sets]))
+    scores = by.scores(every).total.reshape(len(sets), -1)
+    best = scores.argmax(axis=1)
+    return every[best + np.arange(len(sets)) * scores.shape[1]], scores.max(axis=1)
+
+
 def _varied(at: Posed) -> Posed:
     """Return one pose at several distances from the camera, and tilted there."""
     near = [np.concatenate([at.pose[0, :, :3], factor * at.pose[0, :, 3:]], axis=1) for factor in _DISTANCES]
@@ -215,11 +226,17 @@ def _varied(at: Posed) -> Posed:
     return Posed(np.concatenate([each.pose for each in tilted]), np.concatenate([each.joints for each in tilted]))
 
 
-def _with_few_faces(body: Body) -> Body:
-    """Return a body with few faces, or as few as the coarsest meshes have."""
+def _appearance(image: Image, outside: Bool, drawn: Body, camera: Camera, longest: int) -> Appearance:
+    """Return what an image tells at a size with at most some px as longer side, by some meshes of the instrument."""
+    size, _ = size_within(image.shape, longest)
+    return Appearance(shrunk(image, longest), camera.scaled(*size), drawn, resized(outside, size))
+
+
+def _with_few_faces(body: Body, faces: int) -> Body:
+    """Return a body with at most some faces, or as few as the coarsest meshes have."""
     for cell in _DETAILS:
         found = decimated_body(body, cell)
-        if sum(len(link.faces) for link in found.instrument.links) <= _FACES:
+        if sum(len(link.faces) for link in found.instrument.links) <= faces:
             break
     return found
 

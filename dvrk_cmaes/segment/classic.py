@@ -8,63 +8,67 @@ full size. Prompts (a box, points) fix the labels of the pixels that they determ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.geometry import Bool, Float32
-from dvrk_cmaes.segment.around import ROUGH, segmentation_around
+from dvrk_cmaes.geometry import Bool, Float32, Image
+from dvrk_cmaes.segment.around import segmentation_around
 from dvrk_cmaes.segment.colours import (
     LARGEST_COLOUR_ODDS,
     Colours,
     ColourTable,
     greyness_log_odds,
+    local_colour_log_odds,
     measure_colours,
 )
+from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
-from dvrk_cmaes.segment.segmentation import Box, Pixel, Segmentation
+from dvrk_cmaes.segment.segmentation import Box, Hints, Segmentation
 from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 
 # lengths without a unit are fractions of the image's longer side
 _SMALLEST = 8  # px, least shorter side of an image that is segmented
-_REDUCED = 320  # px, the longer side at the reduced size
+REDUCED = 320  # px, the longer side at the reduced size
 # (share of the instrument that may have any colour, largest number of iterations); a large share lets the mask grow
 # into parts whose colours are not in the mask yet, such as the wrist
 _SCHEDULE = ((0.5, 8), (0.1, 2), (0.02, 2))
 _CONVERGED = 0.97  # IoU of the masks of two successive iterations, above which the iteration stops
 _REACH = 0.125  # largest distance from the last mask at which a pixel may be labelled instrument
 _AROUND = 0.19  # largest distance from the mask of the pixels that the background's histogram is taken from
-_GAP = 0.06  # largest distance between pieces of an instrument, at the reduced size
+GAP = 0.06  # largest distance between pieces of an instrument, at the reduced size
 _PRIOR_WEIGHT, _LARGEST_PRIOR = 0.3, 2.0  # weight of the greyness log-odds beside the histograms', and their bound
 _BIASES = (1.0, 2.0, 3.0)  # log-odds added to the prior in further attempts, if the mask does not fill its box
 _ENOUGH_OVERLAP = 0.9  # IoU of the mask's bounding box and the given box, from which no further bias is tried
 
 
-def segment_classic(
-    image: NDArray[np.uint8],
-    *,
-    box: Box | None = None,
-    points: Sequence[Pixel] = (),
-    not_points: Sequence[Pixel] = (),
-) -> Segmentation:
-    """Segment the instrument in an image (H, W, 3) uint8 BGR; prompts as in `dvrk_cmaes.segment.segment`."""
+def rough_mask(image: Image, hints: Hints) -> Segmentation:
+    """Find the mask of the instrument in an image (H, W, 3) uint8 BGR at a reduced size, of which it is."""
     height, width = image.shape[:2]
+    small, scale = shrunk(image, REDUCED), size_within(image.shape, REDUCED)[1]
     if min(height, width) < _SMALLEST:
-        return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
-    scale = size_within(image.shape, _REDUCED)[1]
-    small = shrunk(image, _REDUCED)
-    rough = _segment_reduced(
-        measure_colours(small),
-        draw_prompts(small.shape, scale, box, points, not_points).with_outside(outside_view(small)),
-    )
-    prompts = draw_prompts(image.shape, 1.0, box, points, not_points).with_outside(outside_view(image))
-    found = segmentation_around(image, resized(rough, (width, height)), prompts, ROUGH, straight=True)
+        return Segmentation(np.zeros(small.shape[:2], np.bool_), None, 0.0, ("no instrument found",))
+    prompts = draw_prompts(small.shape, scale, hints.box, hints.points, hints.not_points)
+    prompts = prompts.with_outside(outside_view(small))
+    colours = measure_colours(small)
+    mask = _segment_reduced(colours, prompts)
+    odds = local_colour_log_odds(ColourTable(colours), mask)
+    verdict = assess_mask(mask, np.s_[:, :], odds, colours, prompts=prompts)
+    return Segmentation(mask, None, verdict.confidence, verdict.notes)
+
+
+def segment_classic(image: Image, hints: Hints, rough: Segmentation | None = None) -> Segmentation:
+    """Segment the instrument in an image (H, W, 3) uint8 BGR, given its `rough_mask` if that is known."""
+    rough = rough_mask(image, hints) if rough is None else rough
+    if not rough.mask.any():
+        return Segmentation(np.zeros(image.shape[:2], np.bool_), None, 0.0, ("no instrument found",))
+    prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points)
+    prompts = prompts.with_outside(outside_view(image))
+    found = segmentation_around(image, resized(rough.mask, (image.shape[1], image.shape[0])), prompts, rough=True)
     return found if prompts.outside is None else replace(found, mask=found.mask & ~prompts.outside)
 
 
@@ -93,7 +97,7 @@ def _segment_reduced(colours: Colours, prompts: Prompts) -> Bool:
 def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts: Prompts) -> Bool:
     """Alternate graph cut and colour histograms, starting from the log-odds ``prior`` (H, W); returns a mask (H, W)."""
     longer = max(colours.shape)
-    mask = instrument_region(_cut(prior, colours, prompts), _GAP * longer, prompts)
+    mask = instrument_region(_cut(prior, colours, prompts), GAP * longer, prompts)
     for unseen, iterations in _SCHEDULE:
         for _ in range(iterations):
             if not mask.any():
@@ -103,7 +107,7 @@ def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts:
             odds = np.clip(odds, -LARGEST_COLOUR_ODDS, LARGEST_COLOUR_ODDS)
             odds += _PRIOR_WEIGHT * np.clip(prior, -_LARGEST_PRIOR, _LARGEST_PRIOR)
             before, mask = mask, _cut(odds, colours, prompts, away > _REACH * longer)
-            mask = instrument_region(mask, _GAP * longer, prompts)
+            mask = instrument_region(mask, GAP * longer, prompts)
             if (before & mask).sum() > _CONVERGED * (before | mask).sum():
                 break
     return fill_holes(mask)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.segment.regions import distance_to
@@ -132,6 +131,8 @@ class ColourTable:
 
     def _share(self, region: Float32 | Bool) -> NDArray[np.float64]:
         """Return the normalised histogram of a region, smoothed by a Gaussian, one value a cell."""
+        from scipy.ndimage import gaussian_filter  # takes 0.2 s to import; masks are followed without
+
         counts = np.bincount(self._cell.ravel(), weights=np.ravel(region), minlength=int(_BINS.prod()))
         blurred = gaussian_filter(counts.reshape(_BINS), 1.2, mode="nearest").ravel()
         return np.asarray(blurred / max(blurred.sum(), 1e-9))

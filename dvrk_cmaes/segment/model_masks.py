@@ -19,7 +19,7 @@ from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.packed_mask import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Image
-from dvrk_cmaes.segment.around import ROUGH, mask_around, segmentation_around
+from dvrk_cmaes.segment.around import mask_around, segmentation_around
 from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments
 from dvrk_cmaes.segment.colours import ColourTable, measure_colours
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
@@ -92,6 +92,7 @@ def segment_by_model(
     camera: Camera | None,
     joints: Mapping[str, float] | None,
     hints: Hints,
+    rough: Callable[[], Segmentation],
     otherwise: Callable[[], Segmentation],
 ) -> Segmentation:
     """Find instruments in an image (H, W, 3) uint8 BGR by their model, and the mask of the best one.
@@ -104,48 +105,64 @@ def segment_by_model(
         The instrument, the camera (one as of most endoscopes is assumed without), and readings by name, rad.
     hints
         Prompts: the best instrument that fits them is taken.
-    otherwise
-        A function that finds a mask by other means. It is taken where no instrument is found, where it is that of the
-        same instrument and surer, and where it is elsewhere and the instrument's is a guess. It is a guess itself,
-        unless it has some likeness of an instrument.
+    rough, otherwise
+        Functions that find a mask by other means, at a reduced size, and at full size where that is no guess or no
+        instrument is found. This mask is taken in place of that of a candidate which it shows, too, where it is surer,
+        and where it is elsewhere and that of the best candidate is a guess. It is a guess itself, unless it has some
+        likeness of an instrument.
     """
     height, width = image.shape[:2]
     camera = assumed_camera(width, height) if camera is None else camera
     outside = outside_view(image)
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
     candidates = find_instruments(image, outside, body, camera, joints)
-    found = [each for each in candidates if each.confidence >= GUESS and _fits(each, prompts, image)]
+    likely = [each for each in candidates if each.confidence >= GUESS]
+    found = [each for each in likely if _fits(each, prompts, image)]
 
-    def other_mask() -> Segmentation:
+    def by_colours() -> Segmentation:
         other = otherwise()
         if prompts.given or other.confidence < GUESS or _is_alike(other.mask, candidates, body, camera):
             return other
         return replace(other, confidence=_UNLIKE, notes=("a guess", *other.notes, "its shape is not the instrument's"))
 
-    masks: list[tuple[Candidate, Segmentation]] = []
+    if not found:
+        return by_colours()
+    other = by_colours() if rough().confidence >= GUESS else None
+
+    def mask_of(each: Candidate) -> Segmentation | None:
+        same = other if other is not None and _overlap(each, other.mask) > _SAME else None
+        if same is not None and same.confidence > each.confidence:  # its own mask would be no surer than the candidate
+            return same
+        beside = outside | _beside(each, likely, outside.shape)
+        own = _segmentation(image, each, body, camera, prompts.with_outside(beside))
+        return same if own is not None and same is not None and same.confidence > own.confidence else own
+
+    masks: list[Segmentation] = []
     for each in found if not prompts.given else found[:1]:
-        mask = _segmentation(image, each, body, camera, prompts)
+        mask = mask_of(each)
         if mask is None:
             continue
-        before = np.any([former.mask for _, former in masks], axis=0) if masks else np.zeros_like(mask.mask)
+        before = np.any([former.mask for former in masks], axis=0) if masks else np.zeros_like(mask.mask)
         if (mask.mask & before).sum() <= _SHARED * mask.mask.sum():
-            masks.append((each, replace(mask, mask=mask.mask & ~before)))
+            masks.append(replace(mask, mask=mask.mask & ~before) if before.any() else mask)
     if not masks:
-        return other_mask()
-    masks.sort(key=lambda each: each[1].confidence < GUESS)  # else in the order of the search
-    first, others = masks[0][1], [mask for _, mask in masks[1:]]
-    other = other_mask()
-    if _overlap(masks[0][0], other.mask) > _SAME and other.confidence > first.confidence:
-        first = replace(other, mask=other.mask & ~np.any([each.mask for each in others], axis=0)) if others else other
-    elif first.confidence < GUESS <= other.confidence and all(
-        _overlap(each, other.mask) <= _ELSEWHERE for each in found
-    ):
+        return by_colours() if other is None else other
+    first, *others = sorted(masks, key=lambda each: each.confidence < GUESS)  # else in the order of the search
+    elsewhere = other is not None and all(_overlap(each, other.mask) <= _ELSEWHERE for each in found)
+    if other is not None and elsewhere and first.confidence < GUESS <= other.confidence:
         return other
     if not others:
         return first
     sure = min(first.confidence, _UNDECIDED) if joints else first.confidence
     notes = *first.notes, _taken(first.mask, [each.mask for each in others])
     return replace(first, confidence=sure, notes=notes, others=tuple(others))
+
+
+def _beside(found: Candidate, likely: Sequence[Candidate], shape: tuple[int, ...]) -> Bool:
+    """Return the pixels (H, W) of other instruments, whose colours are no surroundings' and may be this one's, too."""
+    others = [each.silhouette for each in likely if each is not found]
+    beside = np.any([np.zeros_like(found.silhouette), *others], axis=0) & ~found.silhouette
+    return resized(beside, (shape[1], shape[0]))
 
 
 def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: Camera) -> bool:
@@ -175,7 +192,7 @@ def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, pr
     rough, odds = _rough_mask(shrunk(image, _SIZE), shaft, whole, across, prompts.resized(*size, scale))
     known = np.where(distance_to(~rough) > _DEEP, _KNOWN[1], _KNOWN[0]).astype(np.float32) * odds
     rough = resized(rough, (image.shape[1], image.shape[0]))
-    mask = segmentation_around(image, rough, prompts, ROUGH, colours=known, straight=True)
+    mask = segmentation_around(image, rough, prompts, rough=True, colours=known)
     agreed = min(_overlap(found, mask.mask) / _AGREES, 1.0)
     return noted(replace(mask, confidence=agreed * min(mask.confidence, found.confidence), before=None))
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
@@ -18,7 +19,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Bool, Float32, Float64, apply
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.silhouette import NEAR, Body
+from dvrk_cmaes.silhouette import NEAR, Body, Renderer
+from dvrk_cmaes.silhouette.prepare import prepare
 
 NOTHING = -1
 """Link index of a pixel that sees no link."""
@@ -58,9 +60,10 @@ def pixel_rays(camera: Camera) -> Float32:
 
 
 def trace_links(instrument: Instrument, camera: Camera, camera_from_root: Float64, joints: Float64) -> LinkView:
-    """Trace a ray through every pixel's centre, for a pose ``camera_from_root`` (4, 4) and joints (J,)."""
-    surface = _Surface.of(instrument, camera_from_root, joints)
-    return _traced(surface, pixel_rays(camera), _window(camera, surface.corners.reshape(-1, 3)))
+    """Trace a ray through the centre of every pixel in and beside the silhouette at a pose (4, 4) and joints (J,)."""
+    (mask,) = Renderer(prepare(instrument), camera, threads=1).masks(camera_from_root[None], joints[None])
+    beside = cv2.dilate(mask.view(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    return _traced(_Surface.of(instrument, camera_from_root, joints), pixel_rays(camera), beside)
 
 
 def links_at(body: Body, camera: Camera, camera_from_root: Float64, joints: Float64, where: Bool) -> NDArray[np.int32]:
@@ -109,10 +112,12 @@ class _Surface:
             before += len(link.vertices)
         return cls(np.concatenate(points), np.concatenate(faces), np.concatenate(owner))
 
-    @property
-    def corners(self) -> Float64:
-        """The corners (F, 3, 3) of the triangles, m."""
-        return self.points[self.faces]
+    def normals(self, faces: NDArray[np.integer]) -> Float64:
+        """Return the unit normals (N, 3) of some triangles (N,)."""
+        some, place = np.unique(faces, return_inverse=True)
+        corners = self.points[self.faces[some]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return np.asarray((normals / np.linalg.norm(normals, axis=1, keepdims=True))[place])
 
     def scene(self) -> EmbreeScene:
         """Return a scene of the triangles."""
@@ -121,15 +126,12 @@ class _Surface:
 
 def _traced(surface: _Surface, rays: Float32, inside: Bool) -> LinkView:
     """Trace the rays (..., 3) for which ``inside`` (...) is true; the others see nothing."""
-    corners = surface.corners
     traced = np.ascontiguousarray(rays[inside])
     hits = surface.scene().run(np.ascontiguousarray(NEAR * traced), traced, output=True)
     hit = hits["primID"] != NOTHING
     face, towards = hits["primID"][hit], traced[hit]
     seen = np.zeros(inside.shape, dtype=np.bool_)
     seen[inside] = hit
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     view = LinkView(
         link=np.full(inside.shape, NOTHING, dtype=np.int32),
         depth=np.zeros(inside.shape, dtype=np.float32),
@@ -138,7 +140,7 @@ def _traced(surface: _Surface, rays: Float32, inside: Bool) -> LinkView:
     )
     view.link[seen] = surface.owner[face]
     view.depth[seen] = hits["tfar"][hit] + NEAR
-    view.normal[seen] = normals[face]
+    view.normal[seen] = surface.normals(face)
     view.direction[seen] = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
     return view
 

@@ -7,7 +7,7 @@ mean the exact place, from the line's own colours on both sides.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Indices, Posed
 from dvrk_cmaes.joints.prior import Readings
+from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
-from dvrk_cmaes.pose.terms.term import Quadratic, Term
+from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.histogram_ratio import REACH, ColourModel, EdgeModel, bins_of, changes_along
@@ -36,7 +38,6 @@ _CORRELATION_PX = 8.0  # of edge that counts as one measurement
 _SIGMA_PX = 0.2  # standard deviation of an exact edge
 _OUTLIER = 2.0  # standard deviations, scale of the robust weight
 _UNSUPPORTED = 9.0  # squared standard deviations that a measurement counts whose edge is not found
-_STILL_PX = 0.05  # largest motion of an outline's point after which no further step is taken
 _SUPPORT_PX = 3.0  # distance within which an edge supports a point of the outline
 _BESIDE = 3  # px from the outline, beyond which the instrument's colours tell that it is elsewhere
 _CONVINCING, _MOST_BESIDE = 0.65, 0.2
@@ -240,7 +241,7 @@ def _refined(image: Image, pixels: Float64, normals: Float64, place: Float32) ->
     return place, fine
 
 
-class ColourEdges(Term):
+class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
     """The distances of an outline, drawn once, from the edges that the colours of images show: a sum of squares.
 
     Parameters
@@ -257,6 +258,8 @@ class ColourEdges(Term):
         Covariance (D, D) of the pose, by which distances are expected that are not outliers.
     """
 
+    views = ()
+
     def __init__(
         self,
         model: OutlineModel,
@@ -268,34 +271,33 @@ class ColourEdges(Term):
         self._model, self._drawn, self._images, self._reach = model, drawn, images, reach
         self._covariance = covariance
 
-    def cost(self, at: Posed) -> Float64:
-        """Return the sum of squares (C,) of the edges that are found at C poses, with their weights there."""
-        costs = []
-        for k in range(len(at)):
-            _, distance, weights = self._measured(at[k])
-            costs.append(float(weights @ distance**2))
-        return np.array(costs)
+    def draw(self, at: Posed, *, derivatives: bool = True) -> list[tuple[Float64, Float64, Float64]]:
+        """Measure the outline's points at C poses: motion (N, D), distances (N,), px, and weights (N,) of each."""
+        return [self._measured(at[k]) for k in range(len(at))]
 
-    def local(self, at: Posed) -> Quadratic:
+    def cost_of(self, drawn: tuple[Float64, Float64, Float64]) -> float:
+        """Return the sum of squares of the edges that were found, with their weights there."""
+        _, distance, weights = drawn
+        return float(weights @ distance**2)
+
+    def near(self, drawn: Sequence[tuple[Float64, Float64, Float64]], at: Posed) -> Quadratic:
         """Return the approximation of half of it near C poses."""
-        parts = []
-        for k in range(len(at)):
-            jacobian, distance, weights = self._measured(at[k])
-            weighted = jacobian.T * weights
-            parts.append(Quadratic((weighted @ jacobian)[None], (weighted @ distance)[None]))
-        return Quadratic.joined(parts)
+        weighted = [(motion, distance, motion.T * weights) for motion, distance, weights in drawn]
+        information, slope = zip(*((w @ motion, w @ distance) for motion, distance, w in weighted), strict=True)
+        return Quadratic(np.array(information), np.array(slope))
 
     def fit(self, at: Posed, expected: Expected) -> EdgeFit | None:
         """Measure how the images support a pose; None if it is behind the camera."""
         moving, lengths = self._model.move(self._drawn, at), self._drawn.lengths
         if moving is None:
             return None
-        edges, near = self._edges(moving.pixels), self.local(at[None])
+        edges, drawn = self._edges(moving.pixels), self.draw(at[None])
+        near = self.near(drawn, at[None])
         close = edges.found & (np.abs(edges.distance) < _SUPPORT_PX)
         now, views = self._drawn.split(moving.pixels), self._drawn.by_view
-        beside = [self._images[view].unexplained(now[view], drawn) for view, drawn in views.items()]
+        beside = [self._images[view].unexplained(now[view], outline) for view, outline in views.items()]
         sigma = NORMAL_MEDIAN * median(np.abs(edges.distance[close])) if close.any() else None
-        score = 0.5 * float(self.cost(at[None])[0] + expected.cost(at[None])[0])
+        score = self.score_of(drawn[0]) + 0.5 * float(expected.cost(at[None])[0])
         score += 0.5 * _UNSUPPORTED * float(lengths[~edges.found].sum()) / _CORRELATION_PX
         supported = float(lengths[close].sum() / lengths.sum())
         information, slope = near.information[0], near.slope[0]
@@ -390,13 +392,8 @@ def fit_edges(
         if drawn is None:
             return None
         term = ColourEdges(model, drawn, images, reach, covariance)
-        for _ in range(steps):
-            near = term.local(at[None]) + expected.local(at[None]) + limits.local(at[None])
-            step = -np.linalg.solve(near.information[0], near.slope[0])
-            at, moving = limits.allowed(at.moved(step)), model.move(drawn, at)
-            if moving is None or float(np.abs(moving.jacobian @ step).max()) < _STILL_PX:
-                break
-        covariance = np.asarray(np.linalg.inv(near.information[0]))
+        (fit,) = refine(term, (expected, limits), at[None], Steps(steps, tested="none"))
+        at, covariance = fit.at, np.asarray(np.linalg.inv(fit.information))
     return term.fit(at, expected)
 
 

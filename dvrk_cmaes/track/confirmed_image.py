@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope_at
@@ -20,7 +21,6 @@ from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.window import mean_of_tips_mm
 
 _KNOWN: Final = 2.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
-_AGREES: Final = 4.0  # largest squared misfit per parameter
 
 
 def confirmed_by(
@@ -49,7 +49,7 @@ def confirmed_by(
     late = Prediction.of(calibration, *readings, names, late=moved, wrist=WRIST_ERROR, endoscope=endoscope)
     apart = at.minus(expected.at[0])
     spread = late.spread[0] + result.covariance
-    if float(apart @ np.linalg.solve(spread, apart)) > _AGREES * len(apart):
+    if float(apart @ np.linalg.solve(spread, apart)) > INLIER_MISFIT * len(apart):
         return None
     camera = calibration.corrected(given.rig.views[0].camera)
     covariance = result.covariance + covariance_of_masks(calibration.masks, changes_by_masks(at, camera, instrument))

@@ -17,8 +17,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_at
 from dvrk_cmaes.frames.seen_view import seen_views
-from dvrk_cmaes.geometry import Float64, Posed, apply
-from dvrk_cmaes.pose.doubts import doubts_of_tips, outside_image
+from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.result import ExpectedError
@@ -282,10 +281,7 @@ class Following:
             error = expected_error(instrument, *found)
             if not fit.holds:
                 return _Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma)
-            reasons = [*fit.doubts, *doubts_of_tips(error, given.config.trust)]
-            tips = apply(found[0].pose, instrument.tips(found[0].joints))
-            if instrument.jaw_tips and outside_image(tips, camera).all():
-                reasons.append("tip out of view: the jaw tips lie outside the image")
+            reasons = fit.doubts + LIMITS.doubts_of_tips(found[0], instrument, camera, error, given.config.trust)
             reasons += LIMITS.disagreement(told.misfit, given.config.session, "image")
             return _Judged("doubtful" if reasons else "ok", reasons, error, fit.sigma, explained=not fit.doubts)
 

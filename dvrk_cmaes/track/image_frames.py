@@ -23,12 +23,12 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_masks import learned_colours, mask_around
+from dvrk_cmaes.track.image_masks import SPREAD_OF_FIT, learned_colours, mask_around
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame, fit_followed
 
 _ROUNDS = 3  # of masks and fits of a frame, at most
 _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from which on the mask is not found again
-_LARGEST_SPREAD, _SPREAD_OF_FIT = 12.0, 2.0  # px, of an outline that is expected, and of a fitted one
+_LARGEST_SPREAD = 12.0  # px, of an outline that is expected
 _REACH = 0.015  # m from the root, of the outline whose place depends on angles
 _PREDICTED = 0.6  # intersection over union of a mask and a predicted silhouette, from which on colours are learned
 UNSUPPORTED = 0.3
@@ -146,7 +146,7 @@ def _fit_by_images(
         seconds += fitted.seconds
         now = [silhouette_of(fitted.fit.at, view, body) for view in data.views]
         settled = min(overlap_of(first, second) for first, second in zip(drawn, now, strict=True)) > _SAME
-        drawn, spread = now, _SPREAD_OF_FIT
+        drawn, spread = now, SPREAD_OF_FIT
         if settled:
             break
     assert fitted is not None

@@ -18,6 +18,7 @@ from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment import around
 from dvrk_cmaes.segment.around import FINEST
+from dvrk_cmaes.segment.classic import GAP, REDUCED
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.moving_colours import moving_pixels
 from dvrk_cmaes.segment.prompts import Prompts
@@ -34,10 +35,10 @@ _COLOURS_WEIGHT = 0.6  # of the log-odds of a pixel's colour: neighbours are ali
 _LEAST_ODDS = 0.2  # log-odds by colour, from which on a pixel has the instrument's colours
 _NOWHERE = 0.8  # share of the silhouette without these, from which on it shows nothing of the instrument
 _NOISE = 1.0  # px, standard deviation of the Gaussian that smooths these log-odds
+SPREAD_OF_FIT: Final = 2.0
+"""Standard deviation, px, of the outline of a pose that is fitted to an image."""
 PASSES: Final = 2
 """Passes in which a mask is found, where the silhouette is that of a prediction."""
-_REDUCED = 320  # px, longer side at which an image is segmented without a silhouette
-_GAP = 0.06  # of that side, between pieces of an instrument
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +134,12 @@ def moving_colours(images: Sequence[Image]) -> ColourModel | None:
 def mask_by_colours(image: Image, colours: ColourModel, prompts: Prompts) -> Segmentation:
     """Segment the instrument in an image (H, W, 3) uint8 BGR by colours that other images of the recording tell."""
     height, width = image.shape[:2]
-    size, scale = size_within(image.shape, _REDUCED)
-    small, fixed = shrunk(image, _REDUCED), prompts.resized(*size, scale)
+    size, scale = size_within(image.shape, REDUCED)
+    small, fixed = shrunk(image, REDUCED), prompts.resized(*size, scale)
     odds = _by_colours(small, colours)
     rough = cut(odds, around.guide(small), background=fixed.background, tool=fixed.tool)
-    rough = fill_holes(instrument_region(rough, _GAP * max(size), fixed))
-    return around.segmentation_around(image, resized(rough, (width, height)), prompts, around.ROUGH, straight=True)
+    rough = fill_holes(instrument_region(rough, GAP * max(size), fixed))
+    return around.segmentation_around(image, resized(rough, (width, height)), prompts, rough=True)
 
 
 def _by_colours(image: Image, colours: ColourModel) -> Float32:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.prediction import FoundLag, calibration_covariance, lag_and_std, lag_of
 from dvrk_cmaes.geometry import Posed, change_between
@@ -25,7 +26,6 @@ from dvrk_cmaes.track.view_segmenter import Seen
 
 _CONFIRMING = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
-_AGREES = 4.0  # largest squared misfit per parameter of such an image
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _TOLD_LAG = 0.055  # s, largest standard deviation of a lag that keyframes tell
 _RELIED_ON = 8  # keyframes of a solution, from which on its stated errors held; chosen on twelve recordings
@@ -221,7 +221,7 @@ class CalibratedFollower:
             return replace(result, status="doubtful" if result.status == "ok" else result.status)
         kept = self.offer(time, readings.at(time), seen, following)
         if result.status == "ok" and self._agreeing is not None:
-            self._agreeing += kept and following.last.misfit < _AGREES
+            self._agreeing += kept and following.last.misfit < INLIER_MISFIT
             if self._agreeing >= _CONFIRMING:
                 self._agreeing = None
             else:

@@ -6,6 +6,7 @@ import numpy as np
 
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.terms.shared_errors import NEAREST
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.moving_points import MovingPoints, moving_points
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
@@ -13,7 +14,6 @@ from dvrk_cmaes.track.drawn_outline import DrawnOutline
 _DRAWN_WIDTH = 640  # px; larger outlines are drawn about this wide, since their points are as exact
 _BORDER = 2.0  # px from the image's border; points closer to it are not used
 _LEAST_POINTS = 8  # of an outline in a view
-_NEAREST = 1e-3  # m, least depth of a point
 
 
 class OutlineModel:
@@ -71,7 +71,7 @@ class OutlineModel:
             here = Posed(seen.pose[None], seen.joints[None])
             of_views += moving_points(self.instrument, self.rig.views[view].camera, [drawn], here)
         moving = MovingPoints.joined(of_views)
-        return None if moving.depth.min() < _NEAREST else moving
+        return None if moving.depth.min() < NEAREST else moving
 
     def _seen(self, view: int, at: Posed) -> Posed:
         """Return a pose of the reference camera in a view's."""

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.model import (
     BASE_AXES,
     OUTER_OFFSETS,
@@ -41,7 +42,6 @@ from dvrk_cmaes.track.following import Following, has_moved
 from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Seen
-from dvrk_cmaes.track.window import CORRELATED_FRAMES
 
 NOT_FOUND: Final = "not found: the first image could not be solved"
 STEP_OF_SEARCH: Final = 6000.0
@@ -75,9 +75,6 @@ def wide_calibration(at: Posed, covariance: Float64, reading: ReadingAt, given: 
     gain = np.linalg.solve(jacobian @ before @ jacobian.T + covariance, jacobian @ before)
     after = before - before @ jacobian.T @ gain
     after = (after + after.T) / 2
-    outer = dict(zip(("yaw", "pitch", "insertion", "roll"), spread.outer.tolist(), strict=True))
-    joints = dict(zip(names, spread.joints.tolist(), strict=True))
-    slack = {"slack_translation": float(spread.slack[0]), "slack_rotation": float(spread.slack[3])}
     return SessionCalibration(
         instrument=instrument.name,
         camera_from_base=base,
@@ -85,7 +82,7 @@ def wide_calibration(at: Posed, covariance: Float64, reading: ReadingAt, given: 
         axes=(*BASE_AXES, *OUTER_OFFSETS, *names),
         covariance=after,
         covariance_given_camera=after,
-        spreads={**outer, **joints, **slack},
+        spreads=spread.by_name(names),
         arm=arm,
         roll_offset=instrument.roll_offset,
         iou=_USUAL_IOU,

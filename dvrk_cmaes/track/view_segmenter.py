@@ -22,7 +22,7 @@ from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_edges import EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_frames import UNSUPPORTED, silhouette_of
-from dvrk_cmaes.track.image_masks import learned_colours, mask_around
+from dvrk_cmaes.track.image_masks import SPREAD_OF_FIT, learned_colours, mask_around
 from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
 from dvrk_cmaes.track.outline_model import OutlineModel
 
@@ -35,7 +35,6 @@ EvidenceKind = Literal["masks", "images"]
 KINDS: Final[tuple[EvidenceKind, ...]] = get_args(EvidenceKind)
 
 _MARGIN = 0.04  # of the image's width, around an expected silhouette
-_SPREAD_PX = 2.0  # standard deviation of an outline that the colours' edges tell
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +210,7 @@ class ViewSegmenter:
             if ignored is not None:
                 outside = outside | ignored
             silhouette = silhouette_of(at, views[view], self._body)
-            found = mask_around(image, silhouette, look.colours, outside, _SPREAD_PX, passes=1)
+            found = mask_around(image, silhouette, look.colours, outside, SPREAD_OF_FIT, passes=1)
             if found is not None and found.unsupported <= UNSUPPORTED:
                 masks[self._names[view]] = found.mask
         return masks

@@ -12,15 +12,17 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import LEAST_OVERLAP, FrameFit
+from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
-from dvrk_cmaes.calibration.session_doubts import OF_FRAMES, resting_on
+from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.doubts import OF_FRAMES
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS
 from dvrk_cmaes.pose.tip_probability import tip_probability
@@ -29,9 +31,6 @@ from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit
 from dvrk_cmaes.track.deviations import FrameDeviations
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
-
-CORRELATED_FRAMES = 3.0
-"""Frames near each other whose masks err alike: what each tells counts as much less beside its neighbours."""
 
 LIMITS = OF_FRAMES["followed"]
 """How far an image may be from what its calibration expects."""
@@ -135,7 +134,8 @@ def status_of(
     quality = judged.quality
     if quality.iou < LEAST_OVERLAP:
         return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]
-    reasons = [*judged.reasons, *LIMITS.doubts(quality, misfit, calibration, config.session)]
+    usual = calibration.iou, calibration.contour_px_95
+    reasons = [*judged.reasons, *LIMITS.doubts_in_session(quality, misfit, *usual, config.session)]
     return "doubtful" if reasons else "ok", reasons
 
 

@@ -41,7 +41,7 @@ def test_calibrations_are_scored_alike_in_any_number_at_once(monkeypatch: pytest
     for own in modes[::2]:
         own[1] = Mode(own[1].at.moved(rng.normal(0, 0.1, 9)), COVARIANCE)
     found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    monkeypatch.setattr(consensus, "_MOST_AT_ONCE", 1)
+    monkeypatch.setattr(consensus, "MOST_AT_ONCE", 1)
     one_by_one = find_consensus(world.model, modes, EXPECTED_OFFSETS)
     np.testing.assert_array_equal(found.cost, one_by_one.cost)
     np.testing.assert_array_equal(found.calibration.camera_from_base, one_by_one.calibration.camera_from_base)

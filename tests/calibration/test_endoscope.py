@@ -22,7 +22,7 @@ from dvrk_cmaes.calibration.endoscope import (
 from dvrk_cmaes.calibration.endoscope_search import find_hand_eye, find_pieces
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, SessionModel
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
-from dvrk_cmaes.calibration.solve import Solution, solve_with_modes
+from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed, change_between, moved
 from dvrk_cmaes.joints.names import ECM_JOINTS
@@ -58,7 +58,7 @@ def steered_world(seed: int, *, still: bool = False, frames: int = FRAMES) -> St
     return Steered40(steering, world.model, modes, read, bases)
 
 
-def solved(world: Steered40, endoscope: Endoscope, index: np.ndarray | None = None) -> tuple[SessionModel, Solution]:
+def solved(world: Steered40, endoscope: Endoscope, index: np.ndarray | None = None) -> tuple[SessionModel, Solved]:
     """Solve a session whose endoscope is given, from the consensus of some frames."""
     model = replace(world.model, endoscope=endoscope)
     some = np.arange(FRAMES) if index is None else index
@@ -76,7 +76,7 @@ def world() -> Steered40:
 
 
 @pytest.fixture(scope="module")
-def found(world: Steered40) -> tuple[SessionModel, Solution]:
+def found(world: Steered40) -> tuple[SessionModel, Solved]:
     steered = Steered.of(world.read)
     assert steered is not None
     return solved(world, find_hand_eye(world.model, world.modes, EXPECTED_OFFSETS, PRIOR, steered))
@@ -121,9 +121,7 @@ def test_some_frames_of_an_endoscope_are_where_they_are_in_all_of_them(kind: str
             np.testing.assert_array_equal(some.loadings(other, BASE), endoscope.loadings(other, BASE)[index])
 
 
-def test_camera_in_the_tip_is_found_within_its_deviation(
-    world: Steered40, found: tuple[SessionModel, Solution]
-) -> None:
+def test_camera_in_the_tip_is_found_within_its_deviation(world: Steered40, found: tuple[SessionModel, Solved]) -> None:
     model, solution = found
     values = solution.calibration.endoscope
     true = world.steering
@@ -153,7 +151,9 @@ def test_error_of_a_moving_endoscope_is_between_those_at_its_places() -> None:
     np.testing.assert_allclose(steered.shares[12], [0.75, 0.25, 0.0], atol=1e-9)
 
 
-def test_deviations_of_the_tip_have_errors_of_camera_and_masks_in_them(found: tuple[SessionModel, Solution]) -> None:
+def test_deviations_of_the_tip_have_errors_of_camera_and_masks_in_them(
+    found: tuple[SessionModel, Solved],
+) -> None:
     model, solution = found
     covariance = np.linalg.inv(solution.information)
     times = [0.1 * k for k in range(FRAMES)]
@@ -257,7 +257,7 @@ def test_a_session_whose_camera_stands_still_is_not_cut() -> None:
     assert find_pieces(world.model, world.modes, EXPECTED_OFFSETS, PRIOR, consensus) is None
 
 
-def as_document(model: SessionModel, solution: Solution) -> SessionCalibration:
+def as_document(model: SessionModel, solution: Solved) -> SessionCalibration:
     """Make a session's calibration of a solution."""
     calibration, covariance = solution.calibration, np.linalg.inv(solution.information)
     names = (*OUTER_OFFSETS, *NAMES)
@@ -275,7 +275,7 @@ def as_document(model: SessionModel, solution: Solution) -> SessionCalibration:
     )
 
 
-def test_document_gives_each_frame_its_base(world: Steered40, found: tuple[SessionModel, Solution]) -> None:
+def test_document_gives_each_frame_its_base(world: Steered40, found: tuple[SessionModel, Solved]) -> None:
     session = SessionCalibration.from_dict(as_document(*found).to_dict())
     assert session.endoscope is not None
     assert session.endoscope.ecm_from_base is not None
@@ -315,9 +315,7 @@ def test_pieces_are_chosen_by_time_or_name() -> None:
         ({"tip_from_camera": None}, "endoscope: places: expected"),
     ],
 )
-def test_wrong_documents_are_refused(
-    found: tuple[SessionModel, Solution], change: dict[str, Any], message: str
-) -> None:
+def test_wrong_documents_are_refused(found: tuple[SessionModel, Solved], change: dict[str, Any], message: str) -> None:
     document = as_document(*found).to_dict()
     document["endoscope"] |= change
     with pytest.raises(InputError, match=message):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, NAMES, PRIOR, SEEN, World, make_world
 
-from dvrk_cmaes.calibration.clock import Clock, Delay
+from dvrk_cmaes.calibration.clock import Clock
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
-from dvrk_cmaes.calibration.lag import LagCurve, LagRefiner, Refined, describe_lag, search_lag
-from dvrk_cmaes.calibration.lag_estimate import LagEstimate
+from dvrk_cmaes.calibration.lag_search import LagCurve, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.session_lag import FramesOfLag, LagEstimate, describe_lag, refine_lag
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
@@ -69,19 +69,29 @@ def moving_world(
     return world, clock, world.modes(rng)
 
 
-def refiner_near(lag: float, world: World, clock: Clock, modes: list[list[Mode]]) -> LagRefiner:
-    """Start at the whole frame nearest to the lag."""
-    start = Delay(round(lag))
+def only(lag: float, drift: float = 0.0) -> np.ndarray:
+    """A lag, which wrist and jaw have as well."""
+    return np.array([lag, drift, 0.0])
+
+
+def refined_near(
+    lag: float, world: World, clock: Clock, modes: list[list[Mode]], free: tuple[int, ...] = (0,), **options: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Refine some values of a lag, from the whole frame nearest to it; returns these, and standard deviations."""
+    start = only(round(lag))
     model = clock.model_at(world.model, start)
     found = find_consensus(model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
-    return LagRefiner(clock, model, fits_of(modes), found.calibration, PRIOR, start)
+    refined = refine_lag(FramesOfLag(clock, model, fits_of(modes), found.calibration, PRIOR), start, free, **options)
+    assert refined is not None
+    return refined[0][[*free]], refined[1][[*free]]
 
 
-def found_lag(lag: float, world: World, clock: Clock, modes: list[list[Mode]]) -> Refined | None:
+def found_lag(lag: float, world: World, clock: Clock, modes: list[list[Mode]]) -> tuple[float, float]:
     """Search a lag, which must be found to a frame, and refine it."""
     found = search_lag(clock, world.model, modes, EXPECTED_OFFSETS)
     assert found.lag == pytest.approx(lag, abs=1.0)
-    return refiner_near(found.lag or 0.0, world, clock, modes).refine_value()
+    value, std = refined_near(found.lag or 0.0, world, clock, modes)
+    return float(value[0]), float(std[0])
 
 
 def fits_of(modes: list[list[Mode]]) -> FrameFits:
@@ -91,33 +101,27 @@ def fits_of(modes: list[list[Mode]]) -> FrameFits:
 
 @pytest.mark.parametrize("lag", [-3.0, 0.0, 0.4, 2.6, 4.0, 11.5])
 def test_lag_is_found_to_a_fraction_of_a_frame(lag: float) -> None:
-    found = found_lag(lag, *moving_world(lag, seed=1))
-    assert found is not None
-    assert found.value == pytest.approx(lag, abs=0.3)
-    assert 0 < found.std < 0.3
+    value, std = found_lag(lag, *moving_world(lag, seed=1))
+    assert value == pytest.approx(lag, abs=0.3)
+    assert 0 < std < 0.3
 
 
 def test_noise_of_the_readings_does_not_draw_the_lag_to_the_middle_between_two_rows() -> None:
-    found = [refiner_near(0.0, *moving_world(0.0, seed, noise=1.5)).refine_value() for seed in range(8)]
-    errors = [abs(one.value) for one in found if one is not None]
-    assert len(errors) == 8
-    assert np.median(errors) < 0.12
+    found = [refined_near(0.0, *moving_world(0.0, seed, noise=1.5))[0] for seed in range(8)]
+    assert np.median(np.abs(found)) < 0.12
 
 
 def test_refinement_goes_on_from_a_search_that_was_a_frame_off() -> None:
     world, clock, modes = moving_world(1.1, seed=1)
     for start in (0.0, 2.0):
-        found = refiner_near(start, world, clock, modes).refine_value()
-        assert found is not None
-        assert found.value == pytest.approx(1.1, abs=0.2)
+        assert refined_near(start, world, clock, modes)[0] == pytest.approx(1.1, abs=0.2)
 
 
 def test_stated_standard_deviation_covers_the_error() -> None:
     errors = []
     for seed in range(8):
-        found = refiner_near(1.7, *moving_world(1.7, seed)).refine_value()
-        assert found is not None
-        errors.append(abs(found.value - 1.7) / found.std)
+        (value,), (std,) = refined_near(1.7, *moving_world(1.7, seed))
+        errors.append(abs(value - 1.7) / std)
     assert max(errors) < 2
     # these frames share no errors, which the standard deviation allows for
     assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 0.5
@@ -128,30 +132,28 @@ def test_wrong_frames_do_not_change_the_lag() -> None:
     strange = moving_world(4.0, seed=52)[2]
     for i in range(0, len(modes), 4):
         modes[i] = strange[i]
-    found = found_lag(4.0, world, clock, modes)
-    assert found is not None
-    assert found.value == pytest.approx(4.0, abs=0.4)
+    assert found_lag(4.0, world, clock, modes)[0] == pytest.approx(4.0, abs=0.4)
 
 
 def test_arm_that_hardly_moves_determines_no_lag() -> None:
     world, clock, _ = moving_world(3.0, seed=3)
     slow = {name: values.mean() + 1e-3 * (values - values.mean()) for name, values in clock.series.values.items()}
     still = Clock.of(replace(clock.series, values=slow), list(clock.series.frames), world.model.deviations.outer)
-    model = still.model_at(world.model, Delay())
+    model = still.model_at(world.model, only(0.0))
     held = replace(world, model=model, at=model.predict(world.truth))
     own = held.modes(np.random.default_rng(0))
     found = search_lag(still, held.model, own, EXPECTED_OFFSETS)
     if found.lag is None or found.calibration is None:
         assert "quickly" in found.undetermined
         return
-    start = Delay(found.lag)
-    refiner = LagRefiner(still, still.model_at(model, start), fits_of(own), found.calibration, PRIOR, start)
-    refined = refiner.refine_value()
-    assert refined is None or isinstance(describe_lag(still, refined), str)
+    start = only(found.lag)
+    frames = FramesOfLag(still, still.model_at(model, start), fits_of(own), found.calibration, PRIOR)
+    refined = refine_lag(frames, start)
+    assert refined is None or isinstance(describe_lag(still, *refined), str)
 
 
 def described(clock: Clock, value: float, std: float) -> Lag:
-    lag = describe_lag(clock, Refined(value, std))
+    lag = describe_lag(clock, only(value), only(std))
     assert isinstance(lag, Lag)
     return lag
 
@@ -162,7 +164,7 @@ def test_lag_is_applied_only_if_it_differs_from_zero() -> None:
     assert not described(clock, 0.5, 0.3).applied
     assert described(clock, 0.5, 0.1).applied
     assert described(clock, -1.0, 0.2).applied
-    undetermined = describe_lag(clock, Refined(4.0, 1.5))
+    undetermined = describe_lag(clock, only(4.0), only(1.5))
     assert undetermined == (
         "standard deviation 1.5 frames; a recording in which the arm moves quickly would determine it"
     )
@@ -188,30 +190,31 @@ def test_disagreement_is_least_at_the_lag() -> None:
 
 @pytest.mark.parametrize("drift", [1.5e-3, -1.5e-3])
 def test_clocks_that_run_at_different_rates_make_the_lag_drift(drift: float) -> None:
-    refiner = refiner_near(3.0, *moving_world(3.0, seed=5, count=1800, every=30, drift=drift))
-    assert refiner.refine_value() is not None
-    found = refiner.refine_drift()
-    assert found is not None
-    assert found.value == pytest.approx(drift, abs=3e-4)
-    lag = refiner.refine_value()
-    assert lag is not None
-    assert lag.value == pytest.approx(3.0, abs=0.3)
+    world, clock, modes = moving_world(3.0, seed=5, count=1800, every=30, drift=drift)
+    value, std = refined_near(3.0, world, clock, modes, (0, 1))
+    assert value[0] == pytest.approx(3.0, abs=0.3)
+    assert value[1] == pytest.approx(drift, abs=3e-4)
+    lag = estimated(world, clock, modes)
+    assert (lag.drift, lag.std_drift) == pytest.approx((value[1], std[1]), rel=0.3)
 
 
 def test_clocks_of_one_rate_have_no_drift() -> None:
     for seed in range(2):
-        refiner = refiner_near(2.0, *moving_world(2.0, seed, count=1800, every=60))
-        refiner.refine_value()
-        assert refiner.refine_drift() is None
+        assert estimated(*moving_world(2.0, seed, count=1800, every=60)).drift == 0.0
+
+
+def estimated(world: World, clock: Clock, modes: list[list[Mode]]) -> Lag:
+    """The lag that the frames' modes tell."""
+    estimate = LagEstimate.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
+    lag = estimate.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR).lag
+    assert lag is not None
+    return lag
 
 
 @pytest.mark.parametrize("wrist", [0.0, 2.0])
 def test_wrist_has_a_lag_of_its_own(wrist: float) -> None:
-    refiner = refiner_near(3.0, *moving_world(3.0, seed=6, every=3, wrist=wrist))
-    refiner.refine_value()
-    found = refiner.estimate_joints()
-    assert found is not None
-    assert found.value == pytest.approx(wrist, abs=max(2.5 * found.std, 0.3))
+    (value,), (std,) = refined_near(3.0, *moving_world(3.0, seed=6, every=3, wrist=wrist), (2,), lasting=False)
+    assert value == pytest.approx(wrist, abs=max(2.5 * std, 0.3))
 
 
 @pytest.mark.parametrize(("every", "factor"), [(6, 10**0.5), (60, 1.0)])
@@ -219,23 +222,23 @@ def test_errors_of_cables_in_frames_close_to_each_other_count_once_when_lags_are
     every: int, factor: float
 ) -> None:
     world, clock, _ = moving_world(0.0, seed=0, every=every)
-    own, compared = world.model.deviations, clock.model_to_compare(world.model, Delay()).deviations
+    own, compared = world.model.deviations, clock.model_to_compare(world.model, only(0.0)).deviations
     assert compared.outer == pytest.approx(own.outer * [1, 1, 1, factor])
     assert compared.joints == pytest.approx(own.joints * factor)
 
 
 def test_model_at_a_lag_has_the_readings_of_that_time() -> None:
     world, clock, _ = moving_world(0.0, seed=0)
-    model = clock.model_at(world.model, Delay(2.5))
+    model = clock.model_at(world.model, only(2.5))
     times = np.array(list(clock.series.frames.values())) - 2.5
     np.testing.assert_array_equal(model.outer, clock.series.at(OUTER_JOINTS, times))
-    assert clock.has_readings(Delay(2.5)).all()
-    assert not clock.has_readings(Delay(300.0)).any()
+    assert clock.has_readings(only(2.5)).all()
+    assert not clock.has_readings(only(300.0)).any()
 
 
 def test_true_calibration_is_recovered_at_the_lag() -> None:
     world, clock, modes = moving_world(3.0, seed=4)
-    right: Calibration = find_consensus(clock.model_at(world.model, Delay(3.0)), modes, EXPECTED_OFFSETS).calibration
+    right: Calibration = find_consensus(clock.model_at(world.model, only(3.0)), modes, EXPECTED_OFFSETS).calibration
     wrong: Calibration = find_consensus(world.model, modes, EXPECTED_OFFSETS).calibration
     off = [np.linalg.norm(one.camera_from_base[:3, 3] - world.truth.camera_from_base[:3, 3]) for one in (right, wrong)]
     assert off[0] < off[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dvrk_cmaes.calibration.lag import LagCurve
+from dvrk_cmaes.calibration.lag_search import LagCurve
 from dvrk_cmaes.calibration.solution_trials import MOST_LAGS, best_predicting, lags_to_try
 
 STEP = 1 / 30

@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraChange, CameraCheck, CameraEstimate, SessionCamera, check_camera
 from dvrk_cmaes.calibration.session_masks import MaskMargin
-from dvrk_cmaes.calibration.solve import FrameFits, Solution, solve
+from dvrk_cmaes.calibration.solve import FrameFits, Solved, solve
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
@@ -39,7 +39,7 @@ def made(bundled_body: Body) -> Made:
 
 def check(
     body: Body, made: Made, focal_scale: float, *, insertion: float = 1.0, config: SessionConfig = CONFIG
-) -> tuple[CameraCheck, Solution]:
+) -> tuple[CameraCheck, Solved]:
     """Check a file whose focal length is the true one divided by ``focal_scale``, from poses as seen with that file.
 
     The readings of insertion are scaled about their mean by ``insertion``.

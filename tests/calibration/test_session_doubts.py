@@ -15,7 +15,6 @@ from dvrk_cmaes.calibration.session_doubts import (
     DISAGREES,
     bad_predictions,
     doubts_of,
-    far_joints,
     resting_on,
     unusual_insertion,
 )
@@ -23,6 +22,7 @@ from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.doubts import far_joints
 from dvrk_cmaes.results.tracked import TrackResult
 
 FRAMES = ("0000", "0001", "0002")

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.solve import (
     FrameFits,
-    Solution,
+    Solved,
     frame_covariances,
     leave_one_out,
     marginalise,
@@ -29,7 +29,7 @@ def a_start(world: World) -> Calibration:
     return Calibration(moved(world.truth.camera_from_base, off), np.zeros(5))
 
 
-def solved(world: World, fits: FrameFits) -> Solution:
+def solved(world: World, fits: FrameFits) -> Solved:
     return solve(world.model, fits, a_start(world), PRIOR)
 
 
@@ -219,3 +219,25 @@ def test_further_unknowns_that_act_are_found_beside_the_calibration() -> None:
     assert (std[11:] < 1).all()
     off = change_between(found.calibration.camera_from_base, world.truth.camera_from_base)
     assert (np.abs(off) < 3 * std[:6]).all()
+
+
+def test_unknown_that_changes_what_is_predicted_is_found_as_an_offset_is() -> None:
+    """An unknown with the effect of an offset of the wrist, which is itself kept at zero, takes its value."""
+    world = make_world(offsets=np.zeros(5))
+    fits, wrist = world.fits(np.random.default_rng(0)), 6 + NAMES.index("wrist_yaw")
+    place = 8 + NAMES.index("wrist_yaw")
+    effect = np.zeros((len(world.at), 6 + len(NAMES), 1))
+    effect[:, wrist] = 1.0
+    prior = np.pad(PRIOR, ((0, 1), (0, 1)))
+    prior[place, place] = 1e12
+    prior[-1, -1] = PRIOR[place, place]
+    plain = solve(world.model, fits, a_start(world), PRIOR)
+    beside = solve(world.model, fits.along("turned", np.zeros(1), effect), with_unknown(a_start(world)), prior)
+    assert beside.calibration.further == pytest.approx(plain.calibration.offsets[place - 6 : place - 5], rel=1e-3)
+    np.testing.assert_allclose(beside.weights, plain.weights, rtol=1e-3)
+    std = np.sqrt(np.diag(np.linalg.inv(beside.information)))[-1]
+    assert std == pytest.approx(np.sqrt(np.diag(np.linalg.inv(plain.information)))[place], rel=1e-3)
+
+
+def with_unknown(calibration: Calibration) -> Calibration:
+    return replace(calibration, constants={"turned": np.zeros(1)})

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.export.pose_table import table_text
+from dvrk_cmaes.export.pose_texts import table_text
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import ExpectedError, Quality, Result

@@ -26,7 +26,7 @@ from dvrk_cmaes.silhouette import Body, prepare
 _BODIES = 8
 """Most prepared instruments that are kept."""
 
-SEGMENT_CLASSIC = segmentation._segment_classic
+SEGMENT_CLASSIC = segmentation.with_classic
 
 
 @contextmanager
@@ -119,12 +119,12 @@ def _images_segmented_once(patch: pytest.MonkeyPatch) -> None:
             known[key] = SEGMENT_CLASSIC(image, background, hints, instrument, camera, joints)
         return replace(known[key], mask=known[key].mask.copy())
 
-    patch.setattr(segmentation, "_segment_classic", segmented)
+    patch.setattr(segmentation, "with_classic", segmented)
 
 
 @contextmanager
 def segmented_anew() -> Iterator[None]:
     """Let images be segmented each time, for tests of that."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(segmentation, "_segment_classic", SEGMENT_CLASSIC)
+        patch.setattr(segmentation, "with_classic", SEGMENT_CLASSIC)
         yield

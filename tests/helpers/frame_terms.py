@@ -11,9 +11,9 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, assess, refine
 from dvrk_cmaes.pose.terms.coverage import Coverage
-from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Term
+from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 

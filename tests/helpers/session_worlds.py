@@ -181,9 +181,6 @@ def true_calibration(
     true = [{**truth.outer, **truth.joints} for truth in truths]
     off = [[t[name] - f.result.readings[name] for name in names] for t, f in zip(true, frames, strict=True)]
     spreads = Deviations.of(SessionConfig(), body.instrument.joint_names)
-    known = {"slack_translation": float(spreads.slack[0]), "slack_rotation": float(spreads.slack[3])}
-    known |= dict(zip(OUTER_JOINTS, spreads.outer.tolist(), strict=True))
-    known |= dict(zip(body.instrument.joint_names, spreads.joints.tolist(), strict=True))
     covariance = np.diag([*[(3e-4) ** 2] * 3, *[np.deg2rad(0.3) ** 2] * 3, *[1e-6] * len(names)])
     return SessionCalibration(
         instrument=body.instrument.name,
@@ -192,7 +189,7 @@ def true_calibration(
         axes=(*BASE_AXES, *names),
         covariance=covariance,
         covariance_given_camera=covariance,
-        spreads=known,
+        spreads=spreads.by_name(body.instrument.joint_names),
         frames=tuple(frame.name for frame in frames),
         iou=0.95,
         contour_px_95=2.0,

@@ -11,7 +11,7 @@ from helpers.frame_terms import SPREAD, readings_of, view_at
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.geometry import Posed, apply
-from dvrk_cmaes.pose.doubts import doubts_in_views, exchanged_readings, judge
+from dvrk_cmaes.pose.doubts import OF_FRAMES, doubts_in_views, exchanged_readings, judge
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
@@ -77,7 +77,9 @@ def test_exchanged_readings_are_told_by_all_frames_of_a_recording_together(bundl
 def doubts_followed(body: Body, camera: Camera, quality: Quality, *, followed: bool) -> list[str]:
     """Give the reasons to doubt the true pose of that quality, with or without the support of neighbouring images."""
     views = [view_at(body, camera, TRUE)]
-    return doubts_in_views(TRUE, views, [quality], EXPECTED, TrustConfig(), followed=followed)[0]
+    return doubts_in_views(
+        TRUE, views, [quality], EXPECTED, TrustConfig(), OF_FRAMES["followed" if followed else "alone"]
+    )[0]
 
 
 @pytest.mark.parametrize(("px", "alone", "followed"), [(2.7, 0, 0), (4.0, 1, 0), (4.4, 1, 1)])

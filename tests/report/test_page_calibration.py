@@ -24,7 +24,7 @@ from helpers.page_calibrations import (
 )
 from helpers.page_results import failed, page_of, write_results
 
-from dvrk_cmaes.calibration.lag import LagCurve
+from dvrk_cmaes.calibration.lag_search import LagCurve
 from dvrk_cmaes.calibration.session_rig import ViewRotation, ViewScale
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints.lag import Lag

@@ -15,7 +15,7 @@ import pytest
 from helpers.places import ROOT
 
 from dvrk_cmaes import InputError, Renderer, Result, Tracker, estimate, prepare, read_camera, read_results
-from dvrk_cmaes.export.pose_table import table_text
+from dvrk_cmaes.export.pose_texts import table_text
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.tracked import TrackResult
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,12 +11,14 @@ from threading import Event
 
 import numpy as np
 import pytest
+from helpers.batch_sessions import QUICK_CONFIG
 from helpers.session_worlds import make_frames_in_memory, write_folder
+from helpers.shared_estimates import shared_estimates
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.together import Solving, solved_together
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.frames.packed_mask import overlap_of
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, read_tracks
@@ -30,7 +32,7 @@ from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = 12
 SEEDS = {"PSM1": 5, "PSM2": 8}
-QUICK = EstimateConfig(session=SessionConfig(rounds=2, cables=False, test_camera=False))
+QUICK = replace(QUICK_CONFIG, session=SessionConfig(rounds=2, cables=False, test_camera=False))
 SETTINGS = TrackSettings(QUICK, evidence="masks", workers=1)
 
 
@@ -65,6 +67,13 @@ class TwoArms:
             off = np.array([row["tips"] for row in rows]) - [truths[row["frame"]].tips for row in rows]
             found.append(1e3 * np.linalg.norm(off, axis=2).mean(axis=1))
         return np.array(found)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _estimated_once() -> Iterator[None]:
+    """Let each keyframe be estimated once for all tests."""
+    with shared_estimates():
+        yield
 
 
 @pytest.fixture(scope="module")

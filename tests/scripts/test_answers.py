@@ -7,8 +7,6 @@ import copy
 import io
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK, make_session
 from helpers.commands import Ran
-from helpers.places import ROOT, SCRIPTS
+from helpers.places import ROOT
 
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.io.bundled import bundled_path
@@ -175,11 +173,6 @@ def test_files_of_a_folder(tmp_path: Path) -> None:
     }
 
 
-def answers(*options: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, SCRIPTS / "answers.py", *options]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
-
-
 @pytest.mark.usefixtures("compiled_before")
 def test_checkout_compared_with_itself(
     run_here: Callable[..., Ran], tasks_here: None, monkeypatch: pytest.MonkeyPatch
@@ -214,10 +207,10 @@ def test_checkout_compared_with_itself(
     assert demo["values"] > 1000
 
 
-def test_folder_without_package_is_refused(tmp_path: Path) -> None:
-    done = answers("--against", tmp_path)
-    assert done.returncode == 2
-    assert done.stderr == f"answers.py: --against {tmp_path}: expected a checkout with the package dvrk_cmaes\n"
+def test_folder_without_package_is_refused(tmp_path: Path, run_here: Callable[..., Ran]) -> None:
+    done = run_here("answers", "--against", tmp_path)
+    assert done.code == 2
+    assert done.err == f"answers.py: --against {tmp_path}: expected a checkout with the package dvrk_cmaes\n"
 
 
 def test_answers_are_kept_for_a_commit_and_its_inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

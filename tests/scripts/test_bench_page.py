@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
+from collections.abc import Callable
 
 import pytest
-from helpers.places import SCRIPTS
+from helpers.commands import Ran
 
 
 @pytest.mark.browser
-def test_report_has_bytes_and_times() -> None:
-    command = [sys.executable, SCRIPTS / "bench.py", "page", "--frames", "60", "--repeats", "1", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    (row,) = json.loads(done.stdout)["page of a recording"]
+def test_report_has_bytes_and_times(run_here: Callable[..., Ran]) -> None:
+    done = run_here("bench", "page", "--frames", "60", "--repeats", "1", "--json")
+    assert done.code == 0, done.err
+    (row,) = done.result["page of a recording"]
     assert (row["frames"], row["pictures"]) == (60, 60)
     assert 0.1 < row["MB"] < 5
     assert row["loaded, s, median"] > 0

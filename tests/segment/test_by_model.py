@@ -8,7 +8,7 @@ import pytest
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z, transform
-from dvrk_cmaes.segment import Segmentation, segment
+from dvrk_cmaes.segment import Segmentation, model_masks, segment
 from dvrk_cmaes.segment.by_model import find_instruments
 from dvrk_cmaes.segment.model_masks import segment_by_model
 from dvrk_cmaes.segment.segmentation import GUESS, Hints
@@ -118,8 +118,11 @@ def behind_a_flap() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return image, masks[0], flap
 
 
-def test_another_mask_is_taken_that_is_elsewhere_where_the_instrument_s_is_a_guess_or_of_the_same_and_surer() -> None:
+def test_another_mask_is_taken_that_is_elsewhere_where_the_instrument_s_is_a_guess_or_of_the_same_and_surer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     image, mask, _ = behind_a_flap()
+    monkeypatch.setattr(model_masks, "_segmentation", lambda *_: Segmentation(mask, confidence=0.4))
     part = mask.copy()
     part[:, 125:] = False
     for shown, confidence, taken in [
@@ -129,7 +132,16 @@ def test_another_mask_is_taken_that_is_elsewhere_where_the_instrument_s_is_a_gue
         (mask, 0.1, False),
     ]:
         other = Segmentation(shown, confidence=confidence)
-        assert (segment_by_model(image, BODY, CAMERA, None, Hints(), lambda other=other: other) is other) == taken
+        found = segment_by_model(image, BODY, CAMERA, None, Hints(), *2 * [lambda other=other: other])
+        assert (found is other) == taken
+
+
+def test_instruments_of_the_same_colours_beside_each_other_are_no_surroundings() -> None:
+    image, masks = drawn(LEFT, (RIGHT[0], (0.003, -0.014, 0.115), *RIGHT[2:]), seed=2)
+    found = segment(image, instrument=BODY, camera=CAMERA)
+    both = [found.mask, *(other.mask for other in found.others)]
+    for mask in masks:
+        assert max(overlap(each, mask) for each in both) > 0.9
 
 
 def test_what_lies_before_an_instrument_is_not_in_its_mask() -> None:

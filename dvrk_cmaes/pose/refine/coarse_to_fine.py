@@ -18,13 +18,13 @@ from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_vi
 from dvrk_cmaes.pose.refine.rig_rotation import Rotation, rotations_of_views
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.search.global_search import scale_of_change
-from dvrk_cmaes.pose.search.modes import Candidate, are_distinct, best_per_mode, is_twin, twin_of
+from dvrk_cmaes.pose.search.modes import PoseCandidate, are_distinct, best_per_mode, is_twin, twin_of
 from dvrk_cmaes.pose.search.objective import loss_of_views
 from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise
 from dvrk_cmaes.pose.terms.coverage import Coverage
-from dvrk_cmaes.pose.terms.frame_terms import terms_of_frame
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Term
+from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -133,7 +133,7 @@ class LocalSearch:
     def _refine(
         self,
         coverage: Coverage,
-        modes: Sequence[Candidate],
+        modes: Sequence[PoseCandidate],
         *,
         iterations: int | None = None,
         selection: Selection = ALL,
@@ -147,21 +147,21 @@ class LocalSearch:
         fits = refine(coverage, self._terms, Posed.stacked([mode.at for mode in modes]), steps, selection)
         return _not_diverged(fits)
 
-    def _assess(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
+    def _assess(self, coverage: Coverage, modes: Sequence[PoseCandidate]) -> list[Fit]:
         """Score modes without refining them."""
         return assess(coverage, self._terms, Posed.stacked([mode.at for mode in modes])) if modes else []
 
-    def _twin(self, mode: Candidate) -> Candidate:
-        return Candidate(twin_of(self._instrument, mode.at), mode.score)
+    def _twin(self, mode: PoseCandidate) -> PoseCandidate:
+        return PoseCandidate(twin_of(self._instrument, mode.at), mode.score)
 
-    def _missing_twin(self, best: Candidate, others: Sequence[Candidate]) -> list[Candidate]:
+    def _missing_twin(self, best: PoseCandidate, others: Sequence[PoseCandidate]) -> list[PoseCandidate]:
         """Return the best mode's mirror twin in a list, which is empty if there is none or the others include it."""
         instrument = self._instrument
         if not instrument.has_twin or any(is_twin(instrument, best.at, other.at) for other in others):
             return []
         return [self._twin(best)]
 
-    def refine(self, candidates: Sequence[Candidate]) -> tuple[list[Fit], list[Rotation]]:
+    def refine(self, candidates: Sequence[PoseCandidate]) -> tuple[list[Fit], list[Rotation]]:
         """Refine candidates at increasing image sizes; returns the remaining modes, the best first.
 
         They include the mirror twin of the best mode if the instrument has one. Also returns the rotation by which each
@@ -188,7 +188,7 @@ class LocalSearch:
         final += self._first_of_twin(finest, self._missing_twin(best, final))
         return self._finish(finest, final)
 
-    def _first_of_twin(self, coverage: Coverage, twin: Sequence[Candidate]) -> list[Fit]:
+    def _first_of_twin(self, coverage: Coverage, twin: Sequence[PoseCandidate]) -> list[Fit]:
         """Return the twin of a refined mode, if there is one, as good as it needs to be for the last iterations.
 
         Its outline is as good as that of the mode itself, so that the Gauss-Newton iterations before would hardly move
@@ -227,7 +227,7 @@ class LocalSearch:
         is_as_good = assess(coverage, self._terms, fit.at[None])[0].score < mode.score + _AS_GOOD
         return replace(mode, at=fit.at) if is_as_good else mode
 
-    def _last(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
+    def _last(self, coverage: Coverage, modes: Sequence[PoseCandidate]) -> list[Fit]:
         """Refine modes by the last Gauss-Newton iterations; with any other method they are only scored."""
         config = self._config.refine
         if config.method == "gauss-newton":
@@ -235,7 +235,7 @@ class LocalSearch:
             return self._refine(narrow, modes, selection=self._last_selection)
         return self._assess(coverage, modes)
 
-    def _finest(self, coverage: Coverage, modes: Sequence[Candidate]) -> list[Fit]:
+    def _finest(self, coverage: Coverage, modes: Sequence[PoseCandidate]) -> list[Fit]:
         """Refine modes at full image size by the chosen method."""
         config = self._config
         if config.refine.method == "gauss-newton":

@@ -17,7 +17,7 @@ from dvrk_cmaes import _kernel
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
-from dvrk_cmaes.pose.search.modes import Candidate
+from dvrk_cmaes.pose.search.modes import PoseCandidate
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.profiles import Profiles
 from dvrk_cmaes.pose.terms.term import Approximation, Quadratic, Term, sum_of_costs, sum_of_locals
@@ -32,7 +32,7 @@ _LEAST_DAMPING: Final = 1e-9, 1e-12  # of steps that are not damped: of each dia
 
 
 @dataclass(frozen=True, eq=False)
-class Fit(Candidate):
+class Fit(PoseCandidate):
     """A refined pose.
 
     ``information`` (D, D) is that of the small changes from all terms. ``score`` is a negative log-likelihood up to a

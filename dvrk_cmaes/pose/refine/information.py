@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dvrk_cmaes.evidence.outline_noise import OutlineNoise, distances_to, sampled
+from dvrk_cmaes.evidence.outline_noise import CLIP, OutlineNoise, distances_to, sampled
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.terms.contour import is_rough
 from dvrk_cmaes.pose.terms.shared_errors import without_last
@@ -25,7 +25,6 @@ from dvrk_cmaes.silhouette import OutlinePoints
 
 # Largest standard deviations of position, m, and of angles, rad; they keep the information invertible.
 _POSITION_SIGMA, _ANGLE_SIGMA = 1.0, np.pi
-_CLIP = 3.0  # standard deviations, beyond which a point of the outline does not count
 _LARGEST = 8.0  # standard deviations to which errors are limited in the variance of a link
 _SHARED = 100.0  # px of outline; weight of the variance of the whole outline in that of a link
 _ROUGH_LENGTH = 20.0  # px, correlation length of the errors of a rough contour
@@ -81,7 +80,7 @@ def outline_information(view: SizedView, at: Posed, noise: OutlineNoise) -> Floa
     length = np.linalg.norm(outline.normals, axis=1)
     errors = view.shared_errors(outline, at, noise)
     jacobian = np.column_stack([of_pose, errors.columns * length[:, None]])
-    counts = weight * (np.abs(off) < _CLIP * max(noise.sigma, 0.5))
+    counts = weight * (np.abs(off) < CLIP * max(noise.sigma, 0.5))
     variance = _link_variances(outline, off, length * weight, noise.sigma)[outline.link]
     weighted = jacobian * (counts / (length * variance * _length_of_measurement(noise)))[:, None]
     both = Quadratic((jacobian.T @ weighted)[None], np.zeros((1, jacobian.shape[1])))

@@ -20,8 +20,6 @@ from dvrk_cmaes.pose.refine.elimination import eliminate
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views
 from dvrk_cmaes.pose.terms.contour import CorrelatedContour, DrawnContour
-from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
-from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 
 Rotation = tuple[Float64, Float64]
@@ -61,11 +59,8 @@ class PosedInRig(Posed):
         return PosedInRig(*(np.stack(part) for part in zip(*parts, strict=True)))
 
 
-class TurnedContours(OutlineTerm[DrawnContour]):
+class TurnedContours(CorrelatedContour):
     """The contours of the ``views``, of which all but the first may be turned; at poses of type `PosedInRig`."""
-
-    def __init__(self, views: Sequence[SizedView]) -> None:
-        self.views = tuple(views)
 
     def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnContour]:
         """Draw C poses in the turned views."""
@@ -88,14 +83,6 @@ class TurnedContours(OutlineTerm[DrawnContour]):
             cost += drawn.cost
         return DrawnContour(information, slope, cost)
 
-    def cost_of(self, drawn: DrawnContour) -> float:
-        """Return the sum of squares of what was drawn."""
-        return drawn.cost
-
-    def near(self, drawn: Sequence[DrawnContour], at: Posed) -> Quadratic:
-        """Return the approximation of half the sum of squares near C poses."""
-        return Quadratic(np.stack([d.information for d in drawn]), np.stack([d.slope for d in drawn]))
-
 
 def rotations_of_views(
     views: Sequence[ViewAtFullSize], terms: Sequence[Term], at: Posed, informations: Sequence[Float64]
@@ -108,10 +95,9 @@ def rotations_of_views(
     """
     if len(views) == 1:
         return []
-    contours = TurnedContours([both.sized for both in views])
+    contours = TurnedContours([both.sized for both in views], reach=_REACH)
     start = PosedInRig(at.pose, at.joints, np.zeros((len(views) - 1, 3)))
-    drawn = CorrelatedContour(contours.views, reach=_REACH).of_views(Posed.stacked([at]))
-    if not all(of_view.information.any() for (of_view,) in drawn):
+    if not all(of_view.information.any() for (of_view,) in contours.of_views(Posed.stacked([at]))):
         return [(np.zeros(3), _UNKNOWN * np.eye(3))] * (len(views) - 1)
     steps = Steps(1, tested="none")
     turned = _refined(contours, terms, start, steps)

@@ -9,7 +9,7 @@ from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search import minimise_each
-from dvrk_cmaes.pose.search.modes import Candidate, first_of_modes
+from dvrk_cmaes.pose.search.modes import PoseCandidate, first_of_modes
 from dvrk_cmaes.pose.search.objective import Objective
 from dvrk_cmaes.pose.search.screening import screened, screening_size
 from dvrk_cmaes.pose.search.starts import draw_starts
@@ -43,7 +43,7 @@ def search_size(evidence: Evidence, width: int) -> tuple[int, int]:
 
 def find_candidates(
     renderer: Renderer, evidence: Evidence, readings: Readings, config: EstimateConfig
-) -> tuple[list[Candidate], list[Renderer]]:
+) -> tuple[list[PoseCandidate], list[Renderer]]:
     """Search one frame for candidate poses.
 
     Returns the candidates and the renderers used. The candidates are the results of the optimiser from each start, then
@@ -78,16 +78,16 @@ def find_candidates(
     known = [start.score for start in starts]
     least = minimise_each(search.method, loss, known, len(scale), search.evaluations, config.seed)
     searched = [
-        start if found.loss >= start.score else Candidate(start.at.moved(found.best * scale), found.loss)
+        start if found.loss >= start.score else PoseCandidate(start.at.moved(found.best * scale), found.loss)
         for start, found in zip(starts, least, strict=True)
     ]
     found = [*sorted(searched, key=lambda candidate: candidate.score), *unread_spares, *spares]
     return found, [each.renderer for each in (*coarse, fine)]
 
 
-def _distinct(at: Posed, losses: Float64, ranked: int, most: int) -> list[Candidate]:
+def _distinct(at: Posed, losses: Float64, ranked: int, most: int) -> list[PoseCandidate]:
     """Return at most ``most`` distinct candidates among the best ``ranked``, the best first."""
     best = np.argsort(losses, kind="stable")[:ranked]
     best = best[np.isfinite(losses[best])]
     kept = best[first_of_modes(at[best], angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)]
-    return [Candidate(at[i], float(losses[i])) for i in kept]
+    return [PoseCandidate(at[i], float(losses[i])) for i in kept]

@@ -13,14 +13,14 @@ from dvrk_cmaes.instrument import Instrument
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class PoseCandidate:
     """One pose with its joints, and its ``score``: a loss or negative log-likelihood, the lower the better."""
 
     at: Posed
     score: float
 
 
-C = TypeVar("C", bound=Candidate)
+C = TypeVar("C", bound=PoseCandidate)
 
 
 _ANGLE, _JOINT = float(np.deg2rad(15)), float(np.deg2rad(25))  # between poses of the same mode, at most

@@ -46,7 +46,7 @@ SHOWN = _kernel.Shown(usual=0.5, factor=2.0, most=8.0)
 _NODES = 0.008  # m along the shaft
 _LEAST_POINTS = 4  # of the outline that an error changes, for it to count
 _AHEAD = 0.004  # m, to another point of the shaft's axis
-_NEAREST = 1e-3  # m; points that are nearer, or behind the camera, are taken to be this far away
+NEAREST = 1e-3  # m; points that are nearer, or behind the camera, are taken to be this far away
 
 # Standard deviations, in those of the contour's noise.
 _MARGIN, _NODE, _SIDE, _LINK = 0.1, 0.2, 0.15, 0.15
@@ -146,7 +146,7 @@ def image_axis(instrument: Instrument, camera: Camera, seen: Posed) -> Float64:
     """
     along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction
     ends = seen.pose[:3, 3] - np.array([[0.0], [_AHEAD]]) * (seen.pose[:3, :3] @ along)
-    ends[:, 2] = np.maximum(ends[:, 2], _NEAREST)
+    ends[:, 2] = np.maximum(ends[:, 2], NEAREST)
     here, back = camera.project(ends)
     length = float(np.linalg.norm(here - back))
     return np.asarray((here - back) / length if length > 0 else np.array([1.0, 0.0]))

@@ -1,4 +1,4 @@
-"""Jaw tips that were given in a view as a term."""
+"""Jaw tips that were given in a view as a term, and all terms of a frame beside its outline."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.objective import project_tips
+from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette.moving_points import moving_points
@@ -83,3 +85,8 @@ class TipsTerm(Term):
         given = np.stack([self._tips, self._tips[::-1]]).reshape(2, 4)
         nearer = given[((projected[:, None] - given) ** 2).sum(axis=2).argmin(axis=1)]
         return np.asarray((projected - nearer) / self._sigma)
+
+
+def terms_of_frame(views: Sequence[FrameView], readings: Readings, config: OutlineConfig, *more: Term) -> list[Term]:
+    """Return the terms of a frame's readings and given tips, and those of what else is expected of its pose."""
+    return [ReadingsTerm(readings), *TipsTerm.of_views(views, config), *more]

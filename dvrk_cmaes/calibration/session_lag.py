@@ -1,25 +1,131 @@
-"""The lag of a session while it is calibrated: found from the frames' own modes, then refined with their fits."""
+"""The lag of the images behind the readings, which all frames of a session share.
+
+It is found from the frames' own modes, by which the readings of each frame are chosen. From then on it is a block of
+unknowns beside base and offsets, in one linearised problem: a change of the lag changes what is predicted of a frame by
+the velocity of its readings. Clocks that run at different rates make the lag drift; the drift is estimated with it, and
+so is, at the end, the lag of the readings of wrist and jaw in addition to that of the outer joints.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from dvrk_cmaes.calibration.clock import Clock, Delay
+from dvrk_cmaes.calibration.clock import FARTHEST, Clock
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
-from dvrk_cmaes.calibration.lag import LagCurve, LagRefiner, Refined, describe_lag, search_lag
+from dvrk_cmaes.calibration.lag_search import LEAST_AT_LAG, MOVE, LagCurve, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.calibration.solve import FrameFits, Solved, alternate
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.play import Play
 from dvrk_cmaes.joints.series import ReadingSeries
 
+_LAG, _DRIFT, _OF_JOINTS = range(3)  # of the values of a lag, as of `Clock`
+_WHOLE = np.eye(3)[_LAG]
+_DRIFT_STD = 1e-3  # expected beforehand: clocks differ by parts per thousand at most
+_SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
+_LINEARISATIONS, _MOST_LINEARISATIONS = 4, 10  # those that do not move the lag by half a step of the search, and all
+_DRIFT_STEPS = 4.0  # range of the change of the lag in half of the session, in steps of the search
+_LEAST_STEP = 0.25  # of the refinement's differences, relative to the search's
+_SETTLED, _SETTLING = 0.01, 0.45  # steps of the search, by which a refined value still changes, and by which at most
+_SIGNIFICANT = 2.0  # standard deviations
+_LEAST_LAG = 0.3  # frames, below which a lag, or its change in half of the session, is not corrected
+_LARGEST_STD = 1.0  # frames, above which the lag is not determined
 _UNDETERMINED = 2.0  # frames, least standard deviation of a lag that is not determined, and ...
 _UNKNOWN = 3.0  # ... largest
 _AGREE = 3.0  # standard deviations of each lag, within which those of several arms are taken for one
+
+
+class FramesOfLag(NamedTuple):
+    """What tells the lag of N frames: their clock, model and fits, and a calibration with its prior, as in `solve`."""
+
+    clock: Clock
+    model: SessionModel
+    fits: FrameFits
+    calibration: Calibration
+    prior: Float64
+
+
+def refine_lag(
+    frames: FramesOfLag, start: Float64, free: tuple[int, ...] = (_LAG,), *, lasting: bool = True
+) -> tuple[Float64, Float64] | None:
+    """Refine some values of a lag together with the calibration; returns all, with standard deviations (3,) of these.
+
+    Only frames with readings around the lag are used. None if too few have them, if the frames agree best nowhere near
+    the start, or if the readings cannot be interpolated.
+
+    Parameters
+    ----------
+    frames
+        The frames.
+    start : (3,)
+        The lag to start from, as of `Clock`.
+    free
+        Which values are unknowns.
+    lasting
+        Whether the errors of cables last, as in `Clock.model_to_compare`.
+    """
+    clock, own, lag = frames.clock, list(free), start
+    step, far = clock.step, FARTHEST[clock.series.unit]
+    if not clock.interpolable or not step:
+        return None
+    reach = np.array([step, _DRIFT_STEPS * step / max(clock.half_duration, step), step])[own]
+    rows, found, moved = reach[:, None] * np.eye(3)[own], list[Solved](), np.ones(len(own))
+    left, known = _LINEARISATIONS, np.array([far, _DRIFT_STD, far])[own] / _SHARED_ERRORS
+    prior = np.diag(np.concatenate([np.zeros(len(frames.prior)), known**-2.0]))
+    prior[: len(frames.prior), : len(frames.prior)] = frames.prior
+
+    def near(lag: Float64, calibration: Calibration) -> tuple[SessionModel, FrameFits] | None:
+        has = np.logical_and.reduce([clock.has_readings(lag + by) for by in (*rows, *-rows)])
+        if has.sum() < LEAST_AT_LAG:
+            return None
+        order = np.flatnonzero(has)[np.argsort(clock.times[has], kind="stable")]
+        of_these, model, fits = clock.subset(order), frames.model.subset(order), frames.fits.subset(order)
+
+        def compared(lag: Float64) -> SessionModel:
+            return of_these.model_to_compare(model, lag, lasting=lasting)
+
+        ends = [[compared(lag + by).predict(calibration) for by in (row, -row)] for row in _LEAST_STEP * rows]
+        changes = [later.minus(earlier) for later, earlier in ends]
+        return compared(lag), fits.along("lag", lag[own], np.stack(changes, axis=2) / (2 * _LEAST_STEP * reach))
+
+    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits] | None:
+        nonlocal lag, moved, left
+        found.append(solution)
+        change = np.clip(solution.calibration.further - fits.further, -reach / 2, reach / 2)
+        lag, moved = start.copy(), np.abs(change) / reach
+        lag[own] = fits.further + change
+        left -= int((moved < 0.5).all())
+        return None if not left or (moved < _SETTLED).all() else near(lag, solution.calibration)
+
+    first = near(start, frames.calibration)
+    if first is None:
+        return None
+    alternate(*first, replace(frames.calibration, constants=first[1].constants), prior, again, _MOST_LINEARISATIONS)
+    if (moved > _SETTLING).any():
+        return None
+    inverse, std = np.asarray(np.linalg.inv(found[-1].information)), np.zeros(3)
+    alone, shared = _SHARED_ERRORS**2 * np.diag(inverse), np.diag(found[-1].covariance_of(inverse))
+    std[own] = np.sqrt(np.maximum(alone, shared))[-len(own) :]
+    return lag, std
+
+
+def describe_lag(clock: Clock, lag: Float64, std: Float64) -> Lag | str:
+    """Decide whether a lag (3,), as of `Clock`, is to be corrected; a text that says why where it is not determined."""
+    unit, interval = clock.series.unit, clock.series.interval
+    if std[_LAG] > _LARGEST_STD * interval:
+        return f"standard deviation {std[_LAG] / interval:.1f} frames; {MOVE}"
+    drifts = lag[_DRIFT] != 0
+    significant = abs(lag[_LAG]) > max(_SIGNIFICANT * std[_LAG], _LEAST_LAG * interval) or drifts
+    described = Lag.of(float(lag[_LAG]), float(std[_LAG]), unit, interval, applied=bool(significant))
+    if not drifts:
+        return described
+    middle = clock.middle + clock.series.origin
+    return replace(described, drift=float(lag[_DRIFT]), std_drift=float(std[_DRIFT]), middle=middle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +195,12 @@ class LagEstimate:
         told = replace(self, curve=found.curve, undetermined=found.undetermined, nowhere=found.nowhere)
         if found.lag is None or found.calibration is None:
             return told
-        start = Delay(found.lag)
+        start = np.array([found.lag, 0.0, 0.0])
         has = np.flatnonzero(self.clock.has_readings(start))
         shifted = self.clock.model_at(model, start).subset(has)
         chosen = choose_modes(shifted, [modes[int(i)] for i in has], found.calibration)
-        clock = self.clock.subset(has)
-        return told._by(LagRefiner(clock, shifted, FrameFits.of_modes(chosen), found.calibration, prior, start))
+        fits = FrameFits.of_modes(chosen)
+        return told._by(FramesOfLag(self.clock.subset(has), shifted, fits, found.calibration, prior), start)
 
     def refined(self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> LagEstimate:
         """Refine a lag that is taken out with the frames' fits; arguments as in `solve`.
@@ -103,15 +209,14 @@ class LagEstimate:
         """
         if self.applied is None or self.clock is None or self.shared:
             return self
-        start = self.clock.delay_of(self.applied)
-        found = self._by(LagRefiner(self.clock, model, fits, calibration, prior, start))
+        found = self._by(FramesOfLag(self.clock, model, fits, calibration, prior), self._value(self.clock))
         return found if found.all_have_readings else replace(found, lag=self.lag)
 
     @property
     def all_have_readings(self) -> bool:
         """Whether each frame has readings of all outer joints at the lag that is taken out."""
         clock, lag = self.clock, self.applied
-        return clock is None or lag is None or bool(clock.has_readings(clock.delay_of(lag)).all())
+        return clock is None or lag is None or bool(clock.has_readings(clock.values_of(lag)).all())
 
     def told_by_few(self, few: LagEstimate) -> LagEstimate:
         """Return the estimate with the lag that some of the frames told, unless a frame would have no readings there.
@@ -136,12 +241,12 @@ class LagEstimate:
         clock = self.clock
         if self.lag is not None or clock is None:
             return self, None
-        value = LagRefiner(clock, model, fits, calibration, prior, Delay()).refine_value()
-        lag = None if value is None or not clock.interpolable else describe_lag(clock, value)
-        if value is None or not isinstance(lag, Lag):
+        found = refine_lag(FramesOfLag(clock, model, fits, calibration, prior), np.zeros(3))
+        lag = None if found is None else describe_lag(clock, *found)
+        if found is None or not isinstance(lag, Lag):
             return self, None
         if lag.applied:
-            return self, value.value
+            return self, float(found[0][_LAG])
         against = self.curve is not None and self.curve.against_none
         return (self if against else replace(self, lag=lag)), None
 
@@ -158,35 +263,38 @@ class LagEstimate:
         told = [each for one in (self, *same) if (each := one._told) is not None]
         if len(told) < (1 if self.lag is None else 2):
             return self
-        weights = np.array([one.std**-2.0 for one in told])
-        value, std = float(weights @ [one.value for one in told] / weights.sum()), float(weights.sum() ** -0.5)
-        if any(abs(one.value - value) > _AGREE * one.std for one in told):
+        values, stds = np.array(told).T
+        weights = stds**-2.0
+        mean, std = weights @ values / weights.sum(), weights.sum() ** -0.5
+        if (np.abs(values - mean) > _AGREE * stds).any():
             return self
-        lag = describe_lag(clock, Refined(value, std))
+        lag = describe_lag(clock, np.array([mean, 0.0, 0.0]), np.array([std, 0.0, 0.0]))
         shared = replace(self, lag=lag, undetermined="", shared=True) if isinstance(lag, Lag) else self
         return shared if shared.all_have_readings else self
 
     @property
-    def _told(self) -> Refined | None:
-        """The lag in the unit of the readings' times; None where it is not determined, or drifts."""
+    def _told(self) -> tuple[float, float] | None:
+        """The lag and its standard deviation in the unit of the clock; None where it is not determined, or drifts."""
         if self.lag is None or self.clock is None or self.lag.drift:
             return None
         std = self.lag.std_seconds if self.clock.series.unit == "s" else self.lag.std_frames
-        return None if std is None else Refined(self.clock.delay_of(self.lag).value, std)
+        return None if std is None else (float(self.clock.values_of(self.lag)[_LAG]), std)
 
     def with_joints(
         self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64
     ) -> LagEstimate:
-        """Estimate the additional lag of the readings of wrist and jaw; arguments as in `solve`."""
+        """Estimate the additional lag of the readings of wrist and jaw; arguments as in `solve`.
+
+        It is not stated if its standard deviation exceeds a frame.
+        """
         if self.lag is None or self.clock is None:
             return self
-        wrist = LagRefiner(self.clock, model, fits, calibration, prior, self._delay(self.clock)).estimate_joints()
-        if wrist is None:
+        frames, frame = FramesOfLag(self.clock, model, fits, calibration, prior), self.clock.series.interval
+        found = refine_lag(frames, self._value(self.clock), (_OF_JOINTS,), lasting=False)
+        if found is None or found[1][_OF_JOINTS] > _LARGEST_STD * frame:
             return self
-        frame = self.clock.series.interval
-        return replace(
-            self, lag=replace(self.lag, wrist_frames=wrist.value / frame, std_wrist_frames=wrist.std / frame)
-        )
+        wrist, std = (float(of_lag[_OF_JOINTS]) / frame for of_lag in found)
+        return replace(self, lag=replace(self.lag, wrist_frames=wrist, std_wrist_frames=std))
 
     def change_of_predictions(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
@@ -200,9 +308,9 @@ class LagEstimate:
             return none
         unit, interval = self.clock.series.unit, self.clock.series.interval
         told = None if self.lag is None else (self.lag.std_seconds if unit == "s" else self.lag.std_frames)
-        delay = self._delay(self.clock)
-        step = self._undetermined_std(interval) if told is None else max(told, self._least_std(interval, delay.value))
-        ends = [self.clock.model_at(model, replace(delay, value=delay.value + by)) for by in (step, -step)]
+        lag = self._value(self.clock)
+        step = self._undetermined_std(interval) if told is None else max(told, self._least_std(interval, lag[_LAG]))
+        ends = [self.clock.model_at(model, lag + by * _WHOLE) for by in (step, -step)]
         later, earlier = (end.predict(calibration) for end in ends)
         change = later.minus(earlier) / 2
         return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
@@ -228,27 +336,27 @@ class LagEstimate:
         """
         assert self.clock is not None
         assert self.applied is not None
-        delay, reach = self.clock.delay_of(self.applied), (self.clock.step or 0.0) / 2
+        lag, reach = self._value(self.clock), (self.clock.step or 0.0) / 2
         if not self.clock.interpolable:
-            return self.clock.has_readings(delay)
-        near = [self.clock.has_readings(replace(delay, value=delay.value + by)) for by in (-reach, reach)]
+            return self.clock.has_readings(lag)
+        near = [self.clock.has_readings(lag + by * _WHOLE) for by in (-reach, reach)]
         return np.asarray(near[0] & near[1])
 
     def corrected(self, model: SessionModel) -> SessionModel:
         """Return the model with the readings of the times of the images less the lag that is taken out."""
         if self.applied is None or self.clock is None:
             return model
-        return self.clock.model_at(model, self.clock.delay_of(self.applied))
+        return self.clock.model_at(model, self._value(self.clock))
 
     def seconds(self) -> Float64 | None:
         """Return the times (N,), s, at which the arm was read as the images show it; None where they are not known."""
         clock = self._timed
-        return None if clock is None else clock.seconds(self._delay(clock))
+        return None if clock is None else clock.seconds(self._value(clock))
 
     def play(self, names: Sequence[str], readings: Float64, width: Float64) -> Play | None:
         """Return how far joints stay behind their readings, as `Clock.play`; None where the times are not known."""
         clock = self._timed
-        return None if clock is None else clock.play(names, readings, width, self._delay(clock))
+        return None if clock is None else clock.play(names, readings, width, self._value(clock))
 
     @property
     def _timed(self) -> Clock | None:
@@ -260,24 +368,33 @@ class LagEstimate:
         clock = self.clock
         return clock if clock is not None and (clock.series.unit == "s" or clock.interpolable) else None
 
-    def _delay(self, clock: Clock) -> Delay:
-        """Return the lag that is taken out, as a delay."""
-        return Delay() if self.applied is None else clock.delay_of(self.applied)
+    def _value(self, clock: Clock) -> Float64:
+        """Return the lag (3,) that is taken out, as of the clock."""
+        return clock.values_of(self.applied)
 
     def subset(self, kept: Sequence[int]) -> LagEstimate:
         """Return the estimate of the frames at some indices."""
         return self if self.clock is None else replace(self, clock=self.clock.subset(kept))
 
-    def _by(self, refiner: LagRefiner) -> LagEstimate:
-        """Refine the lag and its drift, and keep them where they are determined; a lag that is applied stays so."""
-        value, before = refiner.refine_value(), refiner.delay.drift
-        drift = refiner.refine_drift()
-        if refiner.delay.drift != before:
-            value = refiner.refine_value()
+    def _by(self, frames: FramesOfLag, start: Float64) -> LagEstimate:
+        """Refine the lag and its drift from a start (3,), and keep them where they are determined.
+
+        A drift is kept if it is significant and changes the lag noticeably in half of the session; a lag that is
+        applied stays so. A lag of readings that cannot be interpolated is left as it is.
+        """
+        clock = frames.clock
+        found, half, least = None, clock.half_duration, _LEAST_LAG * clock.series.interval
+        if half * _DRIFT_STD >= least / 4:
+            found = refine_lag(frames, start, (_LAG, _DRIFT))
+        if found is not None and not abs(found[0][_DRIFT]) > max(_SIGNIFICANT * found[1][_DRIFT], least / half):
+            start, found = np.array([found[0][_LAG], 0.0, 0.0]), None
+        if found is None:
+            found = refine_lag(frames, start)
+        if clock.step and not clock.interpolable:
+            found = start, np.array([clock.step / np.sqrt(12), 0.0, 0.0])
         lag: Lag | str = "the frames' disagreement has no minimum there, or too few frames have readings"
-        if value is not None:
-            assert self.clock is not None
-            lag = describe_lag(self.clock, value, drift)
+        if found is not None:
+            lag = describe_lag(clock, *found)
         if isinstance(lag, Lag):
             return replace(self, lag=replace(lag, applied=lag.applied or self.applied is not None))
         return replace(self, undetermined=lag) if self.lag is None else self
