@@ -8,7 +8,6 @@ little narrower. No colour is assumed.
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -91,19 +90,10 @@ class Appearance:
         self._bins = PixelSums.of(np.concatenate([channels, (counts & (within == 0))[None]]))
         self._edges = PixelSums.of(np.stack([edges, counts.astype(np.float32)]))
         self._whole = channels.sum(axis=(1, 2)) / max(float(counts.sum()), 1.0)
-        self._longer, self._camera = max(counts.shape), camera
-        self._draw(body)
-
-    def _draw(self, body: Body) -> None:
-        drawn, outlined = (tuple(Renderer(each, self._camera, threads=1) for each in kind) for kind in _bodies(body))
+        self._longer = max(counts.shape)
+        drawn, outlined = (tuple(Renderer(each, camera, threads=1) for each in kind) for kind in _bodies(body))
         self._wide, self._wide_shaft, self._all, self._shaft = drawn
         self._bounds = outlined
-
-    def by_meshes(self, body: Body) -> Appearance:
-        """Return what the same picture tells of poses of the same instrument, drawn by other meshes."""
-        other = copy(self)
-        other._draw(body)
-        return other
 
     def scores(self, at: Posed) -> Scores:
         """Measure C candidates."""

@@ -30,8 +30,8 @@ FREE: Final = 3.0
 """px on either side of a silhouette's outline, in which a silhouette that is known well has no say."""
 ROUGH: Final = 10.0
 """px on either side of the outline of a rough mask that was found in the image, likewise."""
-_REFINED: Final = 8.0  # px, likewise of a mask that was found at half the size, or at
-_COARSEST: Final = 480  # px, if that is more
+_REFINED: Final = 8.0  # px, likewise of a mask that was refined before
+_COARSEST: Final = 480  # px, longer side at which an outline is refined first, at least
 FINEST: Final = 1000
 """px, longer side above which masks are found in a reduced image."""
 REACH: Final = 12.0
@@ -163,7 +163,7 @@ def segmentation_around(
     """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W), as `mask_around`, and assess the mask.
 
     A ``rough`` silhouette is a mask that was found at a reduced size, and is a shaft's with straight sides: it is first
-    refined at half the size, or at 480 px. ``colours`` are of any size.
+    refined, at half the size if the image is large. ``colours`` are of any size.
     """
     height, width = silhouette.shape
     longest = min(max(height, width), FINEST)
@@ -181,7 +181,7 @@ def segmentation_around(
         )
 
     if rough:
-        half = min(max(longest // 2, _COARSEST), longest)
+        half = longest // 2 if longest // 2 >= _COARSEST else longest
         first = around(silhouette, half, ROUGH * half / longest, _PASSES)
         found = None if first is None else around(first.mask, longest, _REFINED, 1)
     else:

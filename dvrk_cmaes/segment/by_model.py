@@ -19,7 +19,7 @@ from dvrk_cmaes.frames.packed_mask import overlap_of
 from dvrk_cmaes.geometry import Bool, Float64, Image, Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment.appearance import Appearance
 from dvrk_cmaes.segment.segmentation import GUESS
-from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs
+from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs, pair_of_mask
 from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import decimated_body
@@ -28,7 +28,7 @@ _REDUCED: Final = 320  # px, longer side at which candidates are compared
 _RANKED: Final = 160  # px, longer side at which places are ranked
 _LINES: Final = 800  # px, longer side at which edges are looked for
 _DETAILS: Final = 0.0015, 0.002, 0.003, 0.004, 0.005, 0.006  # m, cells of the meshes
-_FACES: Final = 200, 370, 520  # at most, of the meshes that are ranked, that are compared, and that are compared last
+_FACES: Final = 260, 520  # at most, of the meshes that are ranked, and of those that are compared
 _PAIRS: Final = 28
 _STEP: Final = 8.0  # px along an axis
 _MOST_STEPS: Final = 24
@@ -91,13 +91,20 @@ def assumed_camera(width: int, height: int) -> Camera:
 
 
 def find_instruments(
-    image: Image, outside: Bool, body: Body, camera: Camera, joints: Mapping[str, float] | None = None, most: int = 4
+    image: Image,
+    outside: Bool,
+    body: Body,
+    camera: Camera,
+    joints: Mapping[str, float] | None = None,
+    most: int = 4,
+    rough: Bool | None = None,
 ) -> list[Candidate]:
     """Find the instruments in an image (H, W, 3) uint8 BGR; their silhouettes do not share pixels.
 
     Those that are no guess are first, and of these the one with the largest score.
 
-    ``outside`` (H, W) are pixels outside the picture; ``joints`` are the readings, rad, by name.
+    ``outside`` (H, W) are pixels outside the picture; ``joints`` are the readings, rad, by name. ``rough`` is a mask of
+    any size found by other means: it is looked whether its sides are a shaft's, too.
     """
     instrument = body.instrument
     if instrument.shaft is None:
@@ -105,6 +112,9 @@ def find_instruments(
     (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, _REDUCED))
     lines = shrunk(image, _LINES).max(axis=2)
     pairs = find_pairs(lines, camera.scaled(*fine), instrument.shaft.radius, resized(outside, fine), _PAIRS)
+    if rough is not None:
+        pair = pair_of_mask(rough, camera.scaled(rough.shape[1], rough.shape[0]), instrument.shaft.radius)
+        pairs += [] if pair is None else [pair]
     if not pairs:
         return []
     coarse = camera.scaled(*size)
@@ -131,7 +141,7 @@ def find_instruments(
     best = _best_along(axes, scored)
     scored[best] = turned(tried[best], turns(_FIRST_ROLLS, _FIRST_BENDS))[1].reshape(len(best), -1).max(axis=1)
     tried, scored = tried[best], scored[best]
-    renderer = Renderer(meshes[2], coarse, threads=1)
+    renderer = Renderer(meshes[1], coarse, threads=1)
     every = turns(_ROLLS, _BENDS)
     groups = _grouped(tried, scored, renderer, _TURNED // len(every.pose))
     if not groups:
@@ -143,8 +153,8 @@ def find_instruments(
         begin += [varied[k] for k in np.argsort(-own, kind="stable")[:_BEGUN]]
     scale = np.concatenate([_SCALE, np.where(np.isnan(read), 0.35, 0.08)])
 
-    def instruments(by: Appearance, at: Posed, most: int, ends: int) -> list[list[Candidate]]:
-        scores, masks = by.scores(at), renderer.masks(at.pose, at.joints)
+    def instruments(at: Posed, most: int, ends: int) -> list[list[Candidate]]:
+        scores, masks = appearance.scores(at), renderer.masks(at.pose, at.joints)
         measures = np.c_[scores.measures, scores.total - usual]
         kept: list[list[Candidate]] = []
         for k in np.argsort(-scores.total, kind="stable").tolist():
@@ -157,13 +167,12 @@ def find_instruments(
         return kept
 
     for passes, ends in zip(_PASSES[:2], _ENDS, strict=True):
-        kept = instruments(appearance, _optimised(appearance, Posed.stacked(begin), scale, passes), _INSTRUMENTS, ends)
+        kept = instruments(_optimised(appearance, Posed.stacked(begin), scale, passes), _INSTRUMENTS, ends)
         if not kept:
             return []
         begin = [found.at for own in kept for found in own]
     slid, _ = _best_of_each(ranked, [_slid(each, _ROLLS[0]) for each in begin])
-    finest = appearance.by_meshes(meshes[2])
-    last = instruments(finest, _optimised(finest, slid, scale, _PASSES[2]), most, 1)
+    last = instruments(_optimised(appearance, slid, scale, _PASSES[2]), most, 1)
     return sorted((own[0] for own in last), key=lambda each: (each.confidence < GUESS, -each.score))
 
 

@@ -1,6 +1,6 @@
 """Segmentation by colours, edges and position in the image, without learned weights.
 
-`_segment_reduced` works at a reduced size: it cuts out the pixels that are grey rather than colourful by a graph cut,
+`rough_mask` works at a reduced size: it cuts out the pixels that are grey rather than colourful by a graph cut,
 keeps the region that meets the image's border, takes colour histograms of that region and of its surroundings, and
 repeats the graph cut with the log-odds of these histograms. `around` then moves the outline to the image's edges at
 full size. Prompts (a box, points) fix the labels of the pixels that they determine.
@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.around import segmentation_around
@@ -28,7 +27,7 @@ from dvrk_cmaes.segment.confidence import assess_mask
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
-from dvrk_cmaes.segment.segmentation import Box, Hints, Segmentation
+from dvrk_cmaes.segment.segmentation import Hints, Segmentation
 from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
 
 # lengths without a unit are fractions of the image's longer side
@@ -42,8 +41,6 @@ _REACH = 0.125  # largest distance from the last mask at which a pixel may be la
 _AROUND = 0.19  # largest distance from the mask of the pixels that the background's histogram is taken from
 GAP = 0.06  # largest distance between pieces of an instrument, at the reduced size
 _PRIOR_WEIGHT, _LARGEST_PRIOR = 0.3, 2.0  # weight of the greyness log-odds beside the histograms', and their bound
-_BIASES = (1.0, 2.0, 3.0)  # log-odds added to the prior in further attempts, if the mask does not fill its box
-_ENOUGH_OVERLAP = 0.9  # IoU of the mask's bounding box and the given box, from which no further bias is tried
 
 
 def rough_mask(image: Image, hints: Hints) -> Segmentation:
@@ -55,8 +52,10 @@ def rough_mask(image: Image, hints: Hints) -> Segmentation:
     prompts = draw_prompts(small.shape, scale, hints.box, hints.points, hints.not_points)
     prompts = prompts.with_outside(outside_view(small))
     colours = measure_colours(small)
-    mask = _segment_reduced(colours, prompts)
-    odds = local_colour_log_odds(ColourTable(colours), mask)
+    prior = greyness_log_odds(colours, prompts.around_box, prompts.tool, any_colour=prompts.box is not None)
+    table = ColourTable(colours)
+    mask = _iterate_cuts(colours, table, prior, prompts)
+    odds = local_colour_log_odds(table, mask)
     verdict = assess_mask(mask, np.s_[:, :], odds, colours, prompts=prompts)
     return Segmentation(mask, None, verdict.confidence, verdict.notes)
 
@@ -70,28 +69,6 @@ def segment_classic(image: Image, hints: Hints, rough: Segmentation | None = Non
     prompts = prompts.with_outside(outside_view(image))
     found = segmentation_around(image, resized(rough.mask, (image.shape[1], image.shape[0])), prompts, rough=True)
     return found if prompts.outside is None else replace(found, mask=found.mask & ~prompts.outside)
-
-
-def _segment_reduced(colours: Colours, prompts: Prompts) -> Bool:
-    """Segment an image at a reduced size, (H, W).
-
-    With a box, biases are added to the prior's log-odds, and the mask whose bounding box has the largest overlap with
-    the given box is returned.
-    """
-    prior = greyness_log_odds(colours, prompts.around_box, prompts.tool, any_colour=prompts.box is not None)
-    table = ColourTable(colours)
-    mask = _iterate_cuts(colours, table, prior, prompts)
-    if prompts.box is None:
-        return mask
-    best = _box_overlap(mask, prompts.box)
-    for bias in _BIASES:
-        if best >= _ENOUGH_OVERLAP:
-            break
-        other = _iterate_cuts(colours, table, prior + np.float32(bias), prompts)
-        overlap = _box_overlap(other, prompts.box)
-        if overlap > best + 0.01:
-            best, mask = overlap, other
-    return mask
 
 
 def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts: Prompts) -> Bool:
@@ -111,17 +88,6 @@ def _iterate_cuts(colours: Colours, table: ColourTable, prior: Float32, prompts:
             if (before & mask).sum() > _CONVERGED * (before | mask).sum():
                 break
     return fill_holes(mask)
-
-
-def _box_overlap(mask: Bool, box: Box) -> float:
-    """Return the overlap (intersection over union) of a box and the bounding box of a mask; 0 for an empty mask."""
-    if not mask.any():
-        return 0.0
-    left, top, width, height = window_around(mask, 0)
-    across = min(box[2], left + width - 1) - max(box[0], left) + 1
-    down = min(box[3], top + height - 1) - max(box[1], top) + 1
-    both = max(across, 0.0) * max(down, 0.0)
-    return both / ((box[2] - box[0] + 1) * (box[3] - box[1] + 1) + width * height - both)
 
 
 def _cut(odds: Float32, colours: Colours, prompts: Prompts, far: Bool | None = None) -> Bool:

@@ -115,7 +115,9 @@ def segment_by_model(
     camera = assumed_camera(width, height) if camera is None else camera
     outside = outside_view(image)
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
-    candidates = find_instruments(image, outside, body, camera, joints)
+    roughly = rough()
+    sure = roughly.confidence >= GUESS
+    candidates = find_instruments(image, outside, body, camera, joints, rough=roughly.mask if sure else None)
     likely = [each for each in candidates if each.confidence >= GUESS]
     found = [each for each in likely if _fits(each, prompts, image)]
 
@@ -127,7 +129,7 @@ def segment_by_model(
 
     if not found:
         return by_colours()
-    other = by_colours() if rough().confidence >= GUESS else None
+    other = by_colours() if sure else None
 
     def mask_of(each: Candidate) -> Segmentation | None:
         same = other if other is not None and _overlap(each, other.mask) > _SAME else None
@@ -153,9 +155,9 @@ def segment_by_model(
         return other
     if not others:
         return first
-    sure = min(first.confidence, _UNDECIDED) if joints else first.confidence
+    confidence = min(first.confidence, _UNDECIDED) if joints else first.confidence
     notes = *first.notes, _taken(first.mask, [each.mask for each in others])
-    return replace(first, confidence=sure, notes=notes, others=tuple(others))
+    return replace(first, confidence=confidence, notes=notes, others=tuple(others))
 
 
 def _beside(found: Candidate, likely: Sequence[Candidate], shape: tuple[int, ...]) -> Bool:

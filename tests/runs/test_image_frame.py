@@ -24,6 +24,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import estimate_frame, read_any_frame, run_frame
 from dvrk_cmaes.segment import Segmentation
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette.prepare import prepare
 
 METHOD = FrameMethod("classic", EstimateConfig())
 
@@ -181,3 +182,17 @@ def test_real_images_give_poses_of_given_masks(shared: Path, scanned_body: Body,
     )
     assert error.root_mm <= 5
     assert error.shaft_deg <= 10
+
+
+def test_a_mask_around_a_pose_is_not_taken_where_colours_side_with_the_one_before(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = session.frames[0]
+    assert files.mask is not None
+    right = read_mask(files.mask)
+    lacking = right & (np.arange(right.shape[1]) < np.percentile(np.nonzero(right)[1], 85))
+    monkeypatch.setattr(image_frame, "segment_first", lambda *_, **__: Segmentation(right, None, 0.9))
+    monkeypatch.setattr(image_frame, "segment_again", lambda *_, **__: Segmentation(lacking, None, 0.95))
+    found = solve_image(session, files, prepare("lnd"))
+    assert np.array_equal(found.segmentation.mask, right)
+    assert found.segmentation.confidence == 0.9

@@ -8,10 +8,11 @@ import pytest
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z, transform
-from dvrk_cmaes.segment import Segmentation, model_masks, segment
+from dvrk_cmaes.segment import Segmentation, by_model, model_masks, segment
 from dvrk_cmaes.segment.by_model import find_instruments
 from dvrk_cmaes.segment.model_masks import segment_by_model
 from dvrk_cmaes.segment.segmentation import GUESS, Hints
+from dvrk_cmaes.segment.sizes import resized
 from dvrk_cmaes.silhouette import Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -106,6 +107,15 @@ def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None
     assert order == sorted(order)
     again = find_instruments(image, outside, BODY, CAMERA)
     assert np.array_equal(again[0].at.pose, found[0].at.pose)
+
+
+def test_the_sides_of_a_mask_by_other_means_are_tried_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    image, masks = drawn(LEFT)
+    outside = np.zeros(image.shape[:2], np.bool_)
+    monkeypatch.setattr(by_model, "find_pairs", lambda *_: [])
+    assert find_instruments(image, outside, BODY, CAMERA) == []
+    (found, *_) = find_instruments(image, outside, BODY, CAMERA, rough=masks[0])
+    assert overlap(found.silhouette, resized(masks[0], found.silhouette.shape[::-1])) > 0.75
 
 
 def behind_a_flap() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

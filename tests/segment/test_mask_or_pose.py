@@ -7,7 +7,7 @@ import pytest
 from helpers.drawn_tools import Drawing, draw_tool
 
 from dvrk_cmaes.segment import Segmentation
-from dvrk_cmaes.segment.mask_or_pose import attribute_doubt
+from dvrk_cmaes.segment.mask_or_pose import CLEARLY, attribute_doubt, colours_side_with
 
 
 @pytest.fixture(scope="module")
@@ -51,3 +51,13 @@ def test_undecided_cause_is_stated(drawing: Drawing) -> None:
     ignored = np.zeros_like(drawing.mask)
     ignored[:, 188:] = True
     assert "they agree" in attribute_doubt(drawing.image, unsure, without_end(drawing.mask), ignored)
+
+
+def test_colours_side_with_the_mask_that_is_right(drawing: Drawing) -> None:
+    right, lacking = drawing.mask, without_end(drawing.mask)
+    for_right, for_lacking = (colours_side_with(drawing.image, *pair) for pair in ((right, lacking), (lacking, right)))
+    assert for_right is not None
+    assert for_lacking is not None
+    assert for_right > CLEARLY
+    assert for_lacking < 1 - CLEARLY
+    assert colours_side_with(drawing.image, right, right) is None
