@@ -10,7 +10,7 @@ import pytest
 from helpers.page_calibrations import calibration, solved
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.session_camera import SessionCamera
+from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, SessionCamera
 from dvrk_cmaes.calibration.session_doubts import (
     DISAGREES,
     bad_predictions,
@@ -63,6 +63,14 @@ def test_few_frames_that_agree_are_a_doubt() -> None:
     left_out = {f"01{k:02d}": f"{DISAGREES}: 5.0 times the expected error" for k in range(4)}
     (text,) = doubts_of(session(left_out=left_out))
     assert text.startswith("only 3 of 7 frames agree on where the arm's base is")
+
+
+def test_camera_that_many_frames_cannot_test_is_a_doubt() -> None:
+    many = session(frames=tuple(f"{k:04d}" for k in range(40)), untold=(IMPLAUSIBLE,))
+    (text,) = doubts_of(many)
+    assert text.startswith("the camera file cannot be tested: many frames, which fit none that is plausible; ")
+    assert doubts_of(replace(many, frames=many.frames[:30])) == ()
+    assert doubts_of(replace(many, untold=("camera: not tested, as the settings say",))) == ()
 
 
 def test_contradicted_camera_is_a_doubt_unless_it_is_put_right() -> None:
