@@ -132,11 +132,12 @@ def segment_by_model(
     other = by_colours() if sure else None
 
     def mask_of(each: Candidate) -> Segmentation | None:
-        same = other if other is not None and _overlap(each, other.mask) > _SAME else None
-        if same is not None and same.confidence > each.confidence:  # its own mask would be no surer than the candidate
-            return same
-        beside = outside | _beside(each, likely, outside.shape)
-        own = _segmentation(image, each, body, camera, prompts.with_outside(beside))
+        beside, same = _beside(each, likely, outside.shape), None
+        if other is not None and _overlap(each, other.mask) > _SAME:
+            same = replace(other, mask=other.mask & ~beside) if beside.any() else other
+            if same.confidence > each.confidence:  # its own mask would be no surer than the candidate
+                return same
+        own = _segmentation(image, each, body, camera, prompts.with_outside(outside | beside))
         return same if own is not None and same is not None and same.confidence > own.confidence else own
 
     masks: list[Segmentation] = []

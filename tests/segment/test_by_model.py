@@ -109,6 +109,19 @@ def test_candidates_are_where_the_instruments_are_and_share_few_pixels() -> None
     assert np.array_equal(again[0].at.pose, found[0].at.pose)
 
 
+def test_a_mask_by_other_means_of_both_instruments_is_divided(
+    two: tuple[np.ndarray, list[np.ndarray], Segmentation], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, masks, _ = two
+    monkeypatch.setattr(model_masks, "_SAME", 0.3)
+    both = Segmentation(masks[0] | masks[1], confidence=0.99)
+    found = segment_by_model(image, BODY, CAMERA, None, Hints(), lambda: both, lambda: both)
+    assert found.confidence == 0.99
+    assert len(found.others) == 1
+    for mask in masks:
+        assert max(overlap(each, mask) for each in (found.mask, found.others[0].mask)) > 0.8
+
+
 def test_the_sides_of_a_mask_by_other_means_are_tried_too(monkeypatch: pytest.MonkeyPatch) -> None:
     image, masks = drawn(LEFT)
     outside = np.zeros(image.shape[:2], np.bool_)
