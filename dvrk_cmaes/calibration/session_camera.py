@@ -56,7 +56,7 @@ _LEAST_INSERTION = 5e-3  # m, range of the readings
 _CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
 _LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
-_LEAST_HINT = 2.71  # of the same, where it is a remark; that of 90 % with one unknown
+_LEAST_HINT = 3.84  # of the same, where it is a remark; that of 95 % with one unknown
 IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
     "insertion, tell it better"
