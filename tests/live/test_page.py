@@ -141,7 +141,7 @@ def test_node_of_masks_publishes_one_for_each_image(monkeypatch: pytest.MonkeyPa
             return segment(image, box=box)
 
     monkeypatch.setattr("dvrk_cmaes.segment.sam2.Sam2", Sam2)
-    runpy.run_path(str(EXAMPLES / "sam2_mask_node.py"))["main"]("sam2", "90,140,300,340")
+    runpy.run_path(str(EXAMPLES / "sam2_mask_node.py"))["main"]("sam2", "350,10,639,440")
     files = DEMO.frames[1]
     message = get_message("sensor_msgs/msg/CompressedImage")()
     message.data, message.header.stamp.sec = Path(str(files.image)).read_bytes(), 7
@@ -152,7 +152,7 @@ def test_node_of_masks_publishes_one_for_each_image(monkeypatch: pytest.MonkeyPa
     assert (first.header.stamp.sec, first.encoding, first.step) == (7, "mono8", first.width)
     mask = np.frombuffer(first.data, np.uint8).reshape(first.height, first.width) > 127
     left, top, right, bottom = boxes[1]
-    assert boxes[0] == (90.0, 140.0, 300.0, 340.0)
+    assert boxes[0] == (350.0, 10.0, 639.0, 440.0)
     assert mask[top : bottom + 1, left : right + 1].sum() == mask.sum() > 1000
 
 
