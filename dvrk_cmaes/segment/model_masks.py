@@ -42,6 +42,8 @@ _KNOWN: Final = 0.8, 2.0  # weights of the log-odds by these colours, where the 
 _DEEP: Final = 2.0  # px within the first outline, beyond which the second weight holds: edges lose thin jaws
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
+_POSSIBLE: Final = 0.2
+"""Confidence of a candidate below which it is none: of drawn ones 2 % are right there, 36 % from there to `GUESS`."""
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
 _UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
 _SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
@@ -109,7 +111,7 @@ def segment_by_model(
         Functions that find a mask by other means, at a reduced size, and at full size where that is no guess or no
         instrument is found. This mask is taken in place of that of a candidate which it shows, too, where it is surer,
         and where it is elsewhere and that of the best candidate is a guess. It is a guess itself, unless it has some
-        likeness of an instrument.
+        likeness of an instrument. Where it is empty, the best candidate is taken as a guess.
     """
     height, width = image.shape[:2]
     camera = assumed_camera(width, height) if camera is None else camera
@@ -128,7 +130,10 @@ def segment_by_model(
         return replace(other, confidence=_UNLIKE, notes=("a guess", *other.notes, "its shape is not the instrument's"))
 
     if not found:
-        return by_colours()
+        last, best = by_colours(), next((each for each in candidates if _fits(each, prompts, image)), None)
+        if last.mask.any() or best is None or best.confidence < _POSSIBLE:
+            return last
+        return _segmentation(image, best, body, camera, prompts) or last
     other = by_colours() if sure else None
 
     def mask_of(each: Candidate) -> Segmentation | None:

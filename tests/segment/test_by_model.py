@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -157,6 +159,24 @@ def test_another_mask_is_taken_that_is_elsewhere_where_the_instrument_s_is_a_gue
         other = Segmentation(shown, confidence=confidence)
         found = segment_by_model(image, BODY, CAMERA, None, Hints(), *2 * [lambda other=other: other])
         assert (found is other) == taken
+
+
+@pytest.mark.parametrize(("confidence", "taken"), [(0.4, True), (0.1, False)])
+def test_an_unlikely_instrument_is_a_guess_where_nothing_else_is_found(
+    confidence: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, (mask,) = drawn(LEFT)
+    candidate = find_instruments(image, np.zeros_like(mask), BODY, CAMERA)[0]
+    less = (replace(candidate, measures=candidate.measures * share) for share in np.linspace(1.0, 0.0, 100))
+    unlikely = next(each for each in less if each.confidence < confidence)
+    monkeypatch.setattr(model_masks, "find_instruments", lambda *_, **__: [unlikely])
+    nothing = Segmentation(np.zeros_like(mask), confidence=0.0)
+    found = segment_by_model(image, BODY, CAMERA, None, Hints(), lambda: nothing, lambda: nothing)
+    assert (found is not nothing) == taken
+    assert found.confidence < GUESS
+    if taken:
+        assert overlap(found.mask, mask) > 0.9
+        assert found.notes[0] == "a guess"
 
 
 def test_instruments_of_the_same_colours_beside_each_other_are_no_surroundings() -> None:
