@@ -58,6 +58,15 @@ def test_measured_change_of_a_constant_is_a_source_as_long_as_it_has_that_value(
     assert [*module.constants(ROOT, {("a.py", "_TUNED"): {"(1, 3)"}})] == [True, False, False, False, False]
 
 
+def test_constants_without_a_measurement_become_no_more() -> None:
+    from house import METHODS, modules_in
+    from measure.constants import measured, read_table
+
+    tried, package = measured(read_table()), modules_in(ROOT / "dvrk_cmaes")
+    known = [one for each in package if each.package in METHODS for one in each.constants(ROOT, tried)]
+    assert known.count(False) <= 532
+
+
 def test_attributes_are_fields_and_what_methods_assign() -> None:
     import ast
 
