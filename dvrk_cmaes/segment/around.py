@@ -8,6 +8,7 @@ A minimum graph cut follows the edges of the image.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import cv2
@@ -168,6 +169,7 @@ def segmentation_around(
     height, width = silhouette.shape
     longest = min(max(height, width), FINEST)
 
+    @cache
     def reduced(size: int) -> tuple[Image, Prompts]:
         at, scale = size_within(silhouette.shape, size)
         return shrunk(image, size), prompts.resized(*at, scale) if scale < 1 else prompts

@@ -219,7 +219,7 @@ def _ways(at: Posed, scale: Float64) -> Float64:
 
 def _best_of_each(by: Appearance, sets: Sequence[Posed]) -> tuple[Posed, Float64]:
     """Return the best pose of each of N sets of equally many poses, and their scores (N,)."""
-    every = Posed(np.concatenate([each.pose for each in sets]), np.concatenate([each.joints for each in sets]))
+    every = _joined(sets)
     scores = by.scores(every).total.reshape(len(sets), -1)
     best = scores.argmax(axis=1)
     return every[best + np.arange(len(sets)) * scores.shape[1]], scores.max(axis=1)
@@ -231,8 +231,12 @@ def _varied(at: Posed) -> Posed:
     poses = Posed(np.stack(near), np.tile(at.joints, (len(near), 1)))
     poses.pose[:, 3, 3] = 1.0
     tilt = _ways(poses, np.ones(6 + at.joints.shape[1]))[:, 3]
-    tilted = [poses.moved(angle * tilt) for angle in _TILTS]
-    return Posed(np.concatenate([each.pose for each in tilted]), np.concatenate([each.joints for each in tilted]))
+    return _joined([poses.moved(angle * tilt) for angle in _TILTS])
+
+
+def _joined(sets: Sequence[Posed]) -> Posed:
+    """Return the poses of some sets as one."""
+    return Posed(np.concatenate([each.pose for each in sets]), np.concatenate([each.joints for each in sets]))
 
 
 def _appearance(image: Image, outside: Bool, drawn: Body, camera: Camera, longest: int) -> Appearance:

@@ -4,9 +4,9 @@ The contour errors of a segmentation can have a standard deviation of a pixel or
 twenty pixels. The errors of neighbouring points are then nearly equal: their mean carries little information, while
 their differences, such as the position of a bend or the direction of an edge, carry much. Generalised least squares
 (Aitken) weights both correctly: for errors e (N,) with covariance C (N, N), the sum of squares is e^T C^-1 e / f with
-f = ``inflation``. For points at a distance of d px, C = s^2 (0.95 exp(-pi (d / 21)^2) + 0.05 * 21 I), plus the
+f = ``_INFLATION``. For points at a distance of d px, C = s^2 (0.95 exp(-pi (d / 21)^2) + 0.05 * 21 I), plus the
 variance of the quantisation to pixels. The uncorrelated part represents errors that are not smooth; per px of outline
-its variance is about that of the whole error. Points with errors above ``clip`` standard deviations are outliers of
+its variance is about that of the whole error. Points with errors above ``_CLIP`` standard deviations are outliers of
 the segmentation and left out.
 
 Which points count, and s, are found anew at each pose, so sums of squares at different poses are not to be compared:
@@ -30,23 +30,15 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 
 _LEAST_SIGMA = 0.6  # px; for more accurate contours the loss on the coverage gives smaller errors
 _LARGEST_LENGTH = 25.0  # px; longer correlation is caused by errors of the instrument's shape
+_LENGTH = 21.0  # px, correlation length
+_CORRELATED = 0.95  # share of the variance
+_LEAST_ERROR = 0.5  # px, least standard deviation by which outliers are told
+_CLIP = 2.5  # standard deviations
 _REACH = 8  # px from the outline in which the mask's contour is searched
-
-
-def _errors(reach: int) -> _kernel.ContourErrors:
-    """Return how errors are weighed where the contour is searched up to ``reach`` px from the outline."""
-    return _kernel.ContourErrors(
-        reach=reach,
-        least=40,  # outline points that need a contour point within reach for a view to count
-        normal_median=NORMAL_MEDIAN,
-        least_sigma=0.5,  # px
-        clip=2.5,  # standard deviations
-        correlated=0.95,  # share of the variance
-        length=21.0,  # px, correlation length
-        farthest=40.0,  # px, between points whose errors are correlated
-        grid=1 / 12,  # px^2, variance of the quantisation to pixels
-        inflation=2.0,  # factor on the variances, because the errors of fits are larger than the covariance predicts
-    )
+_LEAST_POINTS = 40  # outline points that need a contour point within reach for a view to count
+_GRID = 1 / 12  # px^2, variance of the quantisation to pixels
+_INFLATION = 2.0  # factor on the variances, because the errors of fits are larger than the covariance predicts
+_FARTHEST = 40.0  # px, between points whose errors are correlated
 
 
 def is_rough(noise: OutlineNoise) -> bool:
@@ -80,7 +72,18 @@ class CorrelatedContour(OutlineTerm[DrawnContour]):
 
     def __init__(self, views: Sequence[SizedView], *, reach: int = _REACH) -> None:
         self.views = tuple(views)
-        self._errors = _errors(reach)
+        self._errors = _kernel.ContourErrors(
+            reach=reach,
+            least=_LEAST_POINTS,
+            normal_median=NORMAL_MEDIAN,
+            least_sigma=_LEAST_ERROR,
+            clip=_CLIP,
+            correlated=_CORRELATED,
+            length=_LENGTH,
+            farthest=_FARTHEST,
+            grid=_GRID,
+            inflation=_INFLATION,
+        )
 
     def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnContour]:
         """Draw C poses, and sum up the views."""
