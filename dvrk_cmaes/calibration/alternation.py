@@ -191,7 +191,7 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
     ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few do.
     """
     if not keep_all:
-        state.check_agreement(["" if fit.explains_mask else fit.describe_overlap() for fit in state.fits])
+        state.check_agreement([state.disagreement(fit) for fit in state.fits])
     fits, problem = state.outlines(keep_all=keep_all), state.problem
     state = _with_calibration(state, fits, calibration)
     if not keep_all and problem.config.session.cables:

@@ -14,6 +14,7 @@ from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import split_readings
+from dvrk_cmaes.pose.doubts import LEAST_OVERLAP
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage
@@ -24,9 +25,6 @@ from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_loc
 from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
-
-LEAST_OVERLAP: Final = 0.5
-"""Intersection over union below which a mask does not support a pose, and a fit is not used."""
 
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
@@ -113,10 +111,6 @@ class FrameFit:
     def explains_mask(self) -> bool:
         """Whether the fit overlaps the mask about as well as the frame's own estimate."""
         return self.iou > max(self.own_iou - _OVERLAP_LOSS, LEAST_OVERLAP)
-
-    def describe_overlap(self) -> str:
-        """Say how much less of the mask the fit overlaps than the frame's own estimate, which explains it."""
-        return f"what it expects does not explain the mask (IoU {self.iou:.2f}, by itself {self.own_iou:.2f})"
 
     def step_to(self, expected: Expected) -> float:
         """Return how far the fit would move with another prior, in standard deviations per parameter.

@@ -20,8 +20,8 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Float64, Posed, change_between
 from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.pose.covariance import rough_covariance
-from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
+from dvrk_cmaes.pose.judge import doubts_in_views
 from dvrk_cmaes.pose.quality import measure_overlap, measure_views, pooled_quality
 from dvrk_cmaes.pose.search.modes import are_distinct
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -260,7 +260,7 @@ def _result_of_fit(
     covariance = rough_covariance(task.covariance, main.noise_at(fit.at), quality)
     error = expected_error(body.instrument, fit.at, covariance)
     tips, tips_px = locate_tips(body.instrument, task.stored.camera, fit.at)
-    doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust)
+    doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust, "solved")
     doubts += task.doubts
     names = body.instrument.joint_names
     of_view = dict(zip([view.name for view in views], qualities, strict=True))
