@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,7 @@ from dvrk_cmaes.runs.output import (
     results_of,
     write_outcome,
 )
-from dvrk_cmaes.runs.processes import Processes, WorkerDied, run_in_processes, usable_cores
+from dvrk_cmaes.runs.processes import Processes, WorkerDied, usable_cores
 from dvrk_cmaes.runs.summary import RunTiming, summarize
 from dvrk_cmaes.runs.worker import (
     BatchSetup,
@@ -338,21 +339,23 @@ def outcomes(setup: BatchSetup, todo: Sequence[FrameFiles], workers: Workers) ->
     """Yield the outcomes of frames in the order of completion, by the workers that are given or by its own."""
     if not todo:
         return
-    given, stop, time_limit = workers.executor, workers.stop, workers.time_limit
+    given, stop = workers.executor, workers.stop
     packed = PackedSetup.of(setup)
     call = functools.partial(run_task, packed)
-    if isinstance(given, Processes):
-        done = given.run(todo, call, time_limit=time_limit, stop=stop)
-    elif given is None:
-        most = workers.count or max(1, usable_cores() // setup.config.threads)
-        start = functools.partial(prepare_process, packed)
-        most = min(most, len(todo))
-        done = run_in_processes(todo, call, start=start, workers=most, time_limit=time_limit, stop=stop)
-    else:
-        external = given if isinstance(given, ExternalExecutor) else ExternalExecutor(given, lambda: 2 * usable_cores())
-        done = run_in_executor(todo, call, external=external, stop=stop)
-    for files, outcome in done:
-        yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
+    with ExitStack() as opened:
+        if given is None:
+            most = workers.count or max(1, usable_cores() // setup.config.threads)
+            start = functools.partial(prepare_process, packed)
+            given = opened.enter_context(Processes(start, min(most, len(todo))))
+        if isinstance(given, Processes):
+            done = given.run(todo, call, time_limit=workers.time_limit, stop=stop)
+        else:
+            external = (
+                given if isinstance(given, ExternalExecutor) else ExternalExecutor(given, lambda: 2 * usable_cores())
+            )
+            done = run_in_executor(todo, call, external=external, stop=stop)
+        for files, outcome in opened.enter_context(closing(done)):
+            yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
 
 
 def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:
