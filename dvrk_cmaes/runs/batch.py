@@ -55,7 +55,7 @@ from dvrk_cmaes.runs.output import (
     write_outcome,
 )
 from dvrk_cmaes.runs.processes import Processes, WorkerDied, usable_cores
-from dvrk_cmaes.runs.summary import RunTiming, summarize
+from dvrk_cmaes.runs.summary import summarize, timing_of
 from dvrk_cmaes.runs.worker import (
     BatchSetup,
     FrameOutcome,
@@ -220,14 +220,14 @@ def run_batch(
             ran += 1
             progress.on_frame(outcome)
         seconds = time.monotonic() - started
-        timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
+        timing = timing_of(ran, seconds)
         finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
     document, interrupted = finished.summary or {}, stop.is_set() and ran < len(todo)
     counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)
 
 
-def finish(out: str | Path, timing: RunTiming | None = None) -> ResultsFolder:
+def finish(out: str | Path, timing: Mapping[str, float] | None = None) -> ResultsFolder:
     """Write the tables and the page of the results in a folder, and return these results with their new summary.
 
     Each result is parsed once.
@@ -255,7 +255,7 @@ def finish(out: str | Path, timing: RunTiming | None = None) -> ResultsFolder:
     return results
 
 
-def summarize_shard(folder: Path, timing: RunTiming | None) -> ResultsFolder:
+def summarize_shard(folder: Path, timing: Mapping[str, float] | None) -> ResultsFolder:
     """Return the results of a shard with their summary, without writing anything."""
     manifest, results = _manifest(folder), _read(folder)
     return replace(results, summary=summarize(results.frames, manifest, timing, whole=False))
