@@ -50,10 +50,8 @@ class CalibratedFollower:
         self.store = KeyframeStore(given.rig, given.instrument.joint_names)
         self._given = given
         self._alone: dict[str, Result] = {}
-        self._solved, self._taken = (
-            _NOTHING,
-            0,
-        )  # the last solution, and how many keyframes had been kept when asked for
+        self._solved = _NOTHING  # the last solution
+        self._taken = 0  # keyframes that had been kept when some were last given to be solved
         self._asked: frozenset[str] = frozenset()  # names of these
         self._bases = 0  # that were given up
         self._own = False  # whether the calibration is that of the keyframes
