@@ -63,7 +63,7 @@ class DrawnOutline:
 
     @cached_property
     def clearance(self) -> Float32:
-        """Lengths (2, N), px, of the lines along the normals of an outline in one view: within the silhouette, beside."""
+        """Lengths (2, N), px, of lines along the normals of an outline in one view, in the silhouette and beside it."""
         return clearance_of(self.pixels, self.normals)
 
     def split(self, values: NDArray[Any]) -> dict[int, NDArray[Any]]:
