@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import calibrate_session
 from dvrk_cmaes.calibration.document import SessionCalibration
@@ -19,8 +20,8 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.frames.seen_view import seen_views
+from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -32,14 +33,14 @@ from dvrk_cmaes.track.keyframes import solved_with
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """An image that is kept: its time, s, masks and ignored pixels (H, W) by view, and readings.
+    """An image that is kept: its time, s, masks and ignored pixels (H, W) by view as packed bits, and readings.
 
     ``rates`` are those of the readings, per s.
     """
 
     time: float
-    masks: Mapping[str, PackedMask]
-    ignored: Mapping[str, PackedMask]
+    masks: Mapping[str, NDArray[np.uint8]]
+    ignored: Mapping[str, NDArray[np.uint8]]
     readings: Mapping[str, float]
     rates: Mapping[str, float]
 
@@ -56,10 +57,7 @@ class Keyframe:
         rig
             The rig whose views the keyframe has.
         """
-        masks, ignored = (
-            {view: mask.restored() for view, mask in of_views.items()} for of_views in (self.masks, self.ignored)
-        )
-        return FrameData(seen_views(masks, rig, ignored or None))
+        return FrameData(seen_views(_unpacked(self.masks, rig), rig, _unpacked(self.ignored, rig) or None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,3 +173,18 @@ class KeyframeProblem:
         covariance = known.shared + late.prior - known.prior
         errors = [expected_error(instrument, known.at[k], own).of_tips_mm for k, own in enumerate(covariance)]
         return float(np.median(errors))
+
+
+def packed(masks: Mapping[str, Bool]) -> dict[str, NDArray[np.uint8]]:
+    """Return masks (H, W) by view as packed bits."""
+    return {name: np.packbits(mask) for name, mask in masks.items()}
+
+
+def _unpacked(masks: Mapping[str, NDArray[np.uint8]], rig: Rig) -> dict[str, Bool]:
+    """Return masks (H, W) by view of packed bits."""
+    found = {}
+    for name, bits in masks.items():
+        camera = rig.view(name).camera
+        flat = np.unpackbits(bits, count=camera.height * camera.width)
+        found[name] = flat.reshape(camera.height, camera.width).astype(np.bool_)
+    return found

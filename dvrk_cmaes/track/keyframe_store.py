@@ -14,14 +14,11 @@ import numpy as np
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.geometry import Bool, Float64
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem
+from dvrk_cmaes.track.keyframe_problem import Keyframe, packed
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, farthest_first, well_in_view
 from dvrk_cmaes.track.reading_buffer import ReadingRows
 
@@ -133,8 +130,7 @@ class KeyframeStore:
         place = self._place(time, readings)
         if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(self._apart(place)):
             return False
-        kept, hidden = ({view: PackedMask.of(mask) for view, mask in own.items()} for own in (masks, ignored))
-        self._kept.append(Keyframe(time, kept, hidden, dict(readings), dict(rates)))
+        self._kept.append(Keyframe(time, packed(masks), packed(ignored), dict(readings), dict(rates)))
         self._places = np.vstack([self._places, place])
         self.taken += 1
         return True
@@ -159,30 +155,16 @@ class KeyframeStore:
         before = [index for index, keyframe in enumerate(self._kept) if keyframe.name in first]
         return [self._kept[index] for index in farthest_first(self._places, before, most)]
 
-    def problem(
-        self,
-        keyframes: Sequence[Keyframe],
-        arm: Arm,
-        config: EstimateConfig,
-        alone: Mapping[str, Result],
-        base: int = 0,
-    ) -> KeyframeProblem:
-        """Return what some keyframes pose to be solved; ``alone`` are results of keyframes, by name, if known."""
-        kept = tuple(sorted(keyframes, key=lambda one: one.time))
+    def series(self, keyframes: Sequence[Keyframe]) -> ReadingSeries:
+        """Return the readings that are kept, with the times of some keyframes."""
         times, values = dict[str, Float64](), dict[str, Float64]()
         for rows in filter(None, (self._rows, self._rows.ecm)):
             for name, column in zip(rows.series.joints, rows.series.values.T, strict=True):
                 if (read := ~np.isnan(column)).any():
                     times[name], values[name] = rows.series.times[read], column[read]
-        series = ReadingSeries(
-            "s",
-            times,
-            values,
-            {keyframe.name: keyframe.time for keyframe in kept},
-            float(np.median(self._interval)) if self._interval else 1 / 30,
-        )
-        known_alone = {one.name: alone[one.name] for one in kept if one.name in alone}
-        return KeyframeProblem(kept, series, self._rig, arm, config, known_alone, base)
+        names = {keyframe.name: keyframe.time for keyframe in keyframes}
+        interval = float(np.median(self._interval)) if self._interval else 1 / 30
+        return ReadingSeries("s", times, values, names, interval)
 
     def _prune(self) -> None:
         """Drop old readings that are near no keyframe."""

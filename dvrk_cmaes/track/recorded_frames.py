@@ -126,11 +126,10 @@ def fit_followed(
 
 @dataclass(frozen=True, eq=False)
 class JudgedFrame:
-    """The quality of a frame's pose, the reasons to doubt it, remarks, and the error that is expected of it."""
+    """The quality of a frame's pose, the reasons to doubt it, and the error that is expected of it."""
 
     quality: Quality
     reasons: tuple[str, ...]
-    remarks: tuple[str, ...]
     error: ExpectedError
 
     @property
@@ -151,5 +150,5 @@ def judged(
     """Measure how a pose with a covariance (D, D) explains the views' masks, and list the reasons to doubt it."""
     qualities = [measure_overlap(view, at) for view in views]
     error = expected_error(body.instrument, at, covariance)
-    doubts, remarks = doubts_in_views(at, views, qualities, error, config.trust, OF_FRAMES["followed"])
-    return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks), error)
+    doubts, _ = doubts_in_views(at, views, qualities, error, config.trust, OF_FRAMES["followed"])
+    return JudgedFrame(pooled_quality(qualities), tuple(doubts), error)
