@@ -219,7 +219,7 @@ RULES: Final[dict[str, Rule]] = {
     "reading of {it[0]}: {it[1]:.0f} deg off in this frame, beyond the session's offset": Rule(
         "slips", "solved", _SLIP, lambda e, most: [(name, deg) for name, deg, sigmas in e.errors if sigmas > most]
     ),
-    "session: {it}": Rule("calibration", "solved followed", 0, lambda e, most: list(e.doubts)),
+    "session: {it}": Rule("calibration", "solved followed", _ANY, lambda e, least: list(e.doubts)),
     # an image that is followed
     "lost: the {e.source} shows nothing of the instrument": Rule(
         "support", "followed", _ANY, lambda e, least: (e.iou is not None) < least
@@ -266,9 +266,7 @@ RULES: Final[dict[str, Rule]] = {
     "{it.stage}: the image of {it.images[0].time:.3f} s": Rule(
         "search", "live", _ANY, lambda e, least: e.search, "searching|segmenting"
     ),
-    "searching: {e.waiting} images are followed to this one": Rule(
-        "following", "live", 0, lambda e, least: e.waiting >= least
-    ),
+    "searching: {e.waiting} images are followed to this one": Rule("following", "live", _ANY, lambda e, least: True),
     "black image: nothing can be seen": Rule("image", "live", "black_level", lambda e, least: e.brightest < least),
     "no mask: the pose is predicted": Rule("mask", "live", _ANY, lambda e, least: e.masks < least),
     "empty mask: the instrument is not in view": Rule("mask", "live", _ANY, lambda e, least: e.shown < least),
