@@ -27,9 +27,10 @@ from dvrk_cmaes.calibration.constants import (
     inverse_information,
     linearise,
 )
+from dvrk_cmaes.calibration.lasting_errors import frames_alike
 from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthEstimate, MaskGrowth, estimate_growth
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.session_shaft import SHAFT, SessionShaft
+from dvrk_cmaes.calibration.session_shaft import SIZES, SessionShaft
 from dvrk_cmaes.calibration.solve import cost_at, solve
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
@@ -56,7 +57,8 @@ _LEAST_INSERTION = 5e-3  # m, range of the readings
 _CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
 _LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
-_LEAST_HINT = 3.84  # of the same, where it is a remark; that of 95 % with one unknown
+_LEAST_HINT = 7.81  # squared distance from no change where it is a remark; that of 95 % with three unknowns
+_LEAST_HINT_OF_ALIKE = 3.5  # LIMITTEXT
 IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
     "insertion, tell it better"
@@ -317,17 +319,20 @@ class CameraEstimate:
     growth: GrowthEstimate | None = None
     shaft: SessionShaft | None = None
 
-    def hint(self, width: int) -> str:
+    def hint(self, width: int, *, alike: bool) -> str:
         """Say that the frames fit another camera better, without being sure of it; empty if they do not.
 
         Parameters
         ----------
         width
             That of the images, px.
+        alike
+            Whether frames that follow each other closely count as one.
         """
-        if self.gain < _LEAST_HINT:
-            return ""
         covariance = SHARED_ERRORS**2 * self.covariance
+        distance = float(self.change @ np.linalg.solve(covariance, self.change))
+        if distance < (_LEAST_HINT_OF_ALIKE if alike else _LEAST_HINT):
+            return ""
         other = SessionCamera.at(self.change, covariance, width, contradicts=False, applied=False)
         return (
             f"{HINT}: these frames fit another one better ({other.describe()}), but do not tell it for sure; frames "
@@ -358,7 +363,7 @@ def estimate_camera(
         told = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])]
         # the file's camera is nearest to what was linearised first, about it; the last one has all frames
         growth = replace(known[-1], of_frames=known[0].of_frames)
-        if SHAFT in constants:
+        if SIZES in constants:
             shaft = SessionShaft.of(there, {CAMERA: file_deviations(config), GROWTH: growth.std_px})
     return CameraEstimate(
         *told[0],
@@ -427,7 +432,9 @@ def check_camera(
     covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None)
     if reason is not None:
         return CameraCheck(None, reason, covariance, estimate.growth, estimate.shaft)
-    hint = "" if camera.applied or camera.contradicts else estimate.hint(camera.width)
+    common = outlines.common
+    alike = bool(np.median(frames_alike(common.times, common.alike_seconds)) > 1)
+    hint = "" if camera.applied or camera.contradicts else estimate.hint(camera.width, alike=alike)
     return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft, hint)
 
 
