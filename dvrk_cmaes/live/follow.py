@@ -82,7 +82,7 @@ class LiveSetup:
             followed, run = stack.enter_context(FollowedArm(self, own, report)), None
         else:
             alone = replace(self, arms=(own,), apart=None)
-            followed = stack.enter_context(closing(TrackerApart(self.apart, partial(_opened, alone), report)))
+            followed = stack.enter_context(closing(TrackerApart(self.apart, partial(FollowedArm, alone, own), report)))
             run = stack.enter_context(ThreadPoolExecutor(1)).submit
         return LiveArm(
             own.names.arm,
@@ -156,11 +156,6 @@ class FollowedArm(ExitStack):
         """Do what is due after the step to a time, s."""
         if self._solutions is not None:
             self._solutions.after_step(time)
-
-
-def _opened(setup: LiveSetup, report: Report) -> FollowedArm:
-    """Return the only arm of a setup, in a process of its own, until that ends."""
-    return FollowedArm(setup, setup.arms[0], report)
 
 
 def follow(

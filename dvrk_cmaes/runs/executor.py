@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from dataclasses import dataclass
 from typing import TypeVar
@@ -30,7 +30,7 @@ class ExternalExecutor:
 
 def run_in_executor(
     tasks: Iterable[T], call: Callable[[T], R], *, external: ExternalExecutor, stop: threading.Event
-) -> Iterator[tuple[T, R | WorkerDied]]:
+) -> Generator[tuple[T, R | WorkerDied], None, None]:
     """Run tasks in an executor, and yield each with its value in the order of completion.
 
     ``call`` must not raise, and must be picklable if the executor's workers are processes. Once ``stop`` is set, tasks

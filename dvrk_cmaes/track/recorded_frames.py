@@ -133,15 +133,6 @@ def fit_followed(
 
 
 @dataclass(frozen=True, eq=False)
-class JudgeTask:
-    """Arguments of `judge_frame`: a frame's evidence, its pose and the covariance (D, D) of that."""
-
-    stored: StoredFrame
-    at: Posed
-    covariance: Float64
-
-
-@dataclass(frozen=True, eq=False)
 class JudgedFrame:
     """The quality of a frame's pose, the reasons to doubt it, remarks, and the error that is expected of it."""
 
@@ -156,9 +147,10 @@ class JudgedFrame:
         return NORMAL_MEDIAN * self.quality.contour_px_median
 
 
-def judge_frame(body: Body, config: EstimateConfig, task: JudgeTask) -> JudgedFrame:
-    """Judge a frame's pose, as `judged` does."""
-    return judged([view.restored(body) for view in task.stored.views], task.at, task.covariance, body, config)
+def judge_frame(body: Body, config: EstimateConfig, task: tuple[StoredFrame, tuple[Posed, Float64]]) -> JudgedFrame:
+    """Judge a frame, given its evidence, by its pose and the covariance (D, D) of that, as `judged` does."""
+    stored, found = task
+    return judged([view.restored(body) for view in stored.views], *found, body, config)
 
 
 def judged(
