@@ -56,12 +56,13 @@ _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
 _CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
 _CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
-_LEAST_GAIN = 9.84  # of the sum of squares, by another camera than the file's; that of 98 % with three unknowns
-_LEAST_HINT, _HINT_GAIN = 9.84, 3.84
-"""Squared distance from no change where it is a remark, 98 % with three unknowns, and least gain there.
+_LEAST_GAIN, _HINT_GAIN = 9.84, 3.84
+"""By how much less the sum of squares must be with another camera than the file's: to contradict it, and for a remark.
 
-Where frames near each other count as one, the gain of 17 recordings with the right file and of as many with a focal
-length that is 10 % off was no better than the distance, and is not asked for.
+The first is that of 98 % with three unknowns, and the least squared distance from no change, too, where it is a remark.
+Where frames near each other count as one, the distance alone tells right files from focal lengths that are 10 % off:
+`scripts/accuracy.py fleet --wrong-focal 2` on recordings of `fleet.py make`, seeds 8613 to 8618, 8707 to 8710, 8807 to
+8810 and 8907 to 8909: at most 6 and, but for one that is 4, at least 15.
 """
 _ALIKE_SECONDS = SessionConfig().alike_seconds
 IMPLAUSIBLE = (
@@ -341,7 +342,7 @@ class CameraEstimate:
         as_one = common.alike_seconds > 0
         covariance = SHARED_ERRORS**2 * self.covariance
         distance = float(self.change @ np.linalg.solve(covariance, self.change)) * (near if as_one else 1 / near)
-        if distance < _LEAST_HINT or not (as_one or self.gain >= _HINT_GAIN):
+        if distance < _LEAST_GAIN or not (as_one or self.gain >= _HINT_GAIN):
             return ""
         other = SessionCamera.at(self.change, covariance, width, contradicts=False, applied=False)
         return (
