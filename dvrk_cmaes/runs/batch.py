@@ -33,7 +33,6 @@ from dvrk_cmaes.runs.base_agreement import compare_bases
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
 from dvrk_cmaes.runs.manifest import (
-    FrameParts,
     Manifest,
     any_difference,
     check_same_frames,
@@ -306,7 +305,8 @@ def _prepare(
             check_same_settings(place, old, manifest)
         elif any_difference(old, manifest):
             old, found = manifest, {}
-        again = {name for name, status in found.items() if status == "failed" and _is_changed(name, old, digests)}
+        changed = {name for name, parts in digests.items() if parts is not None and old["frames"].get(name) != parts}
+        again = {name for name, status in found.items() if status == "failed" and name in changed}
         there = {
             name: status
             for name, status in found.items()
@@ -327,12 +327,6 @@ def _prepare(
 def _only_failures(place: Path, found: Mapping[str, Status]) -> bool:
     """Whether all results in a folder, of which there are some, are failures."""
     return bool(found) and {*found.values()} == {"failed"} and len(found) == len([*place.glob("frames/*.json")])
-
-
-def _is_changed(name: str, old: Manifest, digests: FrameParts) -> bool:
-    """Whether the files of a frame are others now."""
-    now = digests.get(name)
-    return now is not None and old["frames"].get(name) != now
 
 
 def outcomes(setup: BatchSetup, todo: Sequence[FrameFiles], workers: Workers) -> Iterator[FrameOutcome]:

@@ -46,7 +46,10 @@ def run_in_executor(
     try:
         while True:
             while not stop.is_set() and len(running) < external.at_once() and (task := next(source, None)) is not None:
-                running[_submitted(external.executor, call, task)] = task
+                try:
+                    running[external.executor.submit(call, task)] = task
+                except (RuntimeError, OSError) as error:  # RuntimeError: shut down, or broken
+                    raise _lost(error) from error
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -55,13 +58,6 @@ def run_in_executor(
     finally:
         for future in running:
             future.cancel()
-
-
-def _submitted(executor: Executor, call: Callable[[T], R], task: T) -> Future[R]:
-    try:
-        return executor.submit(call, task)
-    except (RuntimeError, OSError) as error:  # RuntimeError: shut down, or broken
-        raise _lost(error) from error
 
 
 def _value(future: Future[R], gives_up: tuple[type[BaseException], ...]) -> R | WorkerDied:

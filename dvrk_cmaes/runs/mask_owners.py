@@ -187,8 +187,7 @@ class ExpectedFrame:
 
 def gains_task(body: Body, config: EstimateConfig, frames: Sequence[ExpectedFrame]) -> dict[str, float]:
     """Return what each of some frames gains by the mask of another tool, where that may be, by name."""
-    gains = ((frame.name, frame.gain(body)) for frame in frames)
-    return {name: gain for name, gain in gains if gain is not None}
+    return {frame.name: gain for frame in frames if (gain := frame.gain(body)) is not None}
 
 
 def exchanged_frames(

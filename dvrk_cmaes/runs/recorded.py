@@ -163,11 +163,10 @@ def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[Trac
     camera, images = recorded.rig.views[0].camera, []
     for i, fitted in enumerate(fits):
         at, spread = predicted.at[i], predicted.spread[i]
-        told = (
-            FitEvidence.of(None, at, spread, holds=False)
-            if fitted is None
-            else FitEvidence.of(fitted.fit, at, spread, inflation=fitted.inflation, holds=fitted.fit.explains_mask)
-        )
+        told = FitEvidence.of(None, at, spread, holds=False)
+        if fitted is not None:
+            inflation, holds = fitted.stored.own.noises[0].inflation, fitted.fit.explains_mask
+            told = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=holds)
         images.append(WindowImage(float(recorded.times[i]), at, predicted.prior[i], predicted.jacobian[i], told))
     found = solve_window(images, session, camera)
     shown = [(fitted.stored, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]

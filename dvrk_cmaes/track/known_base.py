@@ -125,7 +125,10 @@ class CalibratedFollower:
         self._asked, self._taken = frozenset(one.name for one in keyframes), self.store.taken
         if self._solved.keyframes < SOLVED_AT[-1]:
             config = replace(config, session=replace(config.session, test_camera=False))
-        return self.store.problem(keyframes, self._given.arm, config, self._alone, self._bases)
+        keyframes, given = sorted(keyframes, key=lambda one: one.time), self._given
+        alone = {one.name: self._alone[one.name] for one in keyframes if one.name in self._alone}
+        series = self.store.series(keyframes)
+        return KeyframeProblem(tuple(keyframes), series, given.rig, given.arm, config, alone, self._bases)
 
     @property
     def unsolved(self) -> list[KeyframeTask]:
