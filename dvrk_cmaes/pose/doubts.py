@@ -190,7 +190,7 @@ RULES: Final[dict[str, Rule]] = {
     "mask is a guess: confidence {e.confidence:.2f}, expected at least {limit[0]}": Rule(
         "picture", "alone", "guess", lambda e, least: e.confidence < least
     ),
-    "mask or pose: {e.cause}": Rule("doubtful picture", "alone", _ANY, lambda e, least: len(e.cause) >= least),
+    "mask or pose: {e.cause}": Rule("doubtful picture", "alone", _ANY, lambda e, least: e.cause),
     f"{BASE_APART}: rotated by {{e.angle:.0f}} deg, expected at most {{limit[0]:.0f}} deg; another mode, or wrong "
     "readings": Rule("folder", "alone", "most", lambda e, most: e.angle > most),
     "views disagree in {e.count} frames together: {e.name} fits the first view only if turned by {e.angle:.2f} deg "
@@ -247,7 +247,7 @@ RULES: Final[dict[str, Rule]] = {
     ),
     "readings too sparse: {e.between}": Rule("spacing", "followed", MOST_OFF, lambda e, most: e.off > most),
     "readings frozen since frame {e.frozen}: the mask moves, and they do not": Rule(
-        "mask and readings", "followed", _ANY, lambda e, least: len(e.frozen) >= least
+        "mask and readings", "followed", _ANY, lambda e, least: e.frozen
     ),
     "calibration contradicted: {e.astray} images in a row disagree with it; the base or the camera may have "
     "moved": Rule("last image", "live", MOST_ASTRAY, lambda e, most: e.astray >= most),
@@ -284,8 +284,10 @@ RULES: Final[dict[str, Rule]] = {
     "wrong, or these few are": Rule(
         "session", "session", _TRUSTED_SHARE, lambda e, least: e.agreeing < least * e.solved
     ),
-    "these frames fit {it}": Rule("session", "session", _ANY, lambda e, least: len(e.fits) >= least and e.fits),
-    "the shaft is {it}": Rule("session", "session", _ANY, lambda e, least: len(e.shaft) >= least and e.shaft),
+    "these frames fit {it}": Rule("session", "session", _ANY, lambda e, least: e.fits),
+    "{it}: another instrument (--instrument), or another focal length than the camera file's": Rule(
+        "session", "session", _ANY, lambda e, least: e.sizes, "the shaft is|the length from the wrist|the jaws are"
+    ),
     "masks are {e.margin:.1f} px (std {e.masks.std_margin_px:.1f}) too {e.side} all round: more than segmenters err; "
     "another instrument, another focal length or masks that were widened have this effect": Rule(
         "session", "session", _LARGEST_MARGIN_PX, lambda e, most: e.margin > most
@@ -293,9 +295,7 @@ RULES: Final[dict[str, Rule]] = {
     "{it}": Rule(
         "session", "alone session", _ANY, lambda e, least: known_mistakes(e.remarks), WRONG.removesuffix(": ")
     ),
-    "the camera file is contradicted: {it}": Rule(
-        "session", "session", _ANY, lambda e, least: len(e.contradictions) >= least and e.contradictions
-    ),
+    "the camera file is contradicted: {it}": Rule("session", "session", _ANY, lambda e, least: e.contradictions),
     "the camera file cannot be tested: many frames, which fit none that is plausible; their masks are wrong alike, the "
     "readings are, or the base moved": Rule(
         "session", "session", _TELL_THE_CAMERA, lambda e, least: e.implausible >= least
@@ -316,7 +316,7 @@ RULES: Final[dict[str, Rule]] = {
         ],
     ),
     "lag between images and readings: {e.without_lag}": Rule(
-        "session", "session", _ANY, lambda e, least: len(e.without_lag) >= least
+        "session", "session", _ANY, lambda e, least: e.without_lag
     ),
 }
 """The reasons, of the evidence ``e``, the limit and an item ``it`` of what the question found, each with its rule."""
