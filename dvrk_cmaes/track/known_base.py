@@ -256,7 +256,7 @@ class CalibratedFollower:
         readings are too sparse for the motion, they do not tell what the image shows.
         """
         names = (*OUTER_JOINTS, *self._given.instrument.joint_names)
-        if reading.still or (reading.sparse is not None and reading.sparse.reason):
+        if reading.still or (reading.sparse is not None and doubts("spacing", "followed", reading.sparse)):
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
         readings = {name: value for name, value in values if not np.isnan(value)}
