@@ -7,7 +7,7 @@
 
 Constants are the numbers that the modules of packages assign at their top level. The numbers of a tuple are changed
 together; whole numbers stay whole. Each change is tried in a process of its own, with one thread. Frames are solved one
-by one; recordings are followed with their own calibration by masks, and, with it, from image to image by masks and by
+by one; recordings are followed with their own calibration by masks, and, with it, from image to image, and likewise by
 images where there are any; in pictures masks are found as `estimate --image` does, before the background that the
 session's images show, if they do. A change that ends the run, or makes it take eight times as long, is named by its
 error.
@@ -30,11 +30,12 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, is_dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -161,9 +162,10 @@ def follow(folders: Sequence[Path], body: Body) -> Figures:
         session = read_session(folder)
         has_images = any(frame.has_image for frame in session.frames)
         kinds: list[tuple[EvidenceKind, bool]] = [("masks", False), ("masks", True)]
+        kinds += [("images", False), ("images", True)] if has_images else []
         with tempfile.TemporaryDirectory() as out:
             settings = TrackSettings(EstimateConfig(threads=1), workers=1)
-            for number, (kind, causal) in enumerate([*kinds, ("images", True)] if has_images else kinds):
+            for number, (kind, causal) in enumerate(kinds):
                 chosen = replace(settings, causal=causal, evidence=kind)
                 done = track_folder(session, Path(out) / str(number), body, chosen, video=False, page=False)
                 settings = replace(settings, calibration=settings.calibration or done.calibration)
@@ -173,10 +175,10 @@ def follow(folders: Sequence[Path], body: Body) -> Figures:
 
 
 class Shown(NamedTuple):
-    """Pictures of a session, or drawn ones, and the images that may show their background."""
+    """Pictures of a session, or drawn ones, and by the name of their view the images that may show its background."""
 
     pictures: Sequence[Picture]
-    images: Sequence[Path] = ()
+    images: Mapping[str, Sequence[Path]] = MappingProxyType({})
 
 
 def shown_in(folder: Path, instrument: str, most: int | None) -> Shown:
@@ -189,14 +191,16 @@ def shown_in(folder: Path, instrument: str, most: int | None) -> Shown:
         if most is None
         else [found[k] for k in np.unique(np.linspace(0, len(found) - 1, most).round().astype(int))]
     )
-    return Shown(chosen, [files.image for files in read_session(folder).frames if files.image is not None])
+    session = read_session(folder)
+    images = [files.image for files in session.frames if files.image is not None]
+    return Shown(chosen, {session.rig.names[0]: images})
 
 
 def find_masks(shown: Sequence[Shown]) -> Figures:
     """Find the instruments in pictures."""
     began, right, sure = time.process_time(), [], []
     for each in shown:
-        settings = learned_backgrounds(SegmentSettings(), {"": each.images})
+        settings = learned_backgrounds(SegmentSettings(), each.images)
         for picture in each.pictures:
             try:
                 found = found_in(picture, prepare(picture.instrument), settings, EstimateConfig(threads=1)).segmentation
