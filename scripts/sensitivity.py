@@ -27,6 +27,7 @@ import importlib
 import json
 import multiprocessing
 import os
+import pickle
 import sys
 import tempfile
 import time
@@ -43,7 +44,6 @@ from measure.accuracy.errors import error_of
 from measure.accuracy.fleet import TipErrors
 from measure.cases import Case, Measurement
 from measure.constants import Row, constants_in, measured, read_table, write_table
-from measure.drawn_pictures import drawn_picture
 from measure.pictures import Picture, found_in, pictures_of
 from measure.places import ROOT
 from measure.tables import commit
@@ -66,6 +66,7 @@ WRONG_MM: Final = 3.0
 RIGHT_IOU: Final = 0.8
 SURE: Final = 0.8
 _DRAWN: Final = 4000  # first seed of drawn pictures
+_CHANGE: Final = "DVRK_CMAES_SENSITIVITY_CHANGE"  # variable that tells a changed constant to processes
 SLOWER: Final = 8
 
 
@@ -137,7 +138,7 @@ def scaled(value: Any, factor: float) -> Any:
 def put(change: Changed) -> None:
     """Give a constant its changed value, in its module and in all that import it."""
     name, new = change.changed
-    old = getattr(sys.modules[module_name(Path(change.module))], name)
+    old = getattr(importlib.import_module(module_name(Path(change.module))), name)
     for loaded in [module for key, module in sys.modules.items() if key.startswith("dvrk_cmaes")]:
         if name in vars(loaded) and vars(loaded)[name] is old:
             setattr(loaded, name, new)
@@ -240,6 +241,7 @@ def _child(sent: Connection, data: Data, change: Changed | None) -> None:
     try:
         if change is not None:
             put(change)
+            os.environ[_CHANGE] = pickle.dumps(tuple(change)).hex()
         sent.send(data.run())
     except BaseException as error:  # whatever a wrong constant brings about
         sent.send(f"{type(error).__name__}: {error}".splitlines()[0][:80])
@@ -269,6 +271,8 @@ def main() -> int:
     folders = options.frames or options.recordings or options.pictures
     measurement = Measurement(folders, options.instrument, frames=options.most)
     shown = [shown_in(Path(p), options.instrument, options.most) for p in options.pictures]
+    from measure.drawn_pictures import drawn_picture
+
     drawn = [*map(drawn_picture, range(_DRAWN, _DRAWN + options.drawn))]
     shown += [Shown([one for one in drawn if one is not None])] if drawn else []
     recordings = [Path(p) for p in options.recordings]
@@ -344,5 +348,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+if __name__ == "__mp_main__" and _CHANGE in os.environ:  # a process that a changed run started
+    put(Changed(*pickle.loads(bytes.fromhex(os.environ[_CHANGE]))))
 if __name__ == "__main__":
     sys.exit(main())
