@@ -194,6 +194,7 @@ def shown_in(folder: Path, instrument: str, most: int | None) -> Shown:
     )
     session = read_session(folder)
     images = [files.image for files in session.frames if files.image is not None]
+    prepare(own or instrument)  # once, and not in the process of each change
     return Shown(chosen, {session.rig.names[0]: images})
 
 
@@ -293,8 +294,8 @@ def main() -> int:
             rows.append(row_of(change, found, before, names))
             if isinstance(found, str) or found[:4] != before[:4]:
                 print(f"{change.module} {change.name} {change.value} -> {change.changed[1]}: {found}", flush=True)
-    if options.write:
-        write_table(rows)
+            if options.write:
+                write_table(rows)  # all so far, if the run is ended
     return 0
 
 
