@@ -293,7 +293,7 @@ def image_of(files: FrameFiles) -> NDArray[np.uint8] | None:
 
 
 def readable(read: Callable[[], T]) -> T | None:
-    """Read a picture; None for one that cannot be read, as its frame says."""
+    """Read a file; None for one that cannot be read."""
     try:
         return read()
     except InputError:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from numpy.typing import NDArray
@@ -36,15 +35,6 @@ class Process(Protocol):
         """Wait until the process has ended."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Answer:
-    """The result of a step, None after other calls; how far the arm's base is known, in words; lines for the user."""
-
-    result: TrackResult | None
-    state: str
-    lines: tuple[str, ...]
-
-
 class TrackerApart:
     """Follows an arm in another process, as its tracker and what goes on beside it would in this one.
 
@@ -70,7 +60,7 @@ class TrackerApart:
         if self._process is None:
             self._process, self._made = self._start(), False
         self._readings = []
-        self._ask(_begin, None if self._made else self._make, rig)
+        self._ask("begin", rig)
         self._made = True
         return self
 
@@ -80,14 +70,13 @@ class TrackerApart:
 
     def step(self, time: float, mask: Arrays = None, image: Arrays = None, ignore: Arrays = None) -> TrackResult:
         """Follow to the images of a later time, s, as `Tracker.step`."""
-        readings, self._readings = self._readings, []
-        result = self._ask(_step, readings, time, mask, image, ignore)
+        result = self._ask("step", time, mask, image, ignore)
         assert result is not None
         return result
 
     def after_step(self, time: float) -> None:
         """Begin what is due after the step to a time, s."""
-        self._ask(_after, time)
+        self._ask("after_step", time)
 
     def close(self) -> None:
         """End the process, whatever it is at."""
@@ -95,21 +84,22 @@ class TrackerApart:
             self._process.kill()
             self._process.close()
 
-    def _ask(self, function: Callable[..., _Answer], *arguments: Any) -> TrackResult | None:
-        """Call a function in the process, and take what it says; one that has died is started again by `begin`."""
+    def _ask(self, name: str, *arguments: Any) -> TrackResult | None:
+        """Call a method of the arm in the process, and take what it says; `begin` starts one again that has died."""
         if self._process is None:
             raise DvrkCmaesError("the process of this arm has ended")
+        readings, self._readings = self._readings, []
+        make = None if self._made else self._make
         try:
-            answer = self._process.call(function, *arguments)
+            result, self.state, lines = self._process.call(_called, make, readings, name, arguments)
         except Exception:
             if not self._lives():
                 self.close()
                 self._process = None
             raise
-        self.state = answer.state
-        for line in answer.lines:
+        for line in lines:
             self._report(line)
-        return answer.result
+        return result
 
     def _lives(self) -> bool:
         """Return whether the process answers: what it was asked for may have failed there."""
@@ -119,34 +109,25 @@ class TrackerApart:
             return False
 
 
-# in the process
+def _called(
+    make: Callable[[Report], FollowedArm] | None,
+    readings: Sequence[tuple[float, Mapping[str, float]]],
+    name: str,
+    arguments: tuple[Any, ...],
+) -> tuple[TrackResult | None, str, list[str]]:
+    """In the process, make the arm first where that is given, add readings, and call one of its methods.
 
-
-def _begin(make: Callable[[Report], FollowedArm] | None, rig: Rig) -> _Answer:
+    Returns the result of a step, None of other methods; how far the arm's base is known, in words; lines for the user.
+    """
     if make is not None:
         _OWN[:] = [make(_LINES.append)]
-    _OWN[0].begin(rig)
-    return _answer()
-
-
-def _step(
-    readings: list[tuple[float, Mapping[str, float]]], time: float, mask: Arrays, image: Arrays, ignore: Arrays
-) -> _Answer:
     (own,) = _OWN
-    for at, joints in readings:
+    for time, joints in readings:
         try:
-            own.add_readings(at, joints)
+            own.add_readings(time, joints)
         except InputError as error:
             _LINES.append(str(error))
-    return _answer(own.step(time, mask, image, ignore))
-
-
-def _after(time: float) -> _Answer:
-    _OWN[0].after_step(time)
-    return _answer()
-
-
-def _answer(result: TrackResult | None = None) -> _Answer:
-    lines = tuple(_LINES)
+    result = getattr(own, name)(*arguments)
+    lines = _LINES.copy()
     _LINES.clear()
-    return _Answer(result, _OWN[0].state, lines)
+    return (result if name == "step" else None), own.state, lines

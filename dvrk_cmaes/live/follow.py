@@ -29,7 +29,7 @@ from dvrk_cmaes.live.repeated_lines import RepeatedLines
 from dvrk_cmaes.live.solutions import LiveSolutions
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.solution_schedule import Solver
+from dvrk_cmaes.track.solution_schedule import SolutionSchedule, Solver
 from dvrk_cmaes.track.tracker import Tracker
 
 _MOST_LISTED = 8  # topics
@@ -82,7 +82,7 @@ class LiveSetup:
             followed, run = stack.enter_context(FollowedArm(self, own, report)), None
         else:
             alone = replace(self, arms=(own,), apart=None)
-            followed = stack.enter_context(closing(TrackerApart(self.apart, partial(_opened, alone), report)))
+            followed = stack.enter_context(closing(TrackerApart(self.apart, partial(FollowedArm, alone, own), report)))
             run = stack.enter_context(ThreadPoolExecutor(1)).submit
         return LiveArm(
             own.names.arm,
@@ -114,16 +114,18 @@ class FollowedArm(ExitStack):
 
     def __init__(self, setup: LiveSetup, own: ArmSetup, report: Report) -> None:
         super().__init__()
-        self._setup, self._own, self._solutions = setup, own, None
-        if own.solver is not None:
-            solver = self.enter_context(own.solver())
-            self._solutions = LiveSolutions(solver, report, own.save, own.earlier, waits=setup.waits)
+        self._setup, self._own = setup, own
+        self._solver = None if own.solver is None else self.enter_context(own.solver())
+        self._solutions: LiveSolutions | SolutionSchedule | None = None
+        if self._solver is not None and not setup.waits:
+            self._solutions = LiveSolutions(self._solver, report, own.save, own.earlier)
 
     def begin(self, rig: Rig) -> FollowedArm:
         """Follow anew, by these cameras."""
-        own, solutions = self._own, self._solutions
-        earlier = None if solutions is None or own.calibration is not None else solutions.earlier_of(rig)
-        self._tracker = Tracker(
+        own, earlier = self._own, None
+        if isinstance(self._solutions, LiveSolutions) and own.calibration is None:
+            earlier = self._solutions.earlier_of(rig)
+        self._tracker = tracker = Tracker(
             rig,
             own.body,
             earlier or own.calibration,
@@ -133,14 +135,18 @@ class FollowedArm(ExitStack):
             earlier=earlier is not None,
             sliced=True,
         )
-        if solutions is not None:
-            solutions.follow(self._tracker)
+        if isinstance(self._solutions, SolutionSchedule):
+            self._solutions.finish()
+        if isinstance(self._solutions, LiveSolutions):
+            self._solutions.tracker = tracker
+        elif self._solver is not None:
+            self._solutions = SolutionSchedule(tracker, self._solver)
         return self
 
     @property
     def state(self) -> str:
         """How far the arm's base is known, in words."""
-        return "" if self._solutions is None else self._solutions.state
+        return "" if self._solutions is None else self._tracker.base_state
 
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, as `Tracker.add_readings`."""
@@ -156,11 +162,6 @@ class FollowedArm(ExitStack):
         """Do what is due after the step to a time, s."""
         if self._solutions is not None:
             self._solutions.after_step(time)
-
-
-def _opened(setup: LiveSetup, report: Report) -> FollowedArm:
-    """Return the only arm of a setup, in a process of its own, until that ends."""
-    return FollowedArm(setup, setup.arms[0], report)
 
 
 def follow(

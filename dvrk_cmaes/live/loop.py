@@ -152,7 +152,7 @@ class LiveLoop:
             self._report(f"{frame.topic}: {judged.line}")
         if judged.restarts:
             self._times, self._ages = ImageTimes(), Ages()
-            self._restart()
+            self._begin()
         if not judged.used:
             self._leave_out(f"{frame.topic}: {judged.status}")
             return
@@ -269,23 +269,16 @@ class LiveLoop:
             if note is not None:
                 self._report(note)
         changed, self._rig = self._rig, stated.with_cameras({eye: camera for eye, (camera, _) in fitted.items()})
-        if changed is None:
-            self._begin()
-        else:
+        if changed is not None:
             self._report(f"{topic}: the size of the images has changed, and following begins anew")
-            self._restart()
+        self._begin(anew=changed is not None)
 
-    def _begin(self) -> None:
-        """Let all arms begin."""
-        assert self._rig is not None
-        for arm in self._arms:
-            arm.begin(self._rig)
-
-    def _restart(self) -> None:
-        """Let all arms begin anew."""
+    def _begin(self, *, anew: bool = True) -> None:
+        """Let all arms begin, where they are not to wait for the first frame."""
         if self._rig is not None:
-            self.counts.restarts += 1
-            self._begin()
+            self.counts.restarts += anew
+            for arm in self._arms:
+                arm.begin(self._rig)
 
 
 def _same(one: Rig, other: Rig) -> bool:

@@ -38,7 +38,14 @@ class Outputs:
         self._names = names
         self._child = f"{names.arm}_{root_link}"
         self._namespace = f"{FOUND}/{names.arm}"
-        for topic, kind in self._topics().items():
+        topics = {
+            f"{self._namespace}/camera_from_root": "geometry_msgs/msg/PoseStamped",
+            f"{self._namespace}/measured_js": "sensor_msgs/msg/JointState",
+            f"{self._namespace}/overlay/compressed": _COMPRESSED,
+            "/tf": "tf2_msgs/msg/TFMessage",
+            "/diagnostics": _DIAGNOSTICS,
+        }
+        for topic, kind in topics.items():
             connection.advertise(topic, kind)
 
     def publish(
@@ -83,16 +90,6 @@ class Outputs:
     def _send(self, message: RosMessage, *, ros1: bool) -> bool:
         """Publish a message; returns whether it was sent."""
         return self._connection.publish(message.topic, _as_ros1(message.fields) if ros1 else message.fields)
-
-    def _topics(self) -> dict[str, str]:
-        """Return the types of all topics."""
-        return {
-            f"{self._namespace}/camera_from_root": "geometry_msgs/msg/PoseStamped",
-            f"{self._namespace}/measured_js": "sensor_msgs/msg/JointState",
-            f"{self._namespace}/overlay/compressed": _COMPRESSED,
-            "/tf": "tf2_msgs/msg/TFMessage",
-            "/diagnostics": _DIAGNOSTICS,
-        }
 
     def _found(self, time: int, result: TrackResult, status: str) -> Iterator[RosMessage]:
         """Yield the messages of a pose and joints that were found."""

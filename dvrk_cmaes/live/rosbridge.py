@@ -240,8 +240,7 @@ class _Flow:
         for message in newest.values():
             self._send(message)
 
-    def stopProducing(self) -> None:  # noqa: N802
-        self.pauseProducing()
+    stopProducing = pauseProducing  # noqa: N815
 
 
 class _LogReports(logging.Handler):

@@ -11,7 +11,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import DvrkCmaesError, one_line
 from dvrk_cmaes.live.connection import Report
-from dvrk_cmaes.track.solution_schedule import SolutionSchedule, Solver
+from dvrk_cmaes.track.solution_schedule import Solver
 from dvrk_cmaes.track.tracker import Tracker
 
 _AFTER_A_FAULT: Final = 60.0  # s without solving, after the solver has failed
@@ -22,25 +22,17 @@ class LiveSolutions:
     """Has the keyframes of the present tracker solved, and uses each solution as soon as it is there.
 
     ``earlier`` is the calibration with which the next tracker begins: that of an earlier run, or the last one found.
-    ``save`` writes each calibration that is used; ``report`` takes lines for the user. With ``waits``, each solution is
-    used a fixed time of images after its keyframes, as by `SolutionSchedule`, and none is saved.
+    ``save`` writes each calibration that is used; ``report`` takes lines for the user.
     """
 
     solver: Solver
     report: Report
     save: Callable[[SessionCalibration], None] | None
     earlier: SessionCalibration | None = None
-    waits: bool = False
     tracker: Tracker | None = None
     _rig: Rig | None = None
     _asked: Tracker | None = None
     _not_before: float = 0.0
-    _schedule: SolutionSchedule | None = None
-
-    @property
-    def state(self) -> str:
-        """How far the base is known, in words."""
-        return "" if self.tracker is None else self.tracker.base_state
 
     def earlier_of(self, rig: Rig) -> SessionCalibration | None:
         """Return the calibration with which a tracker begins; that of other cameras is forgotten."""
@@ -49,18 +41,8 @@ class LiveSolutions:
         self._rig = rig
         return self.earlier
 
-    def follow(self, tracker: Tracker) -> None:
-        """Have the keyframes of another tracker solved from now on."""
-        if self._schedule is not None:
-            self._schedule.finish()
-        self.tracker = tracker
-        self._schedule = SolutionSchedule(tracker, self.solver) if self.waits else None
-
     def before_step(self, time: float) -> None:
         """Use a solution that has come, unless following has begun anew since."""
-        if self._schedule is not None:
-            self._schedule.before_step(time)
-            return
         if self._asked is None or not self.solver.ready:
             return
         asked, self._asked = self._asked, None
@@ -73,14 +55,14 @@ class LiveSolutions:
         if asked is not self.tracker or not asked.use(solution):
             return
         self.earlier = asked.calibration
-        if self.earlier is not None:
-            self._save(self.earlier)
+        try:
+            if self.save is not None and self.earlier is not None:
+                self.save(self.earlier)
+        except (DvrkCmaesError, OSError) as error:
+            self.report(one_line(error))
 
     def after_step(self, time: float) -> None:
         """Begin to solve the keyframes if that is due; until it is, new ones are estimated by themselves."""
-        if self._schedule is not None:
-            self._schedule.after_step(time)
-            return
         tracker = self.tracker
         if tracker is None or clock.monotonic() < self._not_before:
             return
@@ -88,11 +70,3 @@ class LiveSolutions:
             self.solver.begin(tracker.problem())
             self._asked = tracker
         self.solver.prepare(tracker.unsolved_keyframes)
-
-    def _save(self, calibration: SessionCalibration) -> None:
-        """Write a calibration; where that is not possible, the user is told."""
-        try:
-            if self.save is not None:
-                self.save(calibration)
-        except (DvrkCmaesError, OSError) as error:
-            self.report(one_line(error))

@@ -120,13 +120,18 @@ def _video_key(file: Path, info: Mapping[str, Any], side: Side) -> str:
 
 def _place(path: Path, file: Path, info: Mapping[str, Any], key: str, episode: int) -> _Episode:
     """Find an episode by the paths in info.json, and in v3 by the tables of episodes."""
+
+    def placed(of_data: Mapping[str, Any], of_video: Mapping[str, Any], start: float) -> _Episode:
+        table, video = (
+            _formatted(path, file, info, name, own) for name, own in (("data_path", of_data), ("video_path", of_video))
+        )
+        return _Episode(table, video, start)
+
     version = info.get("codebase_version")
     if version == "v2.1":
         size = int(_number(file, "chunks_size", info.get("chunks_size", 1000)))
         of_both: dict[str, Any] = {"episode_index": episode, "episode_chunk": episode // size, "video_key": key}
-        return _Episode(
-            _formatted(path, file, info, "data_path", of_both), _formatted(path, file, info, "video_path", of_both), 0.0
-        )
+        return placed(of_both, of_both, 0.0)
     if version != "v3.0":
         raise InputError(f"{file}: codebase_version: expected v2.1 or v3.0, got {shown(version)}")
     data, video = ("data/chunk_index", "data/file_index"), f"videos/{key}/"
@@ -137,11 +142,7 @@ def _place(path: Path, file: Path, info: Mapping[str, Any], key: str, episode: i
             row = {name: columns[name][columns["episode_index"].index(episode)] for name in names}
             of_data = {"chunk_index": row[data[0]], "file_index": row[data[1]]}
             of_video = {"chunk_index": row[names[3]], "file_index": row[names[4]], "video_key": key}
-            return _Episode(
-                _formatted(path, file, info, "data_path", of_data),
-                _formatted(path, file, info, "video_path", of_video),
-                _number(table, names[5], row[names[5]], least=0.0),
-            )
+            return placed(of_data, of_video, _number(table, names[5], row[names[5]], least=0.0))
     raise InputError(f"{path}/meta/episodes: expected episode {episode}, got none")
 
 

@@ -129,20 +129,19 @@ def write_session(
     DvrkCmaesError
         Writing fails, e.g. because the disk is full.
     """
-    names: list[str] = []
-    times: list[int] = []
     tools: list[ToolEntry] = []
     summaries: list[InterpolationSummary] = []
     warnings: tuple[str, ...] = ()
     pairing: Pairing | None = None
-    numbers, size, lag = count(), (0, 0), lag if recording.has_images else None
+    names, times, size = list[str](), list[int](), (0, 0)
+    numbers, lag = count(), lag if recording.has_images else None
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         for name, data in recording.kept.items():
             write_bytes(folder / name, data)
         if recording.has_images:
             pairing = None if recording.right is None else Pairing(recording.right.images)
             images = (image for image, _ in zip(recording.images, numbers, strict=False))
-            size = _write_images(folder / "images", recording, selection.of(images), names, times, pairing)
+            names, times, size = _write_images(folder / "images", recording, selection.of(images), pairing)
             warnings = _check_times(recording.path, names, times)
             cells = zip(names, map(_seconds_text, times), strict=True)
             write_text(folder / "images.csv", csv_text(("frame", "time"), cells))
@@ -232,52 +231,38 @@ def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:
 
 
 def _write_images(
-    folder: Path,
-    recording: Recording,
-    images: Iterator[RecordedImage],
-    names: list[str],
-    times: list[int],
-    pairing: Pairing | None,
-) -> tuple[int, int]:
-    """Write images as files named by number, append to ``names`` and ``times``; return width and height.
+    folder: Path, recording: Recording, images: Iterator[RecordedImage], pairing: Pairing | None
+) -> tuple[list[str], list[int], tuple[int, int]]:
+    """Write images as files named by number; return their names and times, ns, and width and height.
 
     With a ``pairing``, those of the right eye are written beside them, into folders of both eyes.
     """
-    left = _Sized(recording.path, folder if pairing is None else folder / "left")
-    right = _Sized(recording.path, folder / "right")
+    names, times, sizes = list[str](), list[int](), dict[Path, tuple[int, int]]()
+    left = folder if pairing is None else folder / "left"
     for image in images:
-        name = frame_name(image.number)
-        left.write(image, name)
-        partner = None if pairing is None else pairing.partner(image.time)
-        if partner is not None:
-            right.write(partner, name)
-        names.append(name)
+        names.append(frame_name(image.number))
         times.append(image.time)
-    if left.size is None:
+        partner = None if pairing is None else pairing.partner(image.time)
+        for own, to in ((image, left), (partner, folder / "right")):
+            if own is not None:
+                _write_image(recording.path, own, to, names[-1], sizes)
+    if not names:
         raise InputError(f"{recording.path}: expected images, got none (of those asked for)")
     if pairing is not None and pairing.without == len(names):
         raise InputError(f"{recording.path}: expected images of the right eye within 10 ms of the left one's, got none")
-    return left.size
+    return names, times, sizes[left]
 
 
-@dataclass
-class _Sized:
-    """Writes the images of one eye, which must have one size, to a folder."""
-
-    path: Path
-    folder: Path
-    size: tuple[int, int] | None = None
-
-    def write(self, image: RecordedImage, name: str) -> None:
-        """Write an image; InputError if it is of another size than those before."""
-        file = image.load()
-        self.size = self.size or (file.width, file.height)
-        if (file.width, file.height) != self.size:
-            raise InputError(
-                f"{self.path}: image {image.number}: expected the first image's size {self.size[0]} x {self.size[1]}, "
-                f"got {file.width} x {file.height}"
-            )
-        write_bytes(self.folder / f"{name}{file.extension}", file.data)
+def _write_image(path: Path, image: RecordedImage, folder: Path, name: str, sizes: dict[Path, tuple[int, int]]) -> None:
+    """Write an image to a folder; InputError if it is of another size than those before, which ``sizes`` have."""
+    file = image.load()
+    width, height = sizes.setdefault(folder, (file.width, file.height))
+    if (file.width, file.height) != (width, height):
+        raise InputError(
+            f"{path}: image {image.number}: expected the first image's size {width} x {height}, "
+            f"got {file.width} x {file.height}"
+        )
+    write_bytes(folder / f"{name}{file.extension}", file.data)
 
 
 def _interpolate(

@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.frames.frame import FrameFiles, image_of
+from dvrk_cmaes.frames.frame import FrameFiles, image_of, readable
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.results.paths import found_masks
@@ -88,15 +87,7 @@ def _found_by_colours(paths: Sequence[Load]) -> bool:
 
 def _readable(loads: Sequence[Load]) -> list[NDArray[np.uint8]]:
     """Read the images that can be read."""
-    images = []
-    for load in loads:
-        try:
-            image = load()
-        except DvrkCmaesError:
-            continue
-        if image is not None:
-            images.append(image)
-    return images
+    return [image for load in loads if (image := readable(load)) is not None]
 
 
 def _spread(paths: Sequence[Load], most: int) -> list[Load]:

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,6 @@ from dvrk_cmaes.runs.base_agreement import compare_bases
 from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
 from dvrk_cmaes.runs.manifest import (
-    FrameParts,
     Manifest,
     any_difference,
     check_same_frames,
@@ -53,8 +53,8 @@ from dvrk_cmaes.runs.output import (
     results_of,
     write_outcome,
 )
-from dvrk_cmaes.runs.processes import Processes, WorkerDied, run_in_processes, usable_cores
-from dvrk_cmaes.runs.summary import RunTiming, summarize
+from dvrk_cmaes.runs.processes import Processes, WorkerDied, usable_cores
+from dvrk_cmaes.runs.summary import summarize, timing_of
 from dvrk_cmaes.runs.worker import (
     BatchSetup,
     FrameOutcome,
@@ -219,14 +219,14 @@ def run_batch(
             ran += 1
             progress.on_frame(outcome)
         seconds = time.monotonic() - started
-        timing = RunTiming(ran, round(seconds, 3), round(ran / seconds, 4)) if ran else None
+        timing = timing_of(ran, seconds)
         finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
     document, interrupted = finished.summary or {}, stop.is_set() and ran < len(todo)
     counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)
 
 
-def finish(out: str | Path, timing: RunTiming | None = None) -> ResultsFolder:
+def finish(out: str | Path, timing: Mapping[str, float] | None = None) -> ResultsFolder:
     """Write the tables and the page of the results in a folder, and return these results with their new summary.
 
     Each result is parsed once.
@@ -254,7 +254,7 @@ def finish(out: str | Path, timing: RunTiming | None = None) -> ResultsFolder:
     return results
 
 
-def summarize_shard(folder: Path, timing: RunTiming | None) -> ResultsFolder:
+def summarize_shard(folder: Path, timing: Mapping[str, float] | None) -> ResultsFolder:
     """Return the results of a shard with their summary, without writing anything."""
     manifest, results = _manifest(folder), _read(folder)
     return replace(results, summary=summarize(results.frames, manifest, timing, whole=False))
@@ -305,7 +305,8 @@ def _prepare(
             check_same_settings(place, old, manifest)
         elif any_difference(old, manifest):
             old, found = manifest, {}
-        again = {name for name, status in found.items() if status == "failed" and _is_changed(name, old, digests)}
+        changed = {name for name, parts in digests.items() if parts is not None and old["frames"].get(name) != parts}
+        again = {name for name, status in found.items() if status == "failed" and name in changed}
         there = {
             name: status
             for name, status in found.items()
@@ -328,31 +329,27 @@ def _only_failures(place: Path, found: Mapping[str, Status]) -> bool:
     return bool(found) and {*found.values()} == {"failed"} and len(found) == len([*place.glob("frames/*.json")])
 
 
-def _is_changed(name: str, old: Manifest, digests: FrameParts) -> bool:
-    """Whether the files of a frame are others now."""
-    now = digests.get(name)
-    return now is not None and old["frames"].get(name) != now
-
-
 def outcomes(setup: BatchSetup, todo: Sequence[FrameFiles], workers: Workers) -> Iterator[FrameOutcome]:
     """Yield the outcomes of frames in the order of completion, by the workers that are given or by its own."""
     if not todo:
         return
-    given, stop, time_limit = workers.executor, workers.stop, workers.time_limit
+    given, stop = workers.executor, workers.stop
     packed = PackedSetup.of(setup)
     call = functools.partial(run_task, packed)
-    if isinstance(given, Processes):
-        done = given.run(todo, call, time_limit=time_limit, stop=stop)
-    elif given is None:
-        most = workers.count or max(1, usable_cores() // setup.config.threads)
-        start = functools.partial(prepare_process, packed)
-        most = min(most, len(todo))
-        done = run_in_processes(todo, call, start=start, workers=most, time_limit=time_limit, stop=stop)
-    else:
-        external = given if isinstance(given, ExternalExecutor) else ExternalExecutor(given, lambda: 2 * usable_cores())
-        done = run_in_executor(todo, call, external=external, stop=stop)
-    for files, outcome in done:
-        yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
+    with ExitStack() as opened:
+        if given is None:
+            most = workers.count or max(1, usable_cores() // setup.config.threads)
+            start = functools.partial(prepare_process, packed)
+            given = opened.enter_context(Processes(start, min(most, len(todo))))
+        if isinstance(given, Processes):
+            done = given.run(todo, call, time_limit=workers.time_limit, stop=stop)
+        else:
+            external = (
+                given if isinstance(given, ExternalExecutor) else ExternalExecutor(given, lambda: 2 * usable_cores())
+            )
+            done = run_in_executor(todo, call, external=external, stop=stop)
+        for files, outcome in opened.enter_context(closing(done)):
+            yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
 
 
 def _with_absolute_paths(files: FrameFiles, folder: Path) -> FrameFiles:

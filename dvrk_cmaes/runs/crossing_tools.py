@@ -25,7 +25,7 @@ from dvrk_cmaes.runs.base_agreement import by_itself
 from dvrk_cmaes.runs.batch import BatchSummary, Workers, finish, outcomes, summarize_shard
 from dvrk_cmaes.runs.frame import as_calibrated
 from dvrk_cmaes.runs.output import COMMAND, update_result, write_outcome
-from dvrk_cmaes.runs.summary import RunTiming
+from dvrk_cmaes.runs.summary import timing_of
 from dvrk_cmaes.silhouette.prepare import prepare
 
 Places = dict[str, dict[str, Place]]
@@ -134,18 +134,10 @@ def _solved_again(batch: BatchSummary, starts: Sequence[Result], workers: Worker
                 write_outcome(batch.folder, outcome)
             done += 1
             workers.progress.on_frame(outcome)
-        timing = _timing(batch, time.monotonic() - started)
+        run = batch.document["timing"]["run"]
+        timing = run and timing_of(run["frames"], run["seconds"] + time.monotonic() - started)
         results = summarize_shard(batch.folder, timing) if batch.shard is not None else finish(batch.folder, timing)
     document = results.summary or {}
     return replace(
         batch, interrupted=done < len(todo), counts=document["counts"], document=document, results=results.frames
     )
-
-
-def _timing(batch: BatchSummary, seconds: float) -> RunTiming | None:
-    """Return the duration of a batch and some more seconds; None if it did not estimate any frame."""
-    run = (batch.document.get("timing") or {}).get("run")
-    if not run:
-        return None
-    total = run["seconds"] + seconds
-    return RunTiming(run["frames"], round(total, 3), round(run["frames"] / total, 4))

@@ -23,9 +23,6 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.silhouette import Body
 
-FoundAndRead = tuple[Mapping[str, float], Mapping[str, float]]
-"""The joints of a tool as found and as read in one frame, rad."""
-
 _LEAST_FRAMES: Final = 3
 _FACTOR: Final = 2.0  # of the squared distances from the own readings and from those of the other tool
 _JOINTS: Final = ("wrist_pitch", "wrist_yaw", "jaw")
@@ -48,8 +45,12 @@ class ArmInSession:
 
 @dataclass(frozen=True)
 class FoundFrame:
-    """What was found of an arm in a frame: its readings, rad and m, whether it is ok, and the loss, if it is known."""
+    """What was found of an arm in a frame: its joints, rad, and readings, rad and m, whether it is ok, and the loss.
 
+    There are no joints without a pose; the loss may not be known.
+    """
+
+    joints: Mapping[str, float]
     readings: Mapping[str, float]
     ok: bool
     loss: float | None = None
@@ -70,7 +71,7 @@ def _found(result: Result) -> FoundFrame:
     """Return what a result says; a loss with a session's calibration, or with tools behind, is not comparable."""
     other = result.source == "session" or "behind" in result.other_tools.values()
     loss = None if result.quality is None or other else result.quality.loss
-    return FoundFrame(result.readings, result.status == "ok", loss)
+    return FoundFrame(result.joints, result.readings, result.status == "ok", loss)
 
 
 def find_exchanged_masks(
@@ -153,7 +154,7 @@ def exchanged_tools(results: Mapping[str, Mapping[str, Result]]) -> list[str]:
     """
     texts = []
     for first, second in combinations(results, 2):
-        distances = _distances(_of_results(results[first]), _of_results(results[second]))
+        distances = _distances(results[first], results[second])
         if len(distances) < _LEAST_FRAMES:
             continue
         own, other = np.median(list(distances.values()), axis=0)
@@ -162,11 +163,11 @@ def exchanged_tools(results: Mapping[str, Mapping[str, Result]]) -> list[str]:
     return texts
 
 
-def exchanged_while_followed(tracks: Mapping[str, Mapping[str, FoundAndRead]]) -> list[str]:
+def exchanged_while_followed(tracks: Mapping[str, Mapping[str, FoundFrame]]) -> list[str]:
     """Say which followed tools seem to be exchanged, and from which frame on to the end; empty without any.
 
-    ``tracks`` have the joints of each arm by frame, in the order of the frames, for those in which they were found and
-    read. The first frame is that from which on the distances from the own readings exceed the others' most.
+    ``tracks`` have what was found of each arm by frame, in the order of the frames. The first frame is that from which
+    on the distances from the own readings exceed the others' most.
     """
     texts = []
     for first, second in combinations(tracks, 2):
@@ -182,17 +183,20 @@ def exchanged_while_followed(tracks: Mapping[str, Mapping[str, FoundAndRead]]) -
     return texts
 
 
-def _of_results(results: Mapping[str, Result]) -> dict[str, FoundAndRead]:
-    """Return the joints of the results that have a pose and readings."""
-    return {name: (frame.joints, frame.readings) for name, frame in results.items() if frame.joints and frame.readings}
+def _distances(
+    first: Mapping[str, Result | FoundFrame], second: Mapping[str, Result | FoundFrame]
+) -> dict[str, tuple[float, float]]:
+    """Return the squared distances of two tools' joints from the own and the other's readings, rad^2, by frame.
 
-
-def _distances(first: Mapping[str, FoundAndRead], second: Mapping[str, FoundAndRead]) -> dict[str, tuple[float, float]]:
-    """Return the squared distances of two tools' joints from the own and the other's readings, rad^2, by frame."""
-    pairs = {name: (a, second[name]) for name, a in first.items() if name in second}
+    Of frames in which both were found and read.
+    """
     return {
-        name: (_distance(a[0], a[1]) + _distance(b[0], b[1]), _distance(a[0], b[1]) + _distance(b[0], a[1]))
-        for name, (a, b) in pairs.items()
+        name: (
+            _distance(a.joints, a.readings) + _distance(b.joints, b.readings),
+            _distance(a.joints, b.readings) + _distance(b.joints, a.readings),
+        )
+        for name, a in first.items()
+        if (b := second.get(name)) is not None and all((a.joints, a.readings, b.joints, b.readings))
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from dataclasses import dataclass
 from typing import TypeVar
@@ -30,7 +30,7 @@ class ExternalExecutor:
 
 def run_in_executor(
     tasks: Iterable[T], call: Callable[[T], R], *, external: ExternalExecutor, stop: threading.Event
-) -> Iterator[tuple[T, R | WorkerDied]]:
+) -> Generator[tuple[T, R | WorkerDied], None, None]:
     """Run tasks in an executor, and yield each with its value in the order of completion.
 
     ``call`` must not raise, and must be picklable if the executor's workers are processes. Once ``stop`` is set, tasks
@@ -46,7 +46,10 @@ def run_in_executor(
     try:
         while True:
             while not stop.is_set() and len(running) < external.at_once() and (task := next(source, None)) is not None:
-                running[_submitted(external.executor, call, task)] = task
+                try:
+                    running[external.executor.submit(call, task)] = task
+                except (RuntimeError, OSError) as error:  # RuntimeError: shut down, or broken
+                    raise _lost(error) from error
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -55,13 +58,6 @@ def run_in_executor(
     finally:
         for future in running:
             future.cancel()
-
-
-def _submitted(executor: Executor, call: Callable[[T], R], task: T) -> Future[R]:
-    try:
-        return executor.submit(call, task)
-    except (RuntimeError, OSError) as error:  # RuntimeError: shut down, or broken
-        raise _lost(error) from error
 
 
 def _value(future: Future[R], gives_up: tuple[type[BaseException], ...]) -> R | WorkerDied:

@@ -17,6 +17,7 @@ import numpy as np
 from dvrk_cmaes.calibration.calibrate import in_threads
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
+from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import Solving, solved_together
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
@@ -26,7 +27,7 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession, with_masks_of
 from dvrk_cmaes.runs.recorded import BLOCK, RecordedSolution, predict
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedWork, read_shown, solving_keyframes
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown, solving_keyframes
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.image_frames import silhouette_of
 
@@ -69,7 +70,7 @@ class AmongArms:
     of: ArmsOfRecording = field(default_factory=lambda: ArmsOfRecording({}))
     places: Sequence[Place] = ()
 
-    def solving(self, recorded: RecordedFrames, work: RecordedWork) -> Solving[SessionCalibration | str]:
+    def solving(self, recorded: RecordedFrames, work: SessionProblem) -> Solving[SessionCalibration | str]:
         """Solve the keyframes as `solving_keyframes`; with another arm's masks if few agree, and more with those."""
         found = yield from solving_keyframes(recorded, work, self.places)
         for other in self._others(recorded) if _agreeing(found) < _AGREE else ():
@@ -80,7 +81,7 @@ class AmongArms:
                 found = tried
         return found
 
-    def decided(self, solution: RecordedSolution, work: RecordedWork) -> Solving[RecordedSolution]:
+    def decided(self, solution: RecordedSolution, work: SessionProblem) -> Solving[RecordedSolution]:
         """Return the recording with the masks at which its base, and those of the others, expect the tools.
 
         Remarks say which masks were taken from another arm.
@@ -98,13 +99,13 @@ class AmongArms:
                 solution = replace(solution, recorded=changed, calibration=calibration, remarks=texts)
         return solution
 
-    def exchanged(self, solution: RecordedSolution, work: RecordedWork) -> Solving[dict[str, Bool]]:
+    def exchanged(self, solution: RecordedSolution, work: SessionProblem) -> Solving[dict[str, Bool]]:
         """Return by other arm in which frames (N,) that one and this arm have each other's masks."""
         recorded, names = solution.recorded, [own.name for own in solution.recorded.files]
         self.of.centres[self.arm] = dict(zip(names, recorded.centres, strict=True))
         yield None
         others = [other for other in self._others(recorded) if other in self.of.centres]
-        predicted = predict(recorded, solution.calibration, work.body.instrument.joint_names)[0].at if others else None
+        predicted = predict(recorded, solution.calibration, work.instrument.joint_names)[0].at if others else None
         for other in others:
             assert predicted is not None
             self.of.gains[self.arm, other] = self._gained(other, recorded, predicted, work)
@@ -141,7 +142,7 @@ class AmongArms:
         )
         return RecordedFrames.of(files, recorded.rig, recorded.series, recorded.times)
 
-    def _gained(self, other: str, recorded: RecordedFrames, predicted: Posed, work: RecordedWork) -> dict[str, float]:
+    def _gained(self, other: str, recorded: RecordedFrames, predicted: Posed, work: SessionProblem) -> dict[str, float]:
         """Return by how much more a tool is expected to overlap the other's mask, in frames in which that is nearer."""
         tasks = []
         for first in range(0, len(recorded.files), BLOCK):
@@ -186,8 +187,7 @@ class ExpectedFrame:
 
 def gains_task(body: Body, config: EstimateConfig, frames: Sequence[ExpectedFrame]) -> dict[str, float]:
     """Return what each of some frames gains by the mask of another tool, where that may be, by name."""
-    gains = ((frame.name, frame.gain(body)) for frame in frames)
-    return {name: gain for name, gain in gains if gain is not None}
+    return {frame.name: gain for frame in frames if (gain := frame.gain(body)) is not None}
 
 
 def exchanged_frames(
@@ -203,7 +203,8 @@ def exchanged_frames(
         session, body = arms[name].session, arms[name].body
         times = np.arange(len(session.frames), dtype=np.float64)
         recorded = RecordedFrames.of(session.frames, session.rig, session.reading_series(), times)
-        work = RecordedWork(body, arms[name].kinematics, config, partial(in_threads, body, config))
+        run = partial(in_threads, body, config)
+        work = SessionProblem(recorded.series, body.instrument, arms[name].kinematics, config, run)
         return AmongArms(name, of).exchanged(RecordedSolution(recorded, calibrations[name]), work)
 
     found = solved_together({name: partial(telling, name) for name in arms})

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import readable
 from dvrk_cmaes.io.handles import not_written
 from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.io.short_text import natural, no_folder
@@ -75,10 +77,9 @@ def _merge_manifests(out: Path, folders: Sequence[Path]) -> None:
 def _move_results(folder: Path, shard: Output, own: Output) -> None:
     """Move the complete results of a shard's folder, each after its other files."""
     for path in sorted((folder / "frames").glob("*.json"), key=lambda path: natural(path.name)):
-        try:
-            frame = read_result(path).frame
-        except InputError:  # damaged, therefore treated as missing
+        if (result := readable(partial(read_result, path))) is None:  # damaged, therefore treated as missing
             continue
+        frame = result.frame
         others = (*found_masks(folder, frame), overlay_path(folder, frame), layers_path(folder, frame))
         for source in (*others, path):
             if source.is_file():

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.frame import readable
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.output import Output, output, remove, write_bytes
@@ -78,11 +80,8 @@ def complete_results(out: Path) -> dict[str, Status]:
     """Return the status of each frame that has a valid result and, unless it failed, an overlay."""
     found: dict[str, Status] = {}
     for path in sorted((out / "frames").glob("*.json"), key=lambda path: natural(path.name)):
-        try:
-            result = read_result(path)
-        except InputError:
-            continue
-        if result.frame != path.stem:
+        result = readable(partial(read_result, path))
+        if result is None or result.frame != path.stem:
             continue
         if result.status == "failed" or overlay_path(out, result.frame).is_file():
             found[result.frame] = result.status

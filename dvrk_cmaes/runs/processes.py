@@ -16,8 +16,8 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Generic, TypeVar
 
@@ -41,20 +41,6 @@ class WorkerDied:
     """Stands for the value of a task that was given up; ``reason`` says why."""
 
     reason: str
-
-
-def run_in_processes(
-    tasks: Iterable[T],
-    call: Callable[[T], R],
-    *,
-    start: Callable[[], object],
-    workers: int,
-    time_limit: float,
-    stop: threading.Event,
-) -> Iterator[tuple[T, R | WorkerDied]]:
-    """Run tasks in worker processes that end with them; the parameters are those of `Processes`."""
-    with Processes(start, workers) as processes:
-        yield from processes.run(tasks, call, time_limit=time_limit, stop=stop)
 
 
 def usable_cores() -> int:
@@ -104,7 +90,7 @@ class Processes:
         *,
         time_limit: float | None = None,
         stop: threading.Event | None = None,
-    ) -> Iterator[tuple[T, R | WorkerDied]]:
+    ) -> Generator[tuple[T, R | WorkerDied], None, None]:
         """Run tasks, and yield each with its value in the order of completion.
 
         If the iterator is closed early, the processes are killed, and run no more tasks.
@@ -127,20 +113,16 @@ class Processes:
         Exception
             What ``call`` raised.
         """
-        source, pace = _Source(tasks, stop or threading.Event()), _Pace()
-        done: queue.SimpleQueue[tuple[T, R | WorkerDied] | Exception | None] = queue.SimpleQueue()
-        threads = [
-            threading.Thread(target=driver.drive, args=(done.put,), daemon=True)
-            for driver in [_Driver(process, source, pace, call, time_limit) for process in self._processes]
-        ]
+        run = _Run(iter(tasks), call, time_limit, stop or threading.Event())
+        threads = [threading.Thread(target=run.drive, args=(process,), daemon=True) for process in self._processes]
         for thread in threads:
             thread.start()
         busy = len(threads)
         try:
             if self._start_here is not None:
-                yield from self._run_here(source, call)
+                yield from self._run_here(run, self._start_here)
             while busy:
-                match done.get():
+                match run.done.get():
                     case None:
                         busy -= 1
                     case Exception() as error:
@@ -148,73 +130,20 @@ class Processes:
                     case outcome:
                         yield outcome
         finally:
-            source.close()
+            run.closed = True
             if busy:
                 for process in self._processes:
                     process.end()
             for thread in threads:
                 thread.join()
 
-    def _run_here(self, source: _Source[T], call: Callable[[T], R]) -> Iterator[tuple[T, R]]:
-        """Run tasks in this thread, until there are none or a worker has failed."""
-        assert self._start_here is not None
+    @staticmethod
+    def _run_here(run: _Run[T, R], start: Callable[[], object]) -> Iterator[tuple[T, R]]:
+        """Do tasks in this thread, until there are none or a worker has failed."""
         with single_library_threads():
-            self._start_here()
-            for task in source:
-                yield task, call(task)
-
-
-class _NothingMoreError(Exception):
-    """A task was not done because the run was stopped."""
-
-
-class _Source(Generic[T]):
-    """Iterator over tasks that several threads share; it ends early when the run is stopped or closed."""
-
-    def __init__(self, tasks: Iterable[T], stop: threading.Event) -> None:
-        self._tasks, self._stop = iter(tasks), stop
-        self._closed = False
-        self._lock = threading.Lock()
-
-    def close(self) -> None:
-        self._closed = True
-
-    @property
-    def ended(self) -> bool:
-        return self._closed or self._stop.is_set()
-
-    def __iter__(self) -> Iterator[T]:
-        for tasks in self.several(lambda: 1):
-            yield from tasks
-
-    def several(self, count: Callable[[], int]) -> Iterator[list[T]]:
-        """Iterate over groups of at most ``count()`` tasks."""
-        while not self.ended:
-            with self._lock:
-                tasks = list(itertools.islice(self._tasks, count()))
-            if not tasks:
-                return
-            yield tasks
-
-
-class _Pace:
-    """How many tasks of a run to send to one process together; threads share it.
-
-    Until the time of a task is known it is one.
-    """
-
-    def __init__(self) -> None:
-        self._seconds = math.inf
-
-    def count(self) -> int:
-        """Return the number of tasks that take `_TOGETHER_S` together."""
-        return min(max(int(_TOGETHER_S / max(self._seconds, 1e-9)), 1), _MOST_TOGETHER)
-
-    def took(self, seconds: float, tasks: int) -> None:
-        """Note how long some tasks took; a longer time counts at once."""
-        each = seconds / tasks
-        mean = self._seconds + _SHARE * (each - self._seconds) if math.isfinite(self._seconds) else each
-        self._seconds = max(each, mean)
+            start()
+            for (task,) in run.several(1):
+                yield task, run.call(task)
 
 
 def _each(call: Callable[[T], R], tasks: Sequence[T]) -> list[R]:
@@ -222,56 +151,82 @@ def _each(call: Callable[[T], R], tasks: Sequence[T]) -> list[R]:
     return [call(task) for task in tasks]
 
 
-@dataclass(frozen=True, eq=False)
-class _Driver(Generic[T, R]):
-    """Runs tasks one after the other in one process, as long as a run's source has some."""
+@dataclass(eq=False)
+class _Run(Generic[T, R]):
+    """Tasks that several threads share, each of which drives a process; there are no more once it is stopped or closed.
 
-    process: WorkerConnection
-    source: _Source[T]
-    pace: _Pace
+    ``done`` gets each task with its value, and from each thread None at its end, or what went wrong.
+    """
+
+    tasks: Iterator[T]
     call: Callable[[T], R]
     time_limit: float | None
+    stop: threading.Event
+    closed: bool = False
+    done: queue.SimpleQueue[tuple[T, R | WorkerDied] | Exception | None] = field(default_factory=queue.SimpleQueue)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _seconds: float = math.inf  # of a task; until that is known, they are sent one by one
 
-    def drive(self, give: Callable[[tuple[T, R | WorkerDied] | Exception | None], None]) -> None:
-        """Give each task with its value, then None; or what went wrong."""
+    @property
+    def ended(self) -> bool:
+        return self.closed or self.stop.is_set()
+
+    def several(self, most: int) -> Iterator[list[T]]:
+        """Iterate over groups of tasks that take `_TOGETHER_S` together, at most ``most`` of them."""
+        while not self.ended:
+            count = max(int(_TOGETHER_S / max(self._seconds, 1e-9)), 1)
+            with self._lock:
+                tasks = list(itertools.islice(self.tasks, min(count, most)))
+            if not tasks:
+                return
+            yield tasks
+
+    def drive(self, process: WorkerConnection) -> None:
+        """Do tasks in one process, as long as there are some."""
         try:
-            with contextlib.suppress(_NothingMoreError):
-                for tasks in self.source.several(self.pace.count):
-                    for done in self._done(tasks):
-                        give(done)
-            give(None)
+            with contextlib.suppress(ProcessDiedError):  # that of the task that a stopped run leaves
+                for tasks in self.several(_MOST_TOGETHER):
+                    for done in self._done(process, tasks):
+                        self.done.put(done)
+            self.done.put(None)
         except Exception as error:
-            self.source.close()
-            give(error)
+            self.closed = True
+            self.done.put(error)
 
-    def _done(self, tasks: Sequence[T]) -> Iterator[tuple[T, R | WorkerDied]]:
+    def _done(self, process: WorkerConnection, tasks: Sequence[T]) -> Iterator[tuple[T, R | WorkerDied]]:
         """Run tasks together, or one by one where there is only one or that fails; yield each with its value."""
         if len(tasks) > 1:
             started = time.monotonic()
-            values = self._tried(functools.partial(_each, self.call), tasks, tries=1)
+            values = self._tried(process, functools.partial(_each, self.call), tasks, tries=1)
             if not isinstance(values, WorkerDied):
-                self.pace.took(time.monotonic() - started, len(tasks))
+                self._took(time.monotonic() - started, len(tasks))
                 yield from zip(tasks, values, strict=True)
                 return
         for task in tasks:
             started = time.monotonic()
-            value = self._tried(self.call, task)
-            self.pace.took(time.monotonic() - started, 1)
+            value = self._tried(process, self.call, task)
+            self._took(time.monotonic() - started, 1)
             yield task, value
 
-    def _tried(self, call: Callable[[A], B], task: A, tries: int = _TRIES) -> B | WorkerDied:
-        """Run a task, ``tries`` times if its process dies, unless the run has been stopped by then."""
+    def _took(self, seconds: float, tasks: int) -> None:
+        """Note how long some tasks took; a longer time counts at once."""
+        each = seconds / tasks
+        before = self._seconds if math.isfinite(self._seconds) else each
+        self._seconds = max(each, before + _SHARE * (each - before))
+
+    def _tried(self, process: WorkerConnection, call: Callable[[A], B], task: A, tries: int = _TRIES) -> B | WorkerDied:
+        """Run a task, ``tries`` times if its process dies; ProcessDiedError if the run has been stopped by then."""
         for _ in range(tries):
             try:
-                return self.process.run(call, task, time_limit=self.time_limit)
+                return process.run(call, task, time_limit=self.time_limit)
             except CallTimeoutError:
-                self.process.kill()
-                self.process.close()
+                process.kill()
+                process.close()
                 return WorkerDied(f"no result after {self.time_limit:g} s: its process was ended")
             except ProcessDiedError:
-                self.process.close()
-                if self.source.ended:
-                    raise _NothingMoreError from None
+                process.close()
+                if self.ended:
+                    raise
         return WorkerDied(f"its process died {tries} times: out of memory, or a crash in a native library")
 
 

@@ -13,6 +13,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import ecm_readings, outer_readings
 from dvrk_cmaes.calibration.prediction import Prediction
+from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
@@ -23,11 +24,11 @@ from dvrk_cmaes.joints.sparse import Sparseness
 from dvrk_cmaes.pose.doubts import far_joints
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedWork, read_shown
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import BlockTask, fit_block
+from dvrk_cmaes.track.image_frames import fit_block
 from dvrk_cmaes.track.reading_buffer import describe_frozen
-from dvrk_cmaes.track.recorded_frames import NO_READINGS, FittedFrame, JudgeTask, PredictedFrame, judge_frame
+from dvrk_cmaes.track.recorded_frames import NO_READINGS, FittedFrame, PredictedFrame, judge_frame
 from dvrk_cmaes.track.window import FitEvidence, WindowImage, result_of, solve_window, status_of
 
 BLOCK: Final = 10
@@ -136,8 +137,9 @@ class RecordedSolution:
         """Fit every frame with the prediction as its prior."""
         count = len(self.recorded.files)
         frames, masks = self.expected(predicted, range(count)), self.calibration.masks
-        tasks = [BlockTask(tuple(frames[k : k + BLOCK]), masks, self.colours) for k in range(0, count, BLOCK)]
-        return [fitted for block in run(fit_block, tasks) for fitted in block]
+        blocks = [tuple(frames[k : k + BLOCK]) for k in range(0, count, BLOCK)]
+        fit = partial(fit_block, masks=masks, colours=self.colours)
+        return [fitted for block in run(fit, blocks) for fitted in block]
 
 
 def read_seen(files: FrameFiles, rig: Rig) -> FrameData | None:
@@ -152,24 +154,23 @@ def read_seen(files: FrameFiles, rig: Rig) -> FrameData | None:
     return read_frame(files, rig, blank=True) if files.has_mask else read_frame_image(files, rig)
 
 
-def follow_window(solution: RecordedSolution, work: RecordedWork) -> list[TrackResult]:
+def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[TrackResult]:
     """Fit all frames, solve them as one window, judge their poses, and describe them, in order."""
-    recorded, session, instrument = solution.recorded, solution.calibration, work.body.instrument
+    recorded, session, instrument = solution.recorded, solution.calibration, work.instrument
     source, joint_names = "mask" if solution.colours is None else "image", instrument.joint_names
     predicted, sparse = predict(recorded, session, instrument.joint_names)
     fits, config, run = solution.fits(predicted, work.run), work.config, work.run
     camera, images = recorded.rig.views[0].camera, []
     for i, fitted in enumerate(fits):
         at, spread = predicted.at[i], predicted.spread[i]
-        told = (
-            FitEvidence.of(None, at, spread, holds=False)
-            if fitted is None
-            else FitEvidence.of(fitted.fit, at, spread, inflation=fitted.inflation, holds=fitted.fit.explains_mask)
-        )
+        told = FitEvidence.of(None, at, spread, holds=False)
+        if fitted is not None:
+            inflation, holds = fitted.stored.own.noises[0].inflation, fitted.fit.explains_mask
+            told = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=holds)
         images.append(WindowImage(float(recorded.times[i]), at, predicted.prior[i], predicted.jacobian[i], told))
     found = solve_window(images, session, camera)
-    shown = [(fitted, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
-    judged = iter(run(judge_frame, [JudgeTask(fitted.stored, *own) for fitted, own in shown]))
+    shown = [(fitted.stored, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
+    judged = iter(run(judge_frame, shown))
     names = [own.name for own in recorded.files]
     frozen = describe_frozen(recorded.frozen, names)
     results = []

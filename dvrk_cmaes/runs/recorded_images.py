@@ -8,7 +8,7 @@ found around what is expected of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
+from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import Solving
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
@@ -26,11 +27,11 @@ from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame_image
 from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.frames.seen_view import SeenView
-from dvrk_cmaes.geometry import Bool
+from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.recorded import RecordedSolution, predict, read_seen
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, RecordedWork, solving_chosen
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, solving_chosen
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
 from dvrk_cmaes.segment.prompts import Prompts
@@ -39,7 +40,7 @@ from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import AroundTask, LearnTask, around_task, learn_task, with_outside
+from dvrk_cmaes.track.image_frames import around_task, learn_task, with_outside
 from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, choose_keyframes
 
@@ -81,32 +82,31 @@ class PackedFrame:
         return FrameData(tuple(views), self.notes)
 
 
-@dataclass(frozen=True, eq=False)
-class SegmentTask:
-    """Arguments of `segment_task`; ``colours``, by view, are those of what moves in the recording."""
-
-    files: FrameFiles
-    rig: Rig
-    hints: Hints
-    colours: Mapping[str, ColourModel]
-
-
-def segment_task(body: Body, config: EstimateConfig, task: SegmentTask) -> PackedFrame | None:
-    """Find the masks in the images of a frame; None where nothing is found, or only a guess.
+def segment_task(
+    body: Body,
+    config: EstimateConfig,
+    task: tuple[FrameFiles, Hints],
+    *,
+    rig: Rig,
+    colours: Mapping[str, ColourModel],
+) -> PackedFrame | None:
+    """Find the masks in the images of a frame with its hints; None where nothing is found, or only a guess.
 
     Masks that the frame has are kept. In further views the instrument of the first view's prompts is looked for.
+    ``colours``, by view, are those of what moves in the recording.
     """
-    data = read_seen(task.files, task.rig)
+    files, of_frame = task
+    data = read_seen(files, rig)
     if data is None:
         return None
     data = with_outside(data)
     views: list[SeenView] = []
     for number, view in enumerate(data.views):
-        hints = prompts_in(view, views[0], task.hints, body) if number else task.hints
+        hints = prompts_in(view, views[0], of_frame, body) if number else of_frame
         if view.image is None or (view.given and view.mask.any()):
             views.append(replace(view, image=None))
             continue
-        mask = _first_mask(view, hints, task.colours.get(view.name))
+        mask = _first_mask(view, hints, colours.get(view.name))
         views.append(view if mask is None else replace(view, mask=mask, given=True))
     found = replace(data, views=tuple(views))
     return PackedFrame.of(found) if any(view.given and view.shows for view in found.views) else None
@@ -151,7 +151,7 @@ def solving_images(
     recorded: RecordedFrames,
     given: SessionCalibration | None,
     hints: Hints,
-    work: RecordedWork,
+    work: SessionProblem,
     places: Sequence[Place] = (),
 ) -> Solving[tuple[RecordedFrames, RecordedSolution | str]]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
@@ -167,11 +167,9 @@ def solving_images(
     if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to tell masks of another tool from the right ones
         return recorded, f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}"
     work.progress("finding masks", len(chosen))
-    moving = _moving_colours(recorded, chosen)
-    tasks = [
-        SegmentTask(files[i], recorded.rig, _hints(files[i], hints if i == 0 else Hints()), moving) for i in chosen
-    ]
-    found: dict[int, PackedFrame | None] = dict(zip(chosen, work.run(segment_task, tasks), strict=True))
+    segmented = partial(segment_task, rig=recorded.rig, colours=_moving_colours(recorded, chosen))
+    tasks = [(files[i], _hints(files[i], hints if i == 0 else Hints())) for i in chosen]
+    found: dict[int, PackedFrame | None] = dict(zip(chosen, work.run(segmented, tasks), strict=True))
     recorded = _measured(recorded, found)
     if given is not None:
         return recorded, _with_colours(RecordedSolution(recorded, given, {}), work, found=found)
@@ -202,14 +200,14 @@ def _keyframes(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None]
 
 
 def _found_around(
-    solution: RecordedSolution, found: Mapping[int, PackedFrame | None], work: RecordedWork
+    solution: RecordedSolution, found: Mapping[int, PackedFrame | None], work: SessionProblem
 ) -> dict[int, PackedFrame | None]:
     """Find masks where few keyframes expect the instrument; those of the frames that agree are kept."""
     recorded, used = solution.recorded, set(solution.calibration.frames)
-    predicted, _ = predict(recorded, solution.calibration, work.body.instrument.joint_names)
+    predicted, _ = predict(recorded, solution.calibration, work.instrument.joint_names)
     others = [i for i in found if recorded.files[i].name not in used]
-    tasks = [AroundTask(frame, solution.colours or {}) for frame in solution.expected(predicted, others)]
-    around: Sequence[FrameData | None] = work.run(around_task, tasks)
+    find = partial(around_task, colours=solution.colours or {})
+    around: Sequence[FrameData | None] = work.run(find, solution.expected(predicted, others))
     again = {i: None if data is None else PackedFrame.of(data) for i, data in zip(others, around, strict=True)}
     return {i: again.get(i, one) for i, one in found.items()}
 
@@ -226,7 +224,7 @@ def _measured(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None])
 
 def _with_colours(
     solution: RecordedSolution,
-    work: RecordedWork,
+    work: SessionProblem,
     *,
     found: Mapping[int, PackedFrame | None] | None = None,
     results: Mapping[str, Result] | None = None,
@@ -236,20 +234,20 @@ def _with_colours(
     They are learned at the poses of the ``results`` of keyframes that agree, or from masks that were ``found`` where
     the calibration predicts the instrument.
     """
-    recorded, calibration, names = solution.recorded, solution.calibration, work.body.instrument.joint_names
-    tasks = []
+    recorded, calibration, names = solution.recorded, solution.calibration, work.instrument.joint_names
+    tasks: list[tuple[Callable[[], FrameData | None], Posed, Mapping[str, PackedMask] | None]] = []
     if results is not None:
         for own in recorded.files:
             if own.name in calibration.frames and own.has_image:
                 at = posed(results[own.name], names)
-                tasks.append(LearnTask(partial(read_seen, own, solution.rig), at))
+                tasks.append((partial(read_seen, own, solution.rig), at, None))
     else:
         predicted, _ = predict(recorded, calibration, names)
         for i, one in (found or {}).items():
             own = recorded.files[i]
             if one is not None and own.has_image:
                 masks = {view.name: mask for view, mask in zip(one.views, one.masks, strict=True) if view.given}
-                tasks.append(LearnTask(partial(read_seen, own, solution.rig), predicted.at[i], masks))
+                tasks.append((partial(read_seen, own, solution.rig), predicted.at[i], masks))
     learned = work.run(learn_task, tasks)
     of_views = {view: [of_frame[view] for of_frame in learned if view in of_frame] for view in recorded.rig.names}
     colours = {view: pooled_colours(models) for view, models in of_views.items() if models}

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.calibrate import SolvedSession, solving_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.first_frames import predict_from_first
-from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
+from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
 from dvrk_cmaes.calibration.session_state import SessionProblem
@@ -153,54 +153,29 @@ def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
 
 
 @dataclass(frozen=True, eq=False)
-class RecordedWork:
-    """What solves a recording: its instrument and arm, the settings, and what runs tasks and is told of each stage."""
-
-    body: Body
-    arm: Arm
-    config: EstimateConfig
-    run: Run[Any, Any]
-    progress: Callable[[str, int], None] = lambda stage, count: None
-
-    def problem(self, series: ReadingSeries | None) -> SessionProblem:
-        """Return the problem of some frames of a recording with all its readings."""
-        return SessionProblem(series, self.body.instrument, self.arm, self.config, self.run, self.progress)
-
-
-@dataclass(frozen=True, eq=False)
 class RecordedKeyframe:
-    """A keyframe: its number in the recording, its files, and the function that reads its data.
+    """A keyframe: its number in the recording, its files, and the function that reads its data, which is picklable.
 
-    That function is picklable.
+    ``start`` is where its instrument is expected, if that is known. A pose found from there counts if its overlap with
+    the mask is at least ``least_iou``.
     """
 
     number: int
     files: FrameFiles
     read: Callable[[], FrameData]
-
-
-@dataclass(frozen=True, eq=False)
-class AloneTask:
-    """Arguments of `alone_task`; ``start`` is where the instrument of a keyframe is expected, if that is known.
-
-    A pose found from there counts if its overlap with the mask is at least ``least_iou``.
-    """
-
-    keyframe: RecordedKeyframe
-    arm: Arm
     start: Posed | None = None
     least_iou: float = 0.0
 
 
-def alone_task(body: Body, config: EstimateConfig, task: AloneTask) -> Result:
+def alone_task(body: Body, config: EstimateConfig, keyframe: RecordedKeyframe, *, arm: Arm) -> Result:
     """Estimate a keyframe by itself, as `batch` does: from where it is expected, or else by a search."""
-    files, data = task.keyframe.files, task.keyframe.read()
-    if task.start is not None:
-        started = replace(files, start=_as_result(task.start, body, files.name))
-        result = estimate_frame(started, data, body, FrameMethod(task.arm, config))
-        if result.quality is not None and result.quality.iou >= task.least_iou:
+    files, data, method = keyframe.files, keyframe.read(), FrameMethod(arm, config)
+    if keyframe.start is not None:
+        started = replace(files, start=_as_result(keyframe.start, body, files.name))
+        result = estimate_frame(started, data, body, method)
+        if result.quality is not None and result.quality.iou >= keyframe.least_iou:
             return result
-    return estimate_frame(files, data, body, FrameMethod(task.arm, config))
+    return estimate_frame(files, data, body, method)
 
 
 def _as_result(at: Posed, body: Body, name: str) -> Result:
@@ -218,7 +193,7 @@ def _as_result(at: Posed, body: Body, name: str) -> Result:
 
 
 def solving_keyframes(
-    recorded: RecordedFrames, work: RecordedWork, places: Sequence[Place] = ()
+    recorded: RecordedFrames, work: SessionProblem, places: Sequence[Place] = ()
 ) -> Solving[SessionCalibration | str]:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
 
@@ -233,7 +208,7 @@ def solving_keyframes(
 def solving_chosen(
     recorded: RecordedFrames,
     keyframes: Sequence[RecordedKeyframe],
-    work: RecordedWork,
+    work: SessionProblem,
     least: int = LEAST_KEYFRAMES,
     places: Sequence[Place] = (),
 ) -> Solving[SolvedSession | str]:
@@ -246,8 +221,9 @@ def solving_chosen(
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
         return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
     work.progress("estimating keyframes", len(keyframes))
-    frames = _estimated(recorded, keyframes, work)
-    problem = replace(work, config=solved_with(work.config)).problem(recorded.series)
+    problem = replace(work, series=recorded.series, gathered={})
+    frames = _estimated(recorded, keyframes, problem)
+    problem = replace(problem, config=solved_with(work.config), gathered={})
     try:
         solved, _ = yield from solving_arm(frames, problem, places=places)
     except InputError as error:
@@ -258,7 +234,7 @@ def solving_chosen(
 
 
 def _estimated(
-    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], work: RecordedWork
+    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], problem: SessionProblem
 ) -> list[SessionFrame]:
     """Estimate keyframes alone: some by a search, the others from where these expect them."""
 
@@ -267,15 +243,15 @@ def _estimated(
 
     searched = set(recorded.keyframes(SEARCHED))
     some, rest = ([one for one in keyframes if (one.number in searched) == kind] for kind in (True, False))
-    run, arm = work.run, work.arm
-    results = run(alone_task, [AloneTask(one, arm) for one in some])
+    alone = partial(alone_task, arm=problem.arm)
+    results = problem.run(alone, some)
     first = {one.number: in_session(one, result) for one, result in zip(some, results, strict=True)}
     readings = {one.files.name: one.files.readings for one in rest}
-    expected = predict_from_first(list(first.values()), readings, work.problem(recorded.series))
+    expected = predict_from_first(list(first.values()), readings, problem)
     overlaps = [result.quality.iou for result in results if result.quality is not None]
     least = float(np.median(overlaps)) - _OVERLAP_LOSS if overlaps else 1.0
-    tasks = [AloneTask(one, arm, expected.get(one.files.name), least) for one in rest]
-    others = {one.number: in_session(one, result) for one, result in zip(rest, run(alone_task, tasks), strict=True)}
+    rest = [replace(one, start=expected.get(one.files.name), least_iou=least) for one in rest]
+    others = {one.number: in_session(one, result) for one, result in zip(rest, problem.run(alone, rest), strict=True)}
     return [frame for _, frame in sorted((first | others).items())]
 
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from threading import Lock
-from types import TracebackType
 from typing import TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -29,7 +28,7 @@ T = TypeVar("T")
 _TRIES = 2  # of a problem that its process dies on
 
 
-class SolverProcess:
+class SolverProcess(ExitStack):
     """Solves keyframes in a process of its own; a context manager.
 
     The process is started with the first problem; one in the background is at once, so that no step is delayed by it.
@@ -45,7 +44,8 @@ class SolverProcess:
     """
 
     def __init__(self, instrument: Instrument, *, threads: int = 1, background: bool = False) -> None:
-        self._threads, self._background = threads, background
+        super().__init__()
+        self._threads = threads
         self._key = instrument_digest(instrument)
         self._driver = ThreadPoolExecutor(1)
         self._process = WorkerConnection(partial(_prepare, instrument, background))
@@ -58,16 +58,9 @@ class SolverProcess:
         self._turns = 0  # for which the driver was asked, each for a problem or one of those that wait then
         self._lock = Lock()
         self._solved_names: set[str] = set()  # of those of the last solution
-
-    def __enter__(self) -> SolverProcess:
-        if self._background:
+        self.callback(self._end)
+        if background:
             self._process.begin()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def begin(self, problem: KeyframeProblem) -> None:
         """Begin with a problem, after those before it; returns at once."""
@@ -110,7 +103,7 @@ class SolverProcess:
         """
         return self._futures.popleft().result()
 
-    def close(self) -> None:
+    def _end(self) -> None:
         """End the process, whatever it is at."""
         self._process.end()
         self._driver.shutdown(cancel_futures=True)
@@ -140,7 +133,7 @@ class SolverProcess:
         wanted = self._unsolved | self._solved_names
         self._alone = {other: result for other, result in self._alone.items() if other in wanted}
         if name not in self._alone:
-            with contextlib.suppress(InputError, ProcessDiedError):
+            with suppress(InputError, ProcessDiedError):
                 self._alone[name] = self._call(_estimate, task)
 
     def _solved(self, problem: KeyframeProblem) -> Solution:
@@ -152,7 +145,7 @@ class SolverProcess:
         known = {name: result for name, result in self._alone.items() if name in names}
         problem = replace(problem, alone={**known, **problem.alone})
         for _ in range(_TRIES):
-            with contextlib.suppress(ProcessDiedError):
+            with suppress(ProcessDiedError):
                 solution = self._call(_solve, problem)
                 give_back_memory()
                 self._alone = dict(solution.alone)

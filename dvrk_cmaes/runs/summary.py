@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from typing import Any, Final, get_args
 
 import numpy as np
@@ -20,13 +19,11 @@ _OF_RESULTS: Final = ("mode_probability", "std_translation_mm", "std_rotation_de
 _DIGITS: Final = 6
 
 
-@dataclass(frozen=True)
-class RunTiming:
-    """Duration of a run: number of frames estimated by it, seconds from start to end, and frames per second."""
-
-    frames: int
-    seconds: float
-    frames_per_second: float
+def timing_of(frames: int, seconds: float) -> dict[str, float] | None:
+    """Return the duration of a run for summary.json; None if it estimated no frame."""
+    if not frames:
+        return None
+    return {"frames": frames, "seconds": round(seconds, 3), "frames_per_second": round(frames / seconds, 4)}
 
 
 def count_frames(statuses: Sequence[Status], missing: int) -> dict[str, int]:
@@ -42,7 +39,7 @@ def count_frames(statuses: Sequence[Status], missing: int) -> dict[str, int]:
 def summarize(
     results: Mapping[str, Result],
     manifest: Mapping[str, Any],
-    timing: RunTiming | None = None,
+    timing: Mapping[str, float] | None = None,
     *,
     whole: bool = True,
     calibration: Mapping[str, Any] | None = None,
@@ -56,7 +53,7 @@ def summarize(
     manifest
         The manifest, with all frames of the session.
     timing
-        Duration of the run that has just ended, if any.
+        Duration of the run that has just ended, if any, as of `timing_of`.
     whole
         Whether the results are of the whole session. If False, they are of a shard, and frames of other shards do not
         count as missing.
@@ -76,7 +73,7 @@ def summarize(
         "missing": missing,
         "lag": None if calibration is None else calibration.get("lag"),
         "commanded": commanded_in([result.readings for result in values], _joints(values)),
-        "timing": {"frame_seconds": _seconds(values), "run": None if timing is None else asdict(timing)},
+        "timing": {"frame_seconds": _seconds(values), "run": timing},
         "config": manifest["config"],
         **({"rig_doubts": rig_doubts(values)} if any(result.view_fits for result in values) else {}),
     }

@@ -17,7 +17,6 @@ from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, 
 from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
 from dvrk_cmaes.runs.exchanged_tools import (
     ArmInSession,
-    FoundAndRead,
     FoundFrame,
     exchanged_while_followed,
     find_exchanged_masks,
@@ -87,16 +86,13 @@ def exchanged_arms(
     InputError
         A file of results cannot be read.
     """
-    tracks: dict[str, dict[str, FoundAndRead]] = {}
-    found: dict[str, dict[str, FoundFrame]] = {}
+    found: dict[str, dict[str, FoundFrame]] = {arm: {} for arm in readings}
     for arm, of_joints in readings.items():
-        tracks[arm], found[arm] = {}, {}
         for number, row in enumerate(read_tracks(out / arm / TRACKS)):
             read = {name: float(v[number]) for name, v in of_joints.items() if np.isfinite(v[number])}
-            found[arm][row["frame"]] = FoundFrame(read, row["status"] == "ok")
-            if row["camera_from_root"] is not None and read:
-                tracks[arm][row["frame"]] = row["joints"], read
-    return exchanged_while_followed(tracks) or find_exchanged_masks(arms, found, config)
+            joints = {} if row["camera_from_root"] is None else row["joints"]
+            found[arm][row["frame"]] = FoundFrame(joints, read, row["status"] == "ok")
+    return exchanged_while_followed(found) or find_exchanged_masks(arms, found, config)
 
 
 def _together(seen: Mapping[str, Iterator[SeenFrame]]) -> Iterator[tuple[str, dict[str, SeenFrame]]]:

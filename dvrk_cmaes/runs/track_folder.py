@@ -241,10 +241,11 @@ def _by_keyframes(run: TrackRun) -> Solving[tuple[list[dict[str, Any]], SessionC
         if done is None:
             return [], None
         if not isinstance(done, str):
-            rows = [run.row(files, result) for files, result in zip(run.frames, done.results, strict=True)]
+            results, calibration = done
+            rows = [run.row(files, result) for files, result in zip(run.frames, results, strict=True)]
             write_text(run.out / TRACKS, "".join(line_of(row) for row in rows))
-            run.progress(len(rows), len(rows), done.results[-1] if done.results else None)
-            return rows, done.calibration
+            run.progress(len(rows), len(rows), results[-1] if results else None)
+            return rows, calibration
         because = done
     run.notice(f"followed from image to image, as by --causal: {because}")
     return None

@@ -104,6 +104,10 @@ class TrackRun:
         """Frames a second that are followed."""
         return 1 / (self.clock.interval * self.settings.every)
 
+    def notice_stage(self, stage: str, frames: int) -> None:
+        """Say at which stage the run is."""
+        self.notice(f"{stage}: {frames} frames")
+
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
         if not self.clock.readings and self.body.instrument.has_twin and result.status == "doubtful":

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import Solving
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.joints.lag import Lag
@@ -25,7 +26,6 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
     KEYFRAMES_BY_IMAGES,
     RecordedFrames,
-    RecordedWork,
     read_keyframes,
     write_keyframes,
 )
@@ -40,23 +40,16 @@ class _StoppedError(Exception):
     """The run is to end."""
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedTracks:
-    """Results of the frames in order, and the calibration by which they were found, with its whole lag."""
-
-    results: list[TrackResult]
-    calibration: SessionCalibration
-
-
-def following_recorded(run: TrackRun) -> Solving[RecordedTracks | str | None]:
+def following_recorded(run: TrackRun) -> Solving[tuple[list[TrackResult], SessionCalibration] | str | None]:
     """Follow an instrument through a recording, each frame with all others; OUT/keyframes.json keeps the calibration.
 
     What an interrupted run has left there is used. Run it by `solved_together` or `solved_alone`.
 
     Returns
     -------
-    RecordedTracks or str or None
-        The results; or why the recording cannot be solved so; or None if the run was stopped.
+    tuple or str or None
+        The results of the frames in order, and the calibration by which they were found, with its whole lag; or why the
+        recording cannot be solved so; or None if the run was stopped.
 
     Raises
     ------
@@ -73,7 +66,7 @@ def following_recorded(run: TrackRun) -> Solving[RecordedTracks | str | None]:
     with instrument_processes(body.instrument, settings.workers or usable_cores(), frames) as processes:
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         in_groups = partial(_in_groups, by_body, run.stop)
-        work = RecordedWork(body, settings.arm, config, in_groups, lambda stage, n: run.notice(f"{stage}: {n} frames"))
+        work = SessionProblem(series, body.instrument, settings.arm, config, in_groups, run.notice_stage)
         try:
             solved = yield from _solving(run, frames, series, work)
             if isinstance(solved, str):
@@ -84,11 +77,11 @@ def following_recorded(run: TrackRun) -> Solving[RecordedTracks | str | None]:
             results = follow_window(solved, work)
         except _StoppedError:
             return None
-    return RecordedTracks(results, with_lag(solved.calibration, settings.lag, run.clock))
+    return results, with_lag(solved.calibration, settings.lag, run.clock)
 
 
 def _solving(
-    run: TrackRun, frames: tuple[FrameFiles, ...], series: ReadingSeries | None, work: RecordedWork
+    run: TrackRun, frames: tuple[FrameFiles, ...], series: ReadingSeries | None, work: SessionProblem
 ) -> Solving[RecordedSolution | str]:
     """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
 

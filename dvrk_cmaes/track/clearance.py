@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -19,30 +18,19 @@ _OPPOSED = -0.2  # cosine between normals, below which a point lies on another s
 _NEXT = 1.0  # px along the line, within which a point is the same crossing
 
 
-@dataclass(frozen=True, eq=False)
-class Clearance:
-    """Lengths (N,), px, of N lines within the silhouette and beside it, as far as they are looked at."""
+def clearance_of(pixels: Float64, normals: Float64) -> Float32:
+    """Find where the lines through outline points (N, 2) along their normals (N, 2) cross the outline again.
 
-    inside: Float32
-    outside: Float32
-
-    @staticmethod
-    def of(pixels: Float64, normals: Float64) -> Clearance:
-        """Find where the lines through outline points (N, 2) along their normals (N, 2) cross the outline again."""
-        at, outwards = pixels.astype(np.float32), normals.astype(np.float32)
-        tangents = outwards[:, ::-1] * np.array([1, -1], np.float32)
-        along = outwards @ at.T - np.einsum("nd,nd->n", outwards, at)[:, None]
-        across = tangents @ at.T - np.einsum("nd,nd->n", tangents, at)[:, None]
-        row, column = np.nonzero((np.abs(across) < _BESIDE) & (outwards @ outwards.T < _OPPOSED))
-        distance = along[row, column]
-        lengths = np.full((2, len(at)), _LARGEST_SCALE * MOST_CLEARANCE, np.float32)
-        for side, away in zip(lengths, (-distance, distance), strict=True):
-            beyond = away > _NEXT
-            np.minimum.at(side, row[beyond], away[beyond])
-        return Clearance(lengths[0], lengths[1])
-
-    def at_scale(self, scale: int) -> Clearance:
-        """Return the lengths in an image reduced by ``scale``, at most `MOST_CLEARANCE`."""
-        return Clearance(
-            *(np.minimum(side / np.float32(scale), MOST_CLEARANCE) for side in (self.inside, self.outside))
-        )
+    Returns the lengths (2, N), px, of the lines within the silhouette and beside it, as far as they are looked at.
+    """
+    at, outwards = pixels.astype(np.float32), normals.astype(np.float32)
+    tangents = outwards[:, ::-1] * np.array([1, -1], np.float32)
+    along = outwards @ at.T - np.einsum("nd,nd->n", outwards, at)[:, None]
+    across = tangents @ at.T - np.einsum("nd,nd->n", tangents, at)[:, None]
+    row, column = np.nonzero((np.abs(across) < _BESIDE) & (outwards @ outwards.T < _OPPOSED))
+    distance = along[row, column]
+    lengths = np.full((2, len(at)), _LARGEST_SCALE * MOST_CLEARANCE, np.float32)
+    for side, away in zip(lengths, (-distance, distance), strict=True):
+        beyond = away > _NEXT
+        np.minimum.at(side, row[beyond], away[beyond])
+    return lengths

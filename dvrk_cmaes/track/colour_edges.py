@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -94,28 +94,18 @@ def _parts_of(outline: DrawnOutline) -> Indices:
     return np.minimum(outline.link, PARTS - 1)
 
 
-@dataclass(frozen=True, eq=False)
-class _Level:
-    """An image (h, w, 3) at a reduced size, and its pixels that have a say (h, w), None for all."""
-
-    image: Image
-    seen: Bool | None
-
-    @staticmethod
-    def of(image: Image, ignore: Bool | None, scale: int) -> _Level:
-        """Reduce an image by a scale."""
-        if scale == 1:
-            return _Level(image, None if ignore is None else ~ignore)
-        size = (image.shape[1] // scale, image.shape[0] // scale)
-        small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-        if ignore is None:
-            return _Level(small, None)
-        there = cv2.resize(ignore.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-        return _Level(small, there == 0)
+def _reduced(image: Image, ignore: Bool | None, scale: int) -> tuple[Image, Bool | None]:
+    """Return an image reduced by a scale, (h, w, 3), and its pixels that have a say (h, w), None for all."""
+    if scale == 1:
+        return image, None if ignore is None else ~ignore
+    size = (image.shape[1] // scale, image.shape[0] // scale)
+    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    if ignore is None:
+        return small, None
+    return small, cv2.resize(ignore.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) == 0
 
 
-@dataclass(frozen=True, eq=False)
-class EdgeDistances:
+class EdgeDistances(NamedTuple):
     """Distances (N,), px, by which outline points lie outside the edge that was found, and whether one was, (N,).
 
     ``variance`` (N,), px^2, is that of the edge's place beyond that of all edges.
@@ -133,12 +123,12 @@ class ImageEvidence:
         self._image = np.ascontiguousarray(image)
         self._model = model
         self._ignore = ignore
-        self._levels: dict[int, _Level] = {}
+        self._levels: dict[int, tuple[Image, Bool | None]] = {}
 
-    def _level(self, scale: int) -> _Level:
-        """Return the image reduced by a scale."""
+    def _level(self, scale: int) -> tuple[Image, Bool | None]:
+        """Return the image reduced by a scale, and its pixels that have a say, as `_reduced`."""
         if scale not in self._levels:
-            self._levels[scale] = _Level.of(self._image, self._ignore, scale)
+            self._levels[scale] = _reduced(self._image, self._ignore, scale)
         return self._levels[scale]
 
     def distances(self, pixels: Float64, outline: DrawnOutline, reach: float) -> EdgeDistances:
@@ -153,20 +143,21 @@ class ImageEvidence:
 
     def _measured(self, pixels: Float64, outline: DrawnOutline, reach: float, scale: int) -> EdgeDistances:
         """Measure the distances in the image reduced by a scale, in its pixels."""
-        count, clearance, level = int(np.ceil(reach)), outline.clearance.at_scale(scale), self._level(scale)
+        count, (image, seen) = int(np.ceil(reach)), self._level(scale)
+        clearance = np.minimum(outline.clearance / np.float32(scale), MOST_CLEARANCE)
         along = np.arange(-count - MOST_CLEARANCE, count + MOST_CLEARANCE + 1, dtype=np.float32)
-        colours, valid = pixels_along(level.image, pixels, outline.normals, along, level.seen)
-        odds = self._odds(colours, valid, outline)
+        colours, valid = pixels_along(image, pixels, outline.normals, along, seen)
+        odds = _odds_of(self._model.colours, bins_of(colours), outline, valid)
         total = np.zeros((len(pixels), odds.shape[1] + 1), np.float32)
         np.cumsum(odds, axis=1, out=total[:, 1:])
         # an edge at place k lies between samples k - 1 and k
         rows, place = np.arange(len(pixels))[:, None], np.arange(MOST_CLEARANCE, MOST_CLEARANCE + 2 * count + 1)
-        inside, outside = (np.rint(side).astype(np.int32)[:, None] for side in (clearance.inside, clearance.outside))
+        inside, outside = (np.rint(side).astype(np.int32)[:, None] for side in clearance)
         at_edge = total[:, MOST_CLEARANCE : MOST_CLEARANCE + 2 * count + 1]
         within = at_edge - total[rows, place - inside]
         beside = total[rows, place + outside] - at_edge
         about = np.s_[:, MOST_CLEARANCE - REACH : MOST_CLEARANCE + 2 * count + REACH]
-        change = self._edge_odds(colours[about], valid[about], outline)
+        change = _odds_of(self._model.edges, changes_along(colours[about]), outline, _both_seen(valid[about]))
         score = within - beside + _CHANGE_SCORE * change
         best = score.argmax(axis=1)[:, None]
         chance = np.exp(_DEPENDENT * (score - np.take_along_axis(score, best, axis=1)))
@@ -180,33 +171,21 @@ class ImageEvidence:
         told = (inner > _LEAST_ODDS) & ((outer < -_LEAST_ODDS) | clear)
         told &= (best > 0) & (best < 2 * count) & (np.minimum(inside, outside) >= _LEAST_CLEARANCE)
         found = told[:, 0] & (variance < _LARGEST_STD**2)
-        mean, fine = _refined(level.image, pixels, outline.normals, mean)
+        mean, fine = _refined(image, pixels, outline.normals, mean)
         variance = np.where(fine, _FINE_STD**2, variance + _COARSE_STD**2)
         return EdgeDistances(np.where(found, -mean, 0.0).astype(np.float64), found, variance.astype(np.float64))
 
     def unexplained(self, pixels: Float64, outline: DrawnOutline) -> float:
         """Return the share of an outline beside which the instrument's colours go on; its points are at ``pixels``."""
         along = np.arange(_BESIDE, MOST_CLEARANCE + 1, dtype=np.float32)
-        level = self._level(1)
-        colours, valid = pixels_along(level.image, pixels, outline.normals, along, level.seen)
-        odds = self._odds(colours, valid, outline)
-        valid &= along <= outline.clearance.outside[:, None] - 1
+        image, seen = self._level(1)
+        colours, valid = pixels_along(image, pixels, outline.normals, along, seen)
+        odds = _odds_of(self._model.colours, bins_of(colours), outline, valid)
+        valid &= along <= outline.clearance[1][:, None] - 1
         count = valid.sum(axis=1)
         told = count >= _LEAST_CLEARANCE
         like = told & ((odds * valid).sum(axis=1) > _LEAST_ODDS * count)
         return float(outline.lengths[like].sum() / outline.lengths[told].sum()) if told.any() else 1.0
-
-    def _odds(self, colours: Image, valid: Bool, outline: DrawnOutline) -> Float32:
-        """Return the log-odds of instrument (N, K) of colours (N, K, 3) on lines, 0 where they are not ``valid``."""
-        odds = _odds_of(self._model.colours, bins_of(colours), outline)
-        odds *= valid
-        return odds
-
-    def _edge_odds(self, colours: Image, valid: Bool, outline: DrawnOutline) -> Float32:
-        """Return the log-odds of the outline (N, K + 1 - 2 `REACH`) of the changes along lines of colours (N, K, 3)."""
-        odds = _odds_of(self._model.edges, changes_along(colours), outline)
-        odds *= _both_seen(valid)
-        return odds
 
 
 def _both_seen(valid: Bool) -> Bool:
@@ -214,10 +193,15 @@ def _both_seen(valid: Bool) -> Bool:
     return valid[:, 2 * REACH - 1 :] & valid[:, : 1 - 2 * REACH]
 
 
-def _odds_of(model: ColourModel | EdgeModel, bins: NDArray[np.int32], outline: DrawnOutline) -> Float32:
-    """Return the log-odds (N, K) of bins (N, K) on the lines of an outline, by the part of the instrument."""
+def _odds_of(model: ColourModel | EdgeModel, bins: NDArray[np.int32], outline: DrawnOutline, valid: Bool) -> Float32:
+    """Return the log-odds (N, K) of bins (N, K) on the lines of an outline, by the part of the instrument.
+
+    They are those of instrument, or of its outline; 0 where bins are not ``valid`` (N, K).
+    """
     bins += (_parts_of(outline) * model.bins).astype(np.int32)[:, None]
-    return np.asarray(model.log_odds.ravel().take(bins))
+    odds = np.asarray(model.log_odds.ravel().take(bins))
+    odds *= valid
+    return odds
 
 
 def _refined(image: Image, pixels: Float64, normals: Float64, place: Float32) -> tuple[Float32, Bool]:
@@ -319,8 +303,7 @@ class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
         """Measure the distances of all points, at ``pixels`` (N, 2), in their views."""
         now, views = self._drawn.split(pixels), self._drawn.by_view
         parts = [self._images[view].distances(now[view], drawn, self._reach) for view, drawn in views.items()]
-        names = ("distance", "found", "variance")
-        return EdgeDistances(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        return EdgeDistances(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,7 +386,7 @@ def learned(image: Image, pixels: Float64, outline: DrawnOutline, ignore: Bool |
     seen = None if ignore is None else ~ignore
     colours, valid = pixels_along(np.ascontiguousarray(image), pixels, outline.normals, along, seen)
     parts = _parts_of(outline)
-    within, beside = outline.clearance.inside[:, None], outline.clearance.outside[:, None]
+    within, beside = outline.clearance[:, :, None]
 
     def of_parts(bins: NDArray[np.int32], which: Bool) -> list[NDArray[np.int32]]:
         return [bins[which & (parts == part)[:, None]] for part in range(PARTS)]

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import Float64, Indices, Posed
-from dvrk_cmaes.track.clearance import Clearance
+from dvrk_cmaes.geometry import Float32, Float64, Indices, Posed
+from dvrk_cmaes.track.clearance import clearance_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +62,9 @@ class DrawnOutline:
         }
 
     @cached_property
-    def clearance(self) -> Clearance:
-        """How far the lines along the normals, of an outline in one view, run within the silhouette and beside it."""
-        return Clearance.of(self.pixels, self.normals)
+    def clearance(self) -> Float32:
+        """Lengths (2, N), px, of lines along the normals of an outline in one view, in the silhouette and beside it."""
+        return clearance_of(self.pixels, self.normals)
 
     def split(self, values: NDArray[Any]) -> dict[int, NDArray[Any]]:
         """Return values (N, ...) of the points by view."""

@@ -6,8 +6,8 @@ more around that of the fit where it lies elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -36,30 +36,25 @@ UNSUPPORTED = 0.3
 NO_COLOURS = "{share:.0f} % of the silhouette are without the instrument's colours"
 
 
-@dataclass(frozen=True, eq=False)
-class LearnTask:
-    """Arguments of `learn_task`: the function that reads a frame's images, and where the instrument is in them.
-
-    Where that is only predicted, ``masks`` (H, W), by view, are those that were found in them.
-    """
-
-    read: Callable[[], FrameData | None]
-    at: Posed
-    masks: Mapping[str, PackedMask] | None = None
-
-
-def learn_task(body: Body, config: EstimateConfig, task: LearnTask) -> dict[str, ColourModel]:
+def learn_task(
+    body: Body,
+    config: EstimateConfig,
+    task: tuple[Callable[[], FrameData | None], Posed, Mapping[str, PackedMask] | None],
+) -> dict[str, ColourModel]:
     """Learn the colours about the silhouette of a known pose, by name of the view.
 
-    Of a pose that is predicted, they are learned about the mask, if that overlaps the silhouette well enough.
+    A task has the function that reads a frame's images, and where the instrument is in them. Where that is only
+    predicted, it has the masks (H, W), by view, that were found in them: colours are learned about a mask, if that
+    overlaps the silhouette well enough.
     """
-    data, found = task.read(), {}
+    read, at, masks = task
+    data, found = read(), {}
     for view in () if data is None else with_outside(data).views:
         if view.image is None:
             continue
-        shown = silhouette_of(task.at, view, body)
-        if task.masks is not None:
-            mask = task.masks[view.name].restored() if view.name in task.masks else np.zeros_like(shown)
+        shown = silhouette_of(at, view, body)
+        if masks is not None:
+            mask = masks[view.name].restored() if view.name in masks else np.zeros_like(shown)
             if overlap_of(shown, mask) < _PREDICTED:
                 continue
             shown = mask
@@ -69,30 +64,27 @@ def learn_task(body: Body, config: EstimateConfig, task: LearnTask) -> dict[str,
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class BlockTask:
-    """Arguments of `fit_block`: consecutive frames, and the margins that are taken off their masks, by view.
-
-    With ``colours`` of the views, by name, masks are found in the images of views that have none.
-    """
-
-    frames: tuple[PredictedFrame, ...]
-    masks: SessionMasks | None
-    colours: Mapping[str, ColourModel] | None = None
-
-
-def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[FittedFrame | None]:
+def fit_block(
+    body: Body,
+    config: EstimateConfig,
+    frames: Sequence[PredictedFrame],
+    *,
+    masks: SessionMasks | None,
+    colours: Mapping[str, ColourModel] | None = None,
+) -> list[FittedFrame | None]:
     """Fit consecutive frames, each from its prediction and from that changed as the frame before was.
 
-    None stands for a frame whose masks or images show nothing of the instrument where it is expected.
+    ``masks`` has the margins that are taken off the masks, by view. With ``colours`` of the views, by name, masks are
+    found in the images of views that have none. None stands for a frame whose masks or images show nothing of the
+    instrument where it is expected.
     """
     found: list[FittedFrame | None] = []
     deviation: Float64 | None = None
-    for frame in task.frames:
-        if task.colours is None:
-            fitted = fit_followed(body, config, frame, deviation, task.masks)
+    for frame in frames:
+        if colours is None:
+            fitted = fit_followed(body, config, frame, deviation, masks)
         else:
-            fitted = _fit_by_images(body, config, frame, deviation, task.masks, task.colours)
+            fitted = _fit_by_images(body, config, frame, deviation, masks, colours)
         found.append(fitted)
         deviation = None
         if fitted is not None and fitted.fit.explains_mask and not fitted.doubts:
@@ -100,22 +92,19 @@ def fit_block(body: Body, config: EstimateConfig, task: BlockTask) -> list[Fitte
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class AroundTask:
-    """Arguments of `around_task`: a frame, with what is expected of it, and the views' colours, by name."""
+def around_task(
+    body: Body, config: EstimateConfig, frame: PredictedFrame, *, colours: Mapping[str, ColourModel]
+) -> FrameData | None:
+    """Find the masks of a frame around the silhouettes that are expected, by the views' colours, by name.
 
-    frame: PredictedFrame
-    colours: Mapping[str, ColourModel]
-
-
-def around_task(body: Body, config: EstimateConfig, task: AroundTask) -> FrameData | None:
-    """Find the masks of a frame around the silhouettes that are expected; None where they are not supported."""
-    data, expected = task.frame.read(), task.frame.expected
+    None where they are not supported.
+    """
+    data, expected = frame.read(), frame.expected
     if data is None:
         return None
     data = with_outside(data)
     drawn = [silhouette_of(expected.mean, view, body) for view in data.views]
-    found, unsupported = _masked(data, drawn, task.colours, _spread(expected, data.camera))
+    found, unsupported = _masked(data, drawn, colours, _spread(expected, data.camera))
     return found if unsupported < UNSUPPORTED else None
 
 

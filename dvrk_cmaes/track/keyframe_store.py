@@ -14,13 +14,11 @@ import numpy as np
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Bool, Float64
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, packed
+from dvrk_cmaes.track.keyframe_problem import Keyframe, packed
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, distance_units, farthest_first, well_in_view
 from dvrk_cmaes.track.reading_buffer import ReadingRows
 
@@ -97,10 +95,11 @@ class KeyframeStore:
         """Whether an image of a time, s, with readings differs from all that are kept."""
         if not set(OUTER_JOINTS) <= set(readings) or (self._kept and time - self._kept[-1].time < _LEAST_SECONDS):
             return False
-        return (
-            float(np.linalg.norm(self._places - self._place(time, readings), axis=1).min(initial=np.inf))
-            >= _LEAST_APART
-        )
+        return self._apart(self._place(time, readings)) >= _LEAST_APART
+
+    def _apart(self, place: Float64) -> float:
+        """Return how far a place is from the nearest keyframe, infinite without one."""
+        return float(np.linalg.norm(self._places - place, axis=1).min(initial=np.inf))
 
     def _place(self, time: float, readings: Mapping[str, float]) -> Float64:
         """Return where an image lies among others, in units of the distance between keyframes."""
@@ -129,8 +128,7 @@ class KeyframeStore:
         if not well_in_view(self._shapes)[-1] or not self.is_new(time, readings):
             return False
         place = self._place(time, readings)
-        nearest = float(np.linalg.norm(self._places - place, axis=1).min(initial=np.inf))
-        if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(nearest):
+        if len(self._kept) >= MOST_KEYFRAMES and not self._drops_one(self._apart(place)):
             return False
         self._kept.append(Keyframe(time, packed(masks), packed(ignored), dict(readings), dict(rates)))
         self._places = np.vstack([self._places, place])
@@ -157,34 +155,16 @@ class KeyframeStore:
         before = [index for index, keyframe in enumerate(self._kept) if keyframe.name in first]
         return [self._kept[index] for index in farthest_first(self._places, before, most)]
 
-    def problem(
-        self,
-        keyframes: Sequence[Keyframe],
-        arm: Arm,
-        config: EstimateConfig,
-        alone: Mapping[str, Result],
-        base: int = 0,
-    ) -> KeyframeProblem:
-        """Return what some keyframes pose to be solved; ``alone`` are results of keyframes, by name, if known."""
-        kept = tuple(sorted(keyframes, key=lambda one: one.time))
-        rows = self._rows.series
-        read = {name: ~np.isnan(values) for name, values in zip(rows.joints, rows.values.T, strict=True)}
-        known = {name: at for name, at in read.items() if at.any()}
-        times = {name: rows.times[at] for name, at in known.items()}
-        values = {name: rows.values[at, rows.joints.index(name)] for name, at in known.items()}
-        if self._rows.ecm is not None:
-            of_ecm = self._rows.ecm.series
-            times |= dict.fromkeys(of_ecm.joints, of_ecm.times)
-            values |= dict(zip(of_ecm.joints, of_ecm.values.T, strict=True))
-        series = ReadingSeries(
-            "s",
-            times,
-            values,
-            {keyframe.name: keyframe.time for keyframe in kept},
-            float(np.median(self._interval)) if self._interval else 1 / 30,
-        )
-        known_alone = {one.name: alone[one.name] for one in kept if one.name in alone}
-        return KeyframeProblem(kept, series, self._rig, arm, config, known_alone, base)
+    def series(self, keyframes: Sequence[Keyframe]) -> ReadingSeries:
+        """Return the readings that are kept, with the times of some keyframes."""
+        times, values = dict[str, Float64](), dict[str, Float64]()
+        for rows in filter(None, (self._rows, self._rows.ecm)):
+            for name, column in zip(rows.series.joints, rows.series.values.T, strict=True):
+                if (read := ~np.isnan(column)).any():
+                    times[name], values[name] = rows.series.times[read], column[read]
+        names = {keyframe.name: keyframe.time for keyframe in keyframes}
+        interval = float(np.median(self._interval)) if self._interval else 1 / 30
+        return ReadingSeries("s", times, values, names, interval)
 
     def _prune(self) -> None:
         """Drop old readings that are near no keyframe."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,21 +36,7 @@ _SOON = 1.0  # s, since following by a calibration began
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
 
-@dataclass(frozen=True)
-class _Given:
-    """The keyframes that were last given to be solved, by name, and the number of all that had been kept until then."""
-
-    names: frozenset[str] = frozenset()
-    taken: int = 0
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """The number of keyframes of the last solution; its reason and ``tip_mm`` as in `Solution`."""
-
-    keyframes: int = 0
-    reason: str = ""
-    tip_mm: float = np.inf
+_NOTHING = Solution(None, "", 0, {})
 
 
 class CalibratedFollower:
@@ -64,7 +50,9 @@ class CalibratedFollower:
         self.store = KeyframeStore(given.rig, given.instrument.joint_names)
         self._given = given
         self._alone: dict[str, Result] = {}
-        self._solved, self._asked = _Solved(), _Given()
+        self._solved = _NOTHING  # the last solution
+        self._taken = 0  # keyframes that had been kept when some were last given to be solved
+        self._asked: frozenset[str] = frozenset()  # names of these
         self._bases = 0  # that were given up
         self._own = False  # whether the calibration is that of the keyframes
         self._agreeing: int | None = 0 if earlier else None  # images so far; None where none need to agree
@@ -110,7 +98,7 @@ class CalibratedFollower:
         Where the last images disagree with the calibration, one more is enough. When there are as many as are kept, a
         third of them must be new, or some where images disagree.
         """
-        given, new = self._most_given, self.store.taken - self._asked.taken
+        given, new = self._most_given, self.store.taken - self._taken
         waiting = given > self._solved.keyframes
         if self._following is not None and self._following.disagrees and not waiting and len(self.store) > SOLVED_AT[0]:
             return new >= (_NEW_THAT_DISAGREE if len(self.store) >= SOLVED_AT[-1] else 1)
@@ -121,7 +109,7 @@ class CalibratedFollower:
     @property
     def _most_given(self) -> int:
         """Most keyframes that were solved, or given to be."""
-        return max(self._solved.keyframes, len(self._asked.names))
+        return max(self._solved.keyframes, len(self._asked))
 
     @property
     def _most(self) -> int:
@@ -133,18 +121,21 @@ class CalibratedFollower:
 
         They test the camera file, which takes long, once as many as are kept have been solved without that.
         """
-        keyframes, config = self.store.spread(self._most, self._asked.names), self._given.config
-        self._asked = _Given(frozenset(one.name for one in keyframes), self.store.taken)
+        keyframes, config = self.store.spread(self._most, self._asked), self._given.config
+        self._asked, self._taken = frozenset(one.name for one in keyframes), self.store.taken
         if self._solved.keyframes < SOLVED_AT[-1]:
             config = replace(config, session=replace(config.session, test_camera=False))
-        return self.store.problem(keyframes, self._given.arm, config, self._alone, self._bases)
+        keyframes, given = sorted(keyframes, key=lambda one: one.time), self._given
+        alone = {one.name: self._alone[one.name] for one in keyframes if one.name in self._alone}
+        series = self.store.series(keyframes)
+        return KeyframeProblem(tuple(keyframes), series, given.rig, given.arm, config, alone, self._bases)
 
     @property
     def unsolved(self) -> list[KeyframeTask]:
         """The keyframes that no solution has estimated by themselves yet, first those that are solved next."""
         if all(name in self._alone for name in self.store.names):
             return []
-        keyframes, given = self.store.spread(len(self.store), self._asked.names), self._given
+        keyframes, given = self.store.spread(len(self.store), self._asked), self._given
         return [KeyframeTask(one, given.rig, given.config) for one in keyframes if one.name not in self._alone]
 
     def use(self, solution: Solution) -> bool:
@@ -156,7 +147,7 @@ class CalibratedFollower:
             return False
         known = self._alone | dict(solution.alone)
         self._alone = {name: known[name] for name in self.store.names if name in known}
-        self._solved = _Solved(solution.keyframes, solution.reason, solution.tip_mm)
+        self._solved = solution
         if solution.calibration is None or solution.reason or not self._is_better(solution):
             return False
         if self.calibration is None and not self._is_useful(solution):
@@ -255,7 +246,7 @@ class CalibratedFollower:
         those of an endoscope whose readings say where it is.
         """
         few = self._is_of_few and len(self.store) > self._solved.keyframes
-        self._following, self._solved, self._asked = None, _Solved(), replace(self._asked, names=frozenset())
+        self._following, self._solved, self._asked = None, _NOTHING, frozenset()
         if self._agreeing is None and not few and not self.store.steered:
             self._bases += 1
             self._alone.clear()

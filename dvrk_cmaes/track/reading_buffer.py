@@ -85,12 +85,6 @@ class ReadingRows:
         """The readings kept, s: a view, which later readings change."""
         return TimedReadings(self._names, self._times[: self._count], self._rows[: self._count])
 
-    @property
-    def rows(self) -> Iterator[tuple[float, dict[str, float]]]:
-        """The readings kept: their times, s, and the joints that were read, by name."""
-        for time, values in zip(self.series.times.tolist(), self.series.values.tolist(), strict=True):
-            yield time, {name: value for name, value in zip(self._names, values, strict=True) if value == value}
-
     def add(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time, s; of two of a joint at the same time, the last is used.
 

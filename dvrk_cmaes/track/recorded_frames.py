@@ -54,14 +54,13 @@ class PredictedFrame:
 
 @dataclass(frozen=True, eq=False)
 class FittedFrame:
-    """The fit of a frame, its evidence, and the factor by which its contour's roughness widens the covariance.
+    """The fit of a frame, its evidence, and the time that it took, s.
 
     ``doubts`` are reasons to doubt the masks that were found in its images.
     """
 
     stored: StoredFrame
     fit: FrameFit
-    inflation: float
     seconds: float
     doubts: tuple[str, ...] = ()
 
@@ -76,15 +75,6 @@ def views_that_show(seen: Sequence[SeenView], body: Body) -> list[FrameView]:
         evidence = gather_evidence(view.mask, view.camera, body.instrument, ignore=view.ignore, features=False)
         views.append(FrameView(view.name, evidence, Renderer(body, evidence.camera, threads=1), view.view_from_camera))
     return views
-
-
-def starts_of(expected: Expected, before: Float64 | None) -> list[Posed]:
-    """Return where a fit starts, given the deviation (D,) of the frame before from its prediction."""
-    if before is None:
-        return [expected.mean]
-    near = expected.mean.moved(before)
-    apart = float(np.sqrt(before @ expected.information @ before / len(before)))
-    return [near, expected.mean] if apart > _ANOTHER_START else [near]
 
 
 def fit_near(
@@ -109,7 +99,10 @@ def fit_near(
         Correlation lengths, px, of the contours of images before, by view. They are given while images come: the fit is
         then found in few drawings.
     """
-    starts, names = starts_of(expected, before), [view.name for view in views]
+    starts, names = [expected.mean], [view.name for view in views]
+    if before is not None:
+        apart = float(np.sqrt(before @ expected.information @ before / len(before)))
+        starts = [expected.mean.moved(before), *(starts if apart > _ANOTHER_START else ())]
     margins, preset = margins_of(masks, names), FOLLOWED
     if lengths is None:
         return fit_frame(views, config, expected, starts, margins=margins, preset=preset)
@@ -128,26 +121,15 @@ def fit_followed(
     if data is None or not views:
         return None
     fit, own = fit_near(views, config, frame.expected, before, masks)
-    stored = StoredFrame.of_views(views, data.camera, own)
-    return FittedFrame(stored, fit, own.noises[0].inflation, time.perf_counter() - started)
-
-
-@dataclass(frozen=True, eq=False)
-class JudgeTask:
-    """Arguments of `judge_frame`: a frame's evidence, its pose and the covariance (D, D) of that."""
-
-    stored: StoredFrame
-    at: Posed
-    covariance: Float64
+    return FittedFrame(StoredFrame.of_views(views, data.camera, own), fit, time.perf_counter() - started)
 
 
 @dataclass(frozen=True, eq=False)
 class JudgedFrame:
-    """The quality of a frame's pose, the reasons to doubt it, remarks, and the error that is expected of it."""
+    """The quality of a frame's pose, the reasons to doubt it, and the error that is expected of it."""
 
     quality: Quality
     reasons: tuple[str, ...]
-    remarks: tuple[str, ...]
     error: ExpectedError
 
     @property
@@ -156,9 +138,10 @@ class JudgedFrame:
         return NORMAL_MEDIAN * self.quality.contour_px_median
 
 
-def judge_frame(body: Body, config: EstimateConfig, task: JudgeTask) -> JudgedFrame:
-    """Judge a frame's pose, as `judged` does."""
-    return judged([view.restored(body) for view in task.stored.views], task.at, task.covariance, body, config)
+def judge_frame(body: Body, config: EstimateConfig, task: tuple[StoredFrame, tuple[Posed, Float64]]) -> JudgedFrame:
+    """Judge a frame, given its evidence, by its pose and the covariance (D, D) of that, as `judged` does."""
+    stored, found = task
+    return judged([view.restored(body) for view in stored.views], *found, body, config)
 
 
 def judged(
@@ -167,5 +150,5 @@ def judged(
     """Measure how a pose with a covariance (D, D) explains the views' masks, and list the reasons to doubt it."""
     qualities = [measure_overlap(view, at) for view in views]
     error = expected_error(body.instrument, at, covariance)
-    doubts, remarks = doubts_in_views(at, views, qualities, error, config.trust, OF_FRAMES["followed"])
-    return JudgedFrame(pooled_quality(qualities), tuple(doubts), tuple(remarks), error)
+    doubts, _ = doubts_in_views(at, views, qualities, error, config.trust, OF_FRAMES["followed"])
+    return JudgedFrame(pooled_quality(qualities), tuple(doubts), error)

@@ -98,12 +98,8 @@ class Seen:
         return replace(self, problems=tuple(problems))
 
 
-@dataclass(frozen=True, eq=False)
-class _Look:
-    """How the instrument and its surroundings look in a view: colours on the whole, and along the outline."""
-
-    colours: ColourModel
-    along: EdgeAppearance
+_Look = tuple[ColourModel, EdgeAppearance]
+"""How the instrument and its surroundings look in a view: colours on the whole, and along the outline."""
 
 
 class ViewSegmenter:
@@ -186,7 +182,7 @@ class ViewSegmenter:
         are looked for farther away.
         """
         images = {
-            view: ImageEvidence(image, look.along, seen.ignored[view])
+            view: ImageEvidence(image, look[1], seen.ignored[view])
             for view in seen.clear
             if (image := seen.images[view]) is not None and (look := self._looks[view]) is not None
         }
@@ -210,22 +206,10 @@ class ViewSegmenter:
             if ignored is not None:
                 outside = outside | ignored
             silhouette = silhouette_of(at, views[view], self._body)
-            found = mask_around(image, silhouette, look.colours, outside, SPREAD_OF_FIT, passes=1)
+            found = mask_around(image, silhouette, look[0], outside, SPREAD_OF_FIT, passes=1)
             if found is not None and found.unsupported <= UNSUPPORTED:
                 masks[self._names[view]] = found.mask
         return masks
-
-    def _mask(self, seen: Seen, view: int, hints: Hints, *, hinted: bool) -> Mask | None:
-        """Return the mask of a view, found by its colours if none was given; None if nothing is found, or a guess.
-
-        The ``hints`` hold for the image; if they are its own, ``hinted``, what is found is not a guess.
-        """
-        image = seen.images[view]
-        if seen.given[view] is not None or image is None:
-            return seen.given[view]
-        segmentation = segment(image, box=hints.box, points=hints.points, not_points=hints.not_points)
-        sure = hinted or segmentation.confidence >= GUESS
-        return segmentation.mask if segmentation.mask.any() and sure else None
 
     def first_masks(self, seen: Seen, *, hinted: bool, around: Mapping[int, Box]) -> dict[str, Mask]:
         """Return the masks by name of the view: those given, or that of the first image in which one is found.
@@ -240,9 +224,12 @@ class ViewSegmenter:
             hints = self._hints if hinted and view == 0 else Hints()
             if hints == Hints() and view in around:
                 hints = Hints(box=around[view])
-            mask = self._mask(seen, view, hints, hinted=hinted)
-            if mask is not None:
-                return {self._names[view]: mask}
+            image = seen.images[view]
+            if image is None:
+                continue
+            found = segment(image, box=hints.box, points=hints.points, not_points=hints.not_points)
+            if found.mask.any() and (hinted or found.confidence >= GUESS):  # with its own hints it is no guess
+                return {self._names[view]: found.mask}
         return {}
 
     def ignored(self, seen: Seen) -> dict[str, Mask]:
@@ -259,11 +246,10 @@ class ViewSegmenter:
             colours = learned_colours(image, silhouette_of(at, views[view], self._body), ignored)
             if drawn is None or colours is None:
                 continue
-            look = _Look(colours, learned(image, drawn.pixels, drawn, ignored))
+            along, share = learned(image, drawn.pixels, drawn, ignored), self._colour_share
             if before is not None:
-                share = self._colour_share
-                look = _Look(before.colours.mixed(look.colours, share), before.along.mixed(look.along, share))
-            self._looks[view] = look
+                colours, along = before[0].mixed(colours, share), before[1].mixed(along, share)
+            self._looks[view] = colours, along
 
     def boxes_around(self, at: Posed, views: Sequence[View]) -> dict[int, Box]:
         """Return a box around the silhouette of a pose in each view that shows it, with a margin."""

@@ -29,7 +29,7 @@ from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit
-from dvrk_cmaes.track.deviations import FrameDeviations
+from dvrk_cmaes.track.deviations import smoothed_deviations
 from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
 
 LIMITS = OF_FRAMES["followed"]
@@ -92,22 +92,18 @@ def solve_window(
     The covariances include those of the calibration. With ``only_last``, the list has the last image alone.
     """
     corrected = calibration.corrected(camera)
-    smoothed = FrameDeviations.of(
+    deviations, covariances, responses = smoothed_deviations(
         np.array([image.time for image in images]),
         np.array([image.prior for image in images]),
         np.array([image.told.information for image in images]),
         np.array([image.told.optimum for image in images]),
         np.array([image.jacobian for image in images]),
         np.array([image.told.by_masks for image in images]),
-    ).smoothed(only_last=only_last)
+        only_last=only_last,
+    )
     calibrated, found = calibration_covariance(calibration), []
-    for image, deviation, own, response in zip(
-        images[-len(smoothed.deviations) :],
-        smoothed.deviations,
-        smoothed.covariance,
-        smoothed.response,
-        strict=True,
-    ):
+    solved = images[-len(deviations) :]
+    for image, deviation, own, response in zip(solved, deviations, covariances, responses, strict=True):
         at, (by_calibration, by_masks) = image.at.moved(deviation), np.split(response, [len(calibrated)], axis=1)
         covariance = own + by_calibration @ calibrated @ by_calibration.T
         covariance += covariance_of_masks(calibration.masks, by_masks, by_calibration)

@@ -20,7 +20,6 @@ class FakeTracker:
     """Wants its keyframes solved as long as none were."""
 
     used: list[str] = field(default_factory=list)
-    base_state: str = "calibrating: 4 keyframes, base not known yet"
     accepts: bool = True
     unsolved_keyframes: tuple[str, ...] = ("0.1", "0.4")
 
@@ -80,7 +79,6 @@ def test_solution_is_used_and_saved_when_it_is_there_and_no_step_waits_for_it() 
     solutions.before_step(0.0)
     assert (tracker.used, saved) == (["solution 1"], ["calibration by solution 1"])
     assert solutions.earlier == saved[0]
-    assert solutions.state == tracker.base_state
 
 
 def test_solution_for_a_tracker_that_began_anew_since_is_dropped() -> None:

@@ -32,7 +32,7 @@ from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.runs.recorded_images import SegmentTask, segment_task
+from dvrk_cmaes.runs.recorded_images import segment_task
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette.prepare import prepare
 
@@ -317,8 +317,8 @@ def test_points_need_labels(run: Run) -> None:
 def test_box_in_the_left_eye_chooses_the_arm_in_the_right_one(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
     run("import", made, "--arm", arm, "--side", "both", "--out", "session")
     session = read_session("session")
-    task = SegmentTask(session.frames[4], session.rig, session.frames[4].prompts or Hints(), {})
-    found = segment_task(prepare("lnd"), EstimateConfig(), task)
+    task = session.frames[4], session.frames[4].prompts or Hints()
+    found = segment_task(prepare("lnd"), EstimateConfig(), task, rig=session.rig, colours={})
     assert found is not None
     for mask, right in zip(found.masks, (False, True), strict=True):
         true = arms.coverages(4, right)[arm] > 0.5

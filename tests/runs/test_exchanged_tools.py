@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.exchanged_tools import FoundAndRead, exchanged_tools, exchanged_while_followed, masks_exchanged
+from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_tools, exchanged_while_followed, masks_exchanged
 
 NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 
@@ -44,9 +44,9 @@ def test_two_frames_tell_nothing() -> None:
     assert exchanged_tools({"PSM1": results(true[0], true[1]), "PSM2": results(true[1], true[0])}) == []
 
 
-def followed(joints: np.ndarray, readings: np.ndarray) -> dict[str, FoundAndRead]:
+def followed(joints: np.ndarray, readings: np.ndarray) -> dict[str, FoundFrame]:
     """Give the joints of followed frames as found and as read (N, 3), rad."""
-    return {name: (one.joints, one.readings) for name, one in results(joints, readings).items()}
+    return {name: FoundFrame(one.joints, one.readings, ok=True) for name, one in results(joints, readings).items()}
 
 
 @pytest.mark.parametrize("start", [0, 25])

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
@@ -32,8 +32,22 @@ from helpers.worker_tasks import (
 )
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.runs.processes import Processes, WorkerConnection, WorkerDied, run_in_processes
+from dvrk_cmaes.runs.processes import Processes, WorkerConnection, WorkerDied
 from dvrk_cmaes.runs.worker_process import ProcessDiedError, WorkerProcess
+
+
+def run_in_processes(
+    tasks: Iterable[Any],
+    call: Callable[[Any], Any],
+    *,
+    start: Callable[[], object],
+    workers: int,
+    time_limit: float,
+    stop: threading.Event,
+) -> Iterator[tuple[Any, Any]]:
+    """Run tasks in processes that end with them."""
+    with Processes(start, workers) as processes:
+        yield from processes.run(tasks, call, time_limit=time_limit, stop=stop)
 
 
 def run(call: Callable[[int], int], tasks: range, **changes: object) -> dict[int, int | WorkerDied]:
@@ -208,8 +222,8 @@ def test_nothing_is_left_to_resource_tracker(monkeypatch: pytest.MonkeyPatch) ->
 
 
 ORPHANS = """
-import os, pathlib, sys, threading, time
-from dvrk_cmaes.runs.processes import run_in_processes
+import os, pathlib, sys, time
+from dvrk_cmaes.runs.processes import Processes
 
 def sleep(task):
     pathlib.Path(sys.argv[1], str(os.getpid())).touch()
@@ -219,7 +233,8 @@ def nothing():
     pass
 
 if __name__ == "__main__":
-    list(run_in_processes(range(2), sleep, start=nothing, workers=2, time_limit=200, stop=threading.Event()))
+    with Processes(nothing, 2) as processes:
+        list(processes.run(range(2), sleep, time_limit=200))
 """
 
 

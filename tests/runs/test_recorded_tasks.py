@@ -15,12 +15,12 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.runs import recorded
-from dvrk_cmaes.track.image_frames import BlockTask
+from dvrk_cmaes.track.recorded_frames import PredictedFrame
 
 RIG = Rig.of_camera(Camera(640, 480, 880, 880, 330, 250))
 
 
-def tasks_of(count: int, monkeypatch: pytest.MonkeyPatch) -> list[BlockTask]:
+def tasks_of(count: int, monkeypatch: pytest.MonkeyPatch) -> list[tuple[PredictedFrame, ...]]:
     """Return the tasks for a recording of so many frames."""
     files = tuple(FrameFiles(f"{k:04d}", Path(f"masks/{k:04d}.png"), readings={"jaw": 0.1}) for k in range(count))
     whole: Any = SimpleNamespace(files=files, rig=RIG)
@@ -28,11 +28,11 @@ def tasks_of(count: int, monkeypatch: pytest.MonkeyPatch) -> list[BlockTask]:
     session: Any = SimpleNamespace(corrected_views=lambda _: changed, masks=None)
     at = Posed(np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 3)))
     predicted: Any = SimpleNamespace(at=at, spread=np.tile(np.eye(9), (count, 1, 1)))
-    sent: list[BlockTask] = []
+    sent: list[tuple[PredictedFrame, ...]] = []
 
     def run(function: Any, tasks: Any) -> list[list[None]]:
         sent.extend(tasks)
-        return [[None] * len(task.frames) for task in tasks]
+        return [[None] * len(task) for task in tasks]
 
     fitted = recorded.RecordedSolution(whole, session).fits(predicted, run)
     assert len(fitted) == count
@@ -47,7 +47,7 @@ def test_task_is_as_large_in_a_long_recording_as_in_a_short_one(monkeypatch: pyt
 
 def test_frames_are_read_with_the_cameras_of_the_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
     (task,) = tasks_of(3, monkeypatch)
-    frame = pickle.loads(pickle.dumps(task)).frames[2]
+    frame = pickle.loads(pickle.dumps(task))[2]
     files, rig = frame.read.args
     assert (frame.name, files.name) == ("0002", "0002")
     assert rig.views[0].camera == replace(RIG.views[0].camera, fx=900.0)

@@ -14,20 +14,21 @@ import pytest
 from helpers.session_worlds import make_frames_in_memory, write_folder
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
+from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import solved_alone
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import recorded_keyframes
 from dvrk_cmaes.runs.recorded_keyframes import (
-    AloneTask,
     RecordedFrames,
-    RecordedWork,
+    RecordedKeyframe,
     solving_keyframes,
     with_keyframes,
 )
@@ -174,12 +175,12 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
     made: tuple[Path, dict[str, Truth]], tracks: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorded_keyframes, "SEARCHED", 7)
-    tried: list[AloneTask] = []
+    tried: list[RecordedKeyframe] = []
     alone = recorded_keyframes.alone_task
 
-    def noted(body: Body, config: EstimateConfig, task: AloneTask) -> Result:
-        tried.append(task)
-        return alone(body, config, task)
+    def noted(body: Body, config: EstimateConfig, keyframe: RecordedKeyframe, *, arm: Arm) -> Result:
+        tried.append(keyframe)
+        return alone(body, config, keyframe, arm=arm)
 
     monkeypatch.setattr(recorded_keyframes, "alone_task", noted)
     body = prepare("lnd")
@@ -193,12 +194,13 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
     def run(function: Any, tasks: Sequence[Any]) -> list[Any]:
         return [function(body, config, task) for task in tasks]
 
-    solved = solved_alone(solving_keyframes(recorded, RecordedWork(body, "classic", config, run)))
+    problem = SessionProblem(recorded.series, body.instrument, "classic", config, run)
+    solved = solved_alone(solving_keyframes(recorded, problem))
     assert isinstance(solved, SessionCalibration)
     assert [task.start is None for task in tried] == [True] * 7 + [False] * (len(tried) - 7)
     for task in tried[7:]:
         assert task.start is not None
-        truth = made[1][task.keyframe.files.name]
+        truth = made[1][task.files.name]
         assert np.linalg.norm(task.start.pose[:3, 3] - truth.camera_from_root[:3, 3]) < 5e-3
     of_searches = read_calibration(tracks / "session.json").camera_from_base
     assert np.linalg.norm(change_between(solved.camera_from_base, of_searches)[3:]) < np.deg2rad(0.5)

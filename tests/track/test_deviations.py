@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.track.deviations import FrameDeviations
+from dvrk_cmaes.track.deviations import smoothed_deviations
 
 COUNT, SIZE, CONSTANTS, MASKS = 6, 3, 2, 2
 NO_MASKS = np.zeros((3, SIZE, 0))
@@ -27,20 +27,22 @@ def test_result_is_that_of_the_dense_system() -> None:
     optimum = rng.standard_normal((COUNT, SIZE))
     jacobian, by_masks = rng.standard_normal((COUNT, SIZE, CONSTANTS)), rng.standard_normal((COUNT, SIZE, MASKS))
     stacked = np.tile(prior, (COUNT, 1, 1))
-    of_frames = stacked, information, optimum, jacobian, by_masks
-    deviations = FrameDeviations.of(TIMES, *of_frames, slow_share=0.7, slow=1.0, fast=0.1)
-    found, last = deviations.smoothed(), deviations.smoothed(only_last=True)
+    of_frames = TIMES, stacked, information, optimum, jacobian, by_masks
+    found, last = (
+        smoothed_deviations(*of_frames, only_last=kind, slow_share=0.7, slow=1.0, fast=0.1) for kind in (False, True)
+    )
+    deviations, covariances, responses = found
     told = np.zeros((COUNT * SIZE, COUNT * SIZE))
     for k in range(COUNT):
         told[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] = information[k]
     covariance = np.linalg.inv(np.linalg.inv(spread(prior, TIMES, 1.0, 0.1, 0.7)) + told)
-    for name in ("deviations", "covariance", "response"):
-        assert getattr(last, name) == pytest.approx(getattr(found, name)[-1:], rel=1e-9, abs=1e-12)
-    assert found.deviations.ravel() == pytest.approx(covariance @ optimum.ravel(), abs=1e-6)
+    for of_last, of_all in zip(last, found, strict=True):
+        assert of_last == pytest.approx(of_all[-1:], rel=1e-9, abs=1e-12)
+    assert deviations.ravel() == pytest.approx(covariance @ optimum.ravel(), abs=1e-6)
     blocks = [covariance[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] for k in range(COUNT)]
-    assert found.covariance == pytest.approx(np.array(blocks), abs=1e-6)
+    assert covariances == pytest.approx(np.array(blocks), abs=1e-6)
     moved = jacobian.reshape(-1, CONSTANTS)
-    by_calibration, of_masks = np.split(found.response.reshape(-1, CONSTANTS + MASKS), [CONSTANTS], axis=1)
+    by_calibration, of_masks = np.split(responses.reshape(-1, CONSTANTS + MASKS), [CONSTANTS], axis=1)
     assert by_calibration == pytest.approx(moved - covariance @ told @ moved, abs=1e-6)
     assert of_masks == pytest.approx(covariance @ by_masks.reshape(-1, MASKS), abs=1e-6)
 
@@ -51,23 +53,24 @@ def test_a_frame_without_evidence_takes_what_its_neighbours_show() -> None:
     shown = np.array([0.5, -0.3, 0.1])
     optimum = information @ shown
     prior, jacobian = np.tile(np.eye(SIZE), (3, 1, 1)), np.zeros((3, SIZE, CONSTANTS))
-    found = FrameDeviations.of(np.array([0.0, 0.01, 0.02]), prior, information, optimum, jacobian, NO_MASKS).smoothed()
-    assert found.deviations[1] == pytest.approx(shown, rel=0.15)
-    assert np.trace(found.covariance[1]) > np.trace(found.covariance[0])
+    times = np.array([0.0, 0.01, 0.02])
+    deviations, covariances, _ = smoothed_deviations(times, prior, information, optimum, jacobian, NO_MASKS)
+    assert deviations[1] == pytest.approx(shown, rel=0.15)
+    assert np.trace(covariances[1]) > np.trace(covariances[0])
 
 
 def test_without_evidence_the_prediction_and_its_prior_remain() -> None:
     prior = np.array([(1 + k) * np.eye(SIZE) for k in range(3)])
     nothing, jacobian = np.zeros((3, SIZE, SIZE)), np.ones((3, SIZE, CONSTANTS))
-    found = FrameDeviations.of(np.arange(3.0), prior, nothing, np.zeros((3, SIZE)), jacobian, NO_MASKS).smoothed()
-    assert found.deviations == pytest.approx(np.zeros((3, SIZE)))
-    assert found.covariance == pytest.approx(prior, rel=1e-6)
-    assert found.response == pytest.approx(jacobian)
+    found = smoothed_deviations(np.arange(3.0), prior, nothing, np.zeros((3, SIZE)), jacobian, NO_MASKS)
+    assert found[0] == pytest.approx(np.zeros((3, SIZE)))
+    assert found[1] == pytest.approx(prior, rel=1e-6)
+    assert found[2] == pytest.approx(jacobian)
 
 
 def test_a_single_frame_is_weighed_with_its_prior() -> None:
-    found = FrameDeviations.of(
+    deviations, covariances, _ = smoothed_deviations(
         np.zeros(1), np.eye(2)[None], np.eye(2)[None], np.array([[2.0, 0.0]]), np.zeros((1, 2, 1)), np.zeros((1, 2, 0))
-    ).smoothed()
-    assert found.deviations[0] == pytest.approx([1.0, 0.0])
-    assert found.covariance[0] == pytest.approx(0.5 * np.eye(2))
+    )
+    assert deviations[0] == pytest.approx([1.0, 0.0])
+    assert covariances[0] == pytest.approx(0.5 * np.eye(2))

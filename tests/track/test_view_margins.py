@@ -20,7 +20,7 @@ from dvrk_cmaes.geometry import Posed, transform
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import exact_mask
-from dvrk_cmaes.track.image_frames import BlockTask, fit_block
+from dvrk_cmaes.track.image_frames import fit_block
 from dvrk_cmaes.track.recorded_frames import PredictedFrame, fit_near, views_that_show
 
 RIGHT = Camera(320, 240, 513, 513, 159, 121)
@@ -57,7 +57,7 @@ def by_block(wide: str, masks: SessionMasks | None) -> Posed:
     """Fit the frame as a recording on disk is."""
     body, truth, _ = world()
     expected = Expected(truth, np.linalg.inv(SPREAD))
-    (found,) = fit_block(body, CONFIG, BlockTask((PredictedFrame("0", lambda: frame(wide), expected),), masks))
+    (found,) = fit_block(body, CONFIG, [PredictedFrame("0", lambda: frame(wide), expected)], masks=masks)
     assert found is not None
     return found.fit.at
 

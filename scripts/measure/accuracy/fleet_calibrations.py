@@ -28,7 +28,7 @@ from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
-from dvrk_cmaes.runs.recorded_keyframes import AloneTask, RecordedKeyframe, alone_task, read_shown
+from dvrk_cmaes.runs.recorded_keyframes import RecordedKeyframe, alone_task, read_shown
 from dvrk_cmaes.silhouette import Body
 from measure.accuracy.figures import base_errors
 
@@ -119,7 +119,7 @@ def calibrate_share(session: Session, body: Body, config: EstimateConfig, worker
             RecordedKeyframe(number, own, partial(read_frame, own.changed(image=None), session.rig))
             for number, own in enumerate(files)
         ]
-        results = run(alone_task, [AloneTask(one, "classic") for one in keyframes])
+        results = run(partial(alone_task, arm="classic"), keyframes)
         frames = [
             SessionFrame(one.files.name, one.read, result, one.files.keypoints)
             for one, result in zip(keyframes, results, strict=True)

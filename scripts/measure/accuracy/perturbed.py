@@ -25,7 +25,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import BlockTask, fit_block, silhouette_of
+from dvrk_cmaes.track.image_frames import fit_block, silhouette_of
 from dvrk_cmaes.track.image_masks import learned_colours, pooled_colours
 from dvrk_cmaes.track.recorded_frames import PredictedFrame
 from measure.cases import Case, Measurement, grouped
@@ -129,7 +129,7 @@ def _fitted(
     data = FrameData((view,))
     expected = Expected(_posed(start, body), np.asarray(np.linalg.inv(start.covariance), np.float64))
     frame = PredictedFrame(one.case.frame, lambda: data, expected)
-    (found,) = fit_block(body, config, BlockTask((frame,), None, {view.name: colours}))
+    (found,) = fit_block(body, config, [frame], masks=None, colours={view.name: colours})
     if found is None:
         assert start.camera_from_root is not None
         return start.camera_from_root, False

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from unittest import mock
 from dvrk_cmaes.cli import main as run_command_line
 from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.results.file import read_result
+from dvrk_cmaes.runs.processes import Processes
 
 SLOW: Final = 30.0
 """Most seconds of processor time of a command line; after twice that by the clock it is ended."""
@@ -108,9 +109,10 @@ def stubbed(material: Path) -> Iterator[None]:
     def estimate(*_: Any, frame: str = "", **__: Any) -> Any:
         return replace(stored, frame=frame)
 
-    def run_in_processes(tasks: Sequence[Any], call: Callable[[Any], Any], **_: Any) -> Iterator[tuple[Any, Any]]:
-        for task in tasks:
-            yield task, call(task)
+    made = Processes.__init__
+
+    def here_alone(self: Processes, start: Callable[[], object], _workers: int, **_: Any) -> None:
+        made(self, start, 0, here=True)
 
     @lru_cache(maxsize=100)
     def parsed(tokens: tuple[str, ...]) -> Callable[[], Any]:
@@ -120,7 +122,7 @@ def stubbed(material: Path) -> Iterator[None]:
     with (
         mock.patch("dvrk_cmaes.runs.frame.estimate_views", estimate),
         mock.patch("dvrk_cmaes.estimation.image_frame.estimate_views", estimate),
-        mock.patch("dvrk_cmaes.runs.batch.run_in_processes", run_in_processes),
+        mock.patch.object(Processes, "__init__", here_alone),
         mock.patch("dvrk_cmaes.draw.overlay._SMALLEST", 1),
         mock.patch("dvrk_cmaes.cli.app.app", lambda tokens, **_: parsed(tuple(tokens))()),
     ):
