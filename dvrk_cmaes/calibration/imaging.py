@@ -29,7 +29,7 @@ from dvrk_cmaes.calibration.session_camera import (
 )
 from dvrk_cmaes.calibration.session_masks import MaskMargin, estimate_margin
 from dvrk_cmaes.calibration.session_rig import FEWEST, changes_of
-from dvrk_cmaes.calibration.session_shaft import ShaftRadius
+from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
@@ -93,12 +93,11 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     at, config = Posed.stacked(fit.at for fit in state.fits), problem.config.session
     of_all = FramesAt(state.model, state.solution.calibration, problem.prior, at)
     outlines = _outlines(state)
-    shaft, masks = problem.instrument.shaft, state.imaging.masks
+    masks = state.imaging.masks
     offsets = [fit.side_offsets for fit in state.fits if fit.explains_mask and fit.side_offsets is not None]
     outwards = max(0.0, *np.mean(offsets, axis=0).tolist()) if offsets else 0.0
     growth = MaskGrowth(outwards, 0.0 if masks is None else masks.taken_off)
-    further = [growth, *([] if shaft is None else [ShaftRadius(shaft.radius)])]
-    outlines = replace(outlines, constants=(*outlines.constants, *further))
+    outlines = replace(outlines, constants=(*outlines.constants, growth, InstrumentSizes(problem.instrument)))
     check = check_camera(of_all, config, outlines, applied=change)
     if check.growth is not None:
         moves = check.growth.of_calibration
@@ -113,6 +112,7 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
         state = state.noted(remarks=check.camera.contradictions(config))
     elif check.hint:
         state = state.noted(remarks=[check.hint])
+    state = state.noted(remarks=[] if check.shaft is None else check.shaft.hints())
     if change is not None:
         frames = [frame.with_data(partial(with_changed_cameras, change)) for frame in state.frames]
         state = replace(state, stored=tuple(problem.run(gather_task, frames)))

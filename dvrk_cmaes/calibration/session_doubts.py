@@ -194,7 +194,7 @@ OF_SESSIONS: Final[Mapping[str, Callable[[SessionCalibration, SessionConfig], Se
     "predictions": lambda calibration, config: [bad_predictions(calibration)],
     "agreement": lambda calibration, config: [_few_agree(calibration)],
     "instrument": lambda calibration, config: [better_instrument(calibration.instruments, calibration.predicted_iou)],
-    "shaft": lambda calibration, config: [] if calibration.shaft is None else [calibration.shaft.contradiction()],
+    "shaft": lambda calibration, config: [] if calibration.shaft is None else calibration.shaft.contradictions(),
     "masks": lambda calibration, config: [_wide_masks(calibration)],
     "camera file": lambda calibration, config: _mistaken_camera(calibration),
     "camera": _wrong_camera,

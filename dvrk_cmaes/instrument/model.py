@@ -266,13 +266,14 @@ class Instrument:
             count = max(2, int(np.ceil(self.shaft.length / _SKELETON_STEP)) + 1)
             along = np.linspace(self.shaft.proximal_end, self.shaft.distal_end, count)
             points.append(self.shaft.point + along[:, None] * self.shaft.direction)
-        hinges = self._hinges()
+        hinges = self.hinges
         if hinges:
             points.append(self.chain.forward(values, hinges)[..., :3, 3])
         points.append(self.tips(values))
         return np.concatenate(points)
 
-    def _hinges(self) -> list[int]:
+    @property
+    def hinges(self) -> list[int]:
         """List the joints from the first moving one to the jaws, without those at the origin of their parent joint."""
         last = self.jaw_tips[0].link if self.jaw_tips else len(self.links) - 1
         hinges: list[int] = []
