@@ -33,9 +33,6 @@ _SOON = 1.0  # s, since following by a calibration began
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
 
 
-_NOTHING = Solution(None, "", 0, {})
-
-
 class CalibratedFollower:
     """Keeps keyframes, and follows by the calibration that was found from them or given; arguments as of `Tracker`.
 
@@ -47,7 +44,7 @@ class CalibratedFollower:
         self.store = KeyframeStore(given.rig, given.instrument.joint_names)
         self._given = given
         self._alone: dict[str, Result] = {}
-        self._solved = _NOTHING  # the last solution
+        self._solved = Solution(None, "", 0, {})  # the last one
         self._taken = 0  # keyframes that had been kept when some were last given to be solved
         self._asked: frozenset[str] = frozenset()  # names of these
         self._bases = 0  # that were given up
@@ -242,7 +239,7 @@ class CalibratedFollower:
         those of an endoscope whose readings say where it is.
         """
         few = self._is_of_few and len(self.store) > self._solved.keyframes
-        self._following, self._solved, self._asked = None, _NOTHING, frozenset()
+        self._following, self._solved, self._asked = None, Solution(None, "", 0, {}), frozenset()
         if self._agreeing is None and not few and not self.store.steered:
             self._bases += 1
             self._alone.clear()
