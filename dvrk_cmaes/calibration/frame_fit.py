@@ -87,8 +87,9 @@ class FrameFit(LocalFit):
 
     ``evaluations`` is the number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's
     silhouette and the mask; ``own_iou`` is that of the frame's own estimate, 0 if not given. ``lasting`` are the
-    outline's terms as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to frame, in their
-    usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated from the others.
+    outline's terms as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to
+    frame, in their usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated
+    from the others.
     ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
     where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline tells of the
     pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
