@@ -68,24 +68,33 @@ class OwnEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class FrameFit:
-    """A frame's pose, fitted with the session's prior.
+class LocalFit:
+    """A pose that was fitted with what was expected of it.
 
-    ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of the outline alone at the fit, and ``slope`` (D,)
-    the gradient of half its sum of squares. ``score`` is the negative log-likelihood of the fit, ``evaluations`` the
-    number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's silhouette and the
-    mask; ``own_iou`` is that of the frame's own estimate, 0 if not given. ``lasting`` are the same terms of the outline
-    as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to frame, in their
-    usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated from the others.
-    ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
-    where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline tells of the
-    pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
+    ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of what the image alone shows at the fit, and
+    ``slope`` (D,) the gradient of half its sum of squares. ``score`` is the negative log-likelihood of the fit.
     """
 
     at: Posed
     information: Float64
     slope: Float64
     score: float
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFit(LocalFit):
+    """A frame's pose, fitted to its outlines with the session's prior.
+
+    ``evaluations`` is the number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's
+    silhouette and the mask; ``own_iou`` is that of the frame's own estimate, 0 if not given. ``lasting`` are the
+    outline's terms as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to
+    frame, in their usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated
+    from the others.
+    ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
+    where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline tells of the
+    pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
+    """
+
     evaluations: int = 0
     iou: float = 1.0
     own_iou: float = 0.0

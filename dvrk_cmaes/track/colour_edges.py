@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.frame_fit import LocalFit
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Indices, Posed
 from dvrk_cmaes.joints.prior import Readings
@@ -305,19 +306,14 @@ class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeFit:
+class EdgeFit(LocalFit):
     """The fit of a pose to the edges that the colours of images show.
 
-    ``information`` (D, D) and ``slope`` (D,) are those of the edges alone there, ``score`` half of all sums of squares.
     ``supported`` is the share of the outline near which there is an edge, ``beside`` the share beside which the
     instrument's colours go on; ``sigma`` px is the robust standard deviation of the supporting edges, None without any.
     ``by_masks`` (D, 7) is as of `FrameFit`.
     """
 
-    at: Posed
-    information: Float64
-    slope: Float64
-    score: float
     supported: float
     beside: float
     sigma: float | None
