@@ -17,9 +17,10 @@ import numpy as np
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.expected_error import jacobian
+from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Place, Result
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette import Body
 
 OPPOSITE: Final[dict[Place, Place]] = {
     "behind": "in front",
@@ -74,11 +75,6 @@ class _PlacedTool:
         assert result.covariance is not None
         return _PlacedTool(body, posed(result, body.instrument.joint_names), result.covariance)
 
-    def silhouette(self, view: SeenView) -> Bool:
-        """Return the silhouette (H, W) in a view."""
-        seen = self.at.seen_from(view.view_from_camera)
-        return np.asarray(Renderer(self.body, view.camera, threads=1).masks(seen.pose[None], seen.joints[None])[0])
-
     def depths(self, view: SeenView, pixels: Float64) -> tuple[Float64, Float64]:
         """Return the depths (N,) of the surface at pixels (N, 2) of a view, m, infinite beside it, and variances, m^2.
 
@@ -111,7 +107,7 @@ def _place_in_view(first: _PlacedTool, second: _PlacedTool, view: SeenView, of_s
     """
     if view.mask.shape != of_second.mask.shape:
         return "unclear"
-    silhouettes = [tool.silhouette(view) for tool in (first, second)]
+    silhouettes = [silhouette_of(tool.at, view, tool.body) for tool in (first, second)]
     near = [_grown(seen.mask, _REACH) for seen in (view, of_second)]
     compared = np.argwhere((silhouettes[0] & silhouettes[1]) | (near[0] & near[1]))
     if len(compared) == 0:
