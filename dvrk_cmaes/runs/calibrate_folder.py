@@ -115,9 +115,8 @@ def solving_folder(
         corrected = Rig(solved.calibration.corrected_views(session.rig.views))
         views = tuple(ViewDocument.of(view) for view in corrected.views)
         calibration = replace(solved.calibration, views=views)
-        if (
-            session.guessed and calibration.camera is not None
-        ):  # the camera that was found is the session's from here on
+        # the camera that was found is the session's from here on
+        if session.guessed and calibration.camera is not None:
             calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
             session = replace(session, rig=corrected)
         solved = replace(solved, calibration=calibration)
