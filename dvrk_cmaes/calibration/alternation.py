@@ -20,7 +20,7 @@ from dvrk_cmaes.calibration.endoscope import Pieces
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, with_pieces, without_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.frame_task import FitTask, fit_task, gather_task
+from dvrk_cmaes.calibration.frame_task import fit_task, gather_task
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import with_masks
@@ -191,7 +191,7 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
     ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few do.
     """
     if not keep_all:
-        state.check_agreement(["" if fit.explains_mask else fit.describe_overlap() for fit in state.fits])
+        state.check_agreement([state.disagreement(fit) for fit in state.fits])
     fits, problem = state.outlines(keep_all=keep_all), state.problem
     state = _with_calibration(state, fits, calibration)
     if not keep_all and problem.config.session.cables:
@@ -299,7 +299,7 @@ def _fitted(
     tasks = []
     for i in again:
         margins = margins_of(masks, [view.name for view in state.stored[i].views])
-        tasks.append(FitTask(state.stored[i], expected[i], starts[i], state.imaging.change, margins))
+        tasks.append((state.stored[i], expected[i], starts[i], state.imaging.change, margins))
     fits: dict[int, FrameFit] = dict(enumerate(state.fits))
     if last:
         fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
