@@ -77,7 +77,8 @@ class SolverProcess(ExitStack):
         with self._lock:
             self._tasks = {task.keyframe.name: task for task in tasks}
             self._ahead = {name: result for name, result in self._ahead.items() if name in self._tasks}
-            self._drive()
+            if self._tasks:
+                self._drive()
 
     def _drive(self) -> None:
         """Have the driver work, unless it does."""

@@ -197,7 +197,7 @@ def _odds_of(model: ColourModel | EdgeModel, bins: NDArray[np.int32], outline: D
 
     They are those of instrument, or of its outline; 0 where bins are not ``valid`` (N, K).
     """
-    bins += (_parts_of(outline) * model.bins).astype(np.int32)[:, None]
+    bins += (_parts_of(outline) * model.log_odds.shape[1]).astype(np.int32)[:, None]
     odds = np.asarray(model.log_odds.ravel().take(bins))
     odds *= valid
     return odds

@@ -122,12 +122,9 @@ def _fit_by_images(
     data = with_outside(data)
     at = frame.expected.mean if before is None else frame.expected.mean.moved(before)
     spread = _spread(frame.expected, data.camera)
-    fitted: FittedFrame | None = None
     seconds, drawn = 0.0, [silhouette_of(at, view, body) for view in data.views]
     for _ in range(_ROUNDS):
         masked, unsupported = _masked(data, drawn, colours, spread)
-        if masked is None:
-            return None
         fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, masks)
         if fitted is None:
             return None
@@ -145,7 +142,7 @@ def _fit_by_images(
     )
 
 
-def _given(data: FrameData) -> FrameData:
+def _given(data: FrameData | None) -> FrameData | None:
     return data
 
 
