@@ -32,8 +32,7 @@ STATES: Final = "track", "calibration", "runs"
 NAMED: Final = {
     "loops that solve": """
         pose/refine/gauss_newton.py:refine              pose/refine/direct.py:_coordinate_descent
-        calibration/solve.py:solve                      calibration/solve.py:alternate
-        calibration/alternation.py:solved""",
+        calibration/solve.py:solve                      calibration/solve.py:alternate""",
     "drivers of a fit": """
         calibration/frame_fit.py:fit_frame""",
     "predictions from readings": """

@@ -232,8 +232,8 @@ def pictures_report(pictures: Iterable[Picture], *, poses: bool = False) -> dict
 
 def fit_report(count: int, seed: int) -> dict[str, Rows]:
     """Report weights of a candidate's measures fitted to drawn pictures from a seed on, and those of as many others."""
-    measures, right = _candidates(count, seed)
-    known, truth = _candidates(count, seed + count)
+    measures, right = drawn_candidates(count, seed)
+    known, truth = drawn_candidates(count, seed + count)
     inputs = np.c_[measures, np.ones(len(measures))]
     weights = np.zeros(inputs.shape[1])
     ridge = _RIDGE * np.diag([1.0] * (inputs.shape[1] - 1) + [0.0])
@@ -253,7 +253,7 @@ def fit_report(count: int, seed: int) -> dict[str, Rows]:
     return {"weights": [{"weights": ", ".join(f"{value:.2f}" for value in weights)}], "confidence": rows}
 
 
-def _candidates(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def drawn_candidates(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the measures (N, 5) of the candidates in drawn pictures, and whether each is an instrument's, (N,)."""
     from dvrk_cmaes.segment.by_model import find_instruments
 

@@ -20,7 +20,7 @@ from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solved, Solver, alternate, marginalise
+from dvrk_cmaes.calibration.solve import FrameFits, Problem, Solved, Solver, alternate, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -315,7 +315,8 @@ def linearise(
     padded[: len(prior), : len(prior)] += prior
     asked, found = [one for one in constants if one.name in names], list[Linearised]()
 
-    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits] | None:
+    def again(at: Problem, estimate: tuple[SessionModel, Solved]) -> Problem | None:
+        fits, (model, solution) = at[1], estimate
         covariance = solution.covariance_of(inverse_information(solution.information + weak(len(padded))))
         there = fits.at.moved(marginalise(model, fits, solution.calibration).own)
         plausible = all(one.is_plausible(solution.calibration.constants[one.name]) for one in asked)
@@ -326,10 +327,10 @@ def linearise(
         settled = all((most < _SETTLED * last.std(one)).all() for one, most in moved.items())
         if count >= passes or not plausible or settled:
             return None
-        return model, outlines.near(there, solution.calibration.constants)
+        return model, outlines.near(there, solution.calibration.constants), solution.calibration
 
-    fits = outlines.near(at, calibration.constants)
-    alternate(model, fits, calibration, padded, again, passes, solver)
+    start = model, outlines.near(at, calibration.constants), calibration
+    alternate(start, lambda at: solver(*at, padded), again, passes)
     return found[-1]
 
 

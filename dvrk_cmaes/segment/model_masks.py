@@ -47,7 +47,7 @@ _POSSIBLE: Final = 0.2
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
 _UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
 _SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
-_SAME: Final = 0.7  # overlap with an instrument, from which on a mask is of the same one: then the surer one is taken
+SAME: Final = 0.7  # overlap with an instrument, from which on a mask is of the same one: then the surer one is taken
 _ELSEWHERE: Final = 0.2  # overlap up to which a mask is not that of an instrument
 _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
 
@@ -133,16 +133,16 @@ def segment_by_model(
         last, best = by_colours(), next((each for each in candidates if _fits(each, prompts, image)), None)
         if last.mask.any() or best is None or best.confidence < _POSSIBLE:
             return last
-        return _segmentation(image, best, body, camera, prompts) or last
+        return mask_of_candidate(image, best, body, camera, prompts) or last
     other = by_colours() if sure else None
 
     def mask_of(each: Candidate) -> Segmentation | None:
         beside, same = _beside(each, likely, outside.shape), None
-        if other is not None and _overlap(each, other.mask) > _SAME:
+        if other is not None and _overlap(each, other.mask) > SAME:
             same = replace(other, mask=other.mask & ~beside) if beside.any() else other
             if same.confidence > each.confidence:  # its own mask would be no surer than the candidate
                 return same
-        own = _segmentation(image, each, body, camera, prompts.with_outside(outside | beside))
+        own = mask_of_candidate(image, each, body, camera, prompts.with_outside(outside | beside))
         return same if own is not None and same is not None and same.confidence > own.confidence else own
 
     masks: list[Segmentation] = []
@@ -185,7 +185,9 @@ def _overlap(found: Candidate, mask: Bool) -> float:
     return overlap_of(found.silhouette, resized(mask, (found.silhouette.shape[1], found.silhouette.shape[0])))
 
 
-def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, prompts: Prompts) -> Segmentation | None:
+def mask_of_candidate(
+    image: Image, found: Candidate, body: Body, camera: Camera, prompts: Prompts
+) -> Segmentation | None:
     """Return the mask of a candidate in an image (H, W, 3), with its confidence; None if it is not in the picture."""
     instrument = body.instrument
     assert instrument.shaft is not None
