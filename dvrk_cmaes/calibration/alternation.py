@@ -126,7 +126,12 @@ def solved(state: SessionState) -> SessionState:
     state, begun = _begun_with_few(state, scales)
     calibration, moved = state.solution.calibration, None
     for iteration in range(begun, len(scales)):
-        state, at = _round(state, iteration, scales, calibration, moved)
+        try:
+            state, at = _round(state, iteration, scales, calibration, moved)
+        except InputError as error:
+            if problem.refine_camera and iteration:
+                raise _camera_refused(state, IMPLAUSIBLE) from error
+            raise
         calibration, moved, last = state.solution.calibration, None, iteration + 2 == len(scales)
         changes = [with_camera] if problem.refine_camera and iteration + 1 < len(scales) else []
         changes += [with_rig, *([] if problem.refine_camera else [with_margins])] if last else []
