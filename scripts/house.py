@@ -2,7 +2,8 @@
 
 What is named in the table of this file, such as the loops that solve, must exist. The rest is found in the source. The
 source of a constant is a comment or docstring at it that names the script of scripts/ and the data that measured it, or
-rows of scripts/measure/sensitivity.csv with its value, which tell what changes of it do.
+rows of scripts/measure/sensitivity.csv with its value, which tell what changes of it do. Numbers in a file of another
+program's format have a source if its docstring names that program, after the words "Source of the numbers:".
 """
 
 from __future__ import annotations
@@ -31,8 +32,7 @@ STATES: Final = "track", "calibration", "runs"
 NAMED: Final = {
     "loops that solve": """
         pose/refine/gauss_newton.py:refine              pose/refine/direct.py:_coordinate_descent
-        calibration/solve.py:solve                      calibration/solve.py:alternate
-        calibration/alternation.py:solved""",
+        calibration/solve.py:solve                      calibration/solve.py:alternate""",
     "drivers of a fit": """
         calibration/frame_fit.py:fit_frame""",
     "predictions from readings": """
@@ -44,6 +44,9 @@ NAMED: Final = {
 POSES: Final = re.compile(r"(camera|view|rig|base)_from_\w+|\w*_from_(root|base)|poses?|Posed")
 FRAMES: Final = re.compile(r"\b(SessionFrame)\b")
 SCRIPT: Final = re.compile(r"scripts/[\w/]+\.py")
+FORMAT: Final = re.compile(r"Source of the numbers:\s.*\b\w+/\w+")
+DRAWINGS: Final = ("segment/overlay.py",)
+"""Files of method packages that draw: their numbers decide nothing, and are not counted."""
 DATA: Final = re.compile(r"\.\./shared/|\bdata/|\bseeds? \d|\bsynth\b")
 PRIVATE: Final = re.compile(r"(^|\.)_[a-zA-Z]\w*$")
 CLOCKS: Final = re.compile(r"\b(perf_counter|process_time|thread_time|monotonic|time\.time)(_ns)?\(")
@@ -95,7 +98,7 @@ class Module:
 
     def constants(self, root: Path, known: Mapping[tuple[str, str], set[str]]) -> Iterator[bool]:
         """Yield for each number in assignments whether its source is stated, or its value is a measured one."""
-        lines = self.text.splitlines()
+        lines, of_format = self.text.splitlines(), bool(FORMAT.search(ast.get_docstring(ast.parse(self.text)) or ""))
         for node, after in zip(self.body, [*self.body[1:], None], strict=True):
             for constant in constants_in([node]):
                 first, last = node.lineno - 1, node.end_lineno
@@ -104,7 +107,7 @@ class Module:
                 stated = "\n".join(lines[first : after.end_lineno if after and _is_text(after) else last])
                 scripts = SCRIPT.findall(stated)
                 sourced = bool(scripts and DATA.search(stated)) and all((root / each).is_file() for each in scripts)
-                sourced |= constant.value in known.get((self.path.as_posix(), constant.name), ())
+                sourced |= of_format or constant.value in known.get((self.path.as_posix(), constant.name), ())
                 yield from [sourced] * constant.numbers
 
 
@@ -152,7 +155,8 @@ def counts(root: Path) -> Report:
     check_names(package)
     code = Counter({name: sum(m.code for m in package if m.package == name) for name in {m.package for m in package}})
     tried = measured(read_table(root / "scripts" / "measure" / "sensitivity.csv"))
-    stated = [known for module in package if module.package in METHODS for known in module.constants(root, tried)]
+    methods = [module for module in package if module.package in METHODS and module.path.as_posix() not in DRAWINGS]
+    stated = [known for module in methods for known in module.constants(root, tried)]
     classes = [(module, node) for module in package for node in module.nodes if isinstance(node, ast.ClassDef)]
     held = [
         (len(attributes(each)), each.name) for m, each in classes if m.package in STATES and m.path.stem != "document"

@@ -28,7 +28,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from measure.pictures import GROUPS, Picture, read_pictures
+from measure.pictures import GROUPS, Picture, found_in, read_pictures
 from measure.tables import Report, add_output_options, print_report
 from numpy.typing import NDArray
 from scipy.special import expit
@@ -36,11 +36,10 @@ from scipy.special import expit
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.estimation.image_frame import segment_and_estimate
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.evidence.gather import window_around
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.packed_mask import overlap_of
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.results.result import Result
@@ -162,10 +161,8 @@ def _posed(picture: Picture) -> tuple[Segmentation, bool | None, str]:
     Right is a silhouette that shows an instrument as masks do, or a shaft within 4 deg; None where nothing is known.
     """
     body, shape = prepare(picture.instrument), picture.image.shape[:2]
-    data = FrameData.of(np.zeros(shape, np.bool_), picture.camera, image=picture.image)
     try:
-        files = FrameFiles(picture.name, None, picture.joints)
-        found = segment_and_estimate(data, files, body, FrameMethod("classic", EstimateConfig()))
+        found = found_in(picture, body)
     except DvrkCmaesError:
         return Segmentation(np.zeros(shape, np.bool_), None, 0.0), False, "failed"
     mask, result = found.segmentation, found.result
@@ -235,8 +232,8 @@ def pictures_report(pictures: Iterable[Picture], *, poses: bool = False) -> dict
 
 def fit_report(count: int, seed: int) -> dict[str, Rows]:
     """Report weights of a candidate's measures fitted to drawn pictures from a seed on, and those of as many others."""
-    measures, right = _candidates(count, seed)
-    known, truth = _candidates(count, seed + count)
+    measures, right = drawn_candidates(count, seed)
+    known, truth = drawn_candidates(count, seed + count)
     inputs = np.c_[measures, np.ones(len(measures))]
     weights = np.zeros(inputs.shape[1])
     ridge = _RIDGE * np.diag([1.0] * (inputs.shape[1] - 1) + [0.0])
@@ -256,7 +253,7 @@ def fit_report(count: int, seed: int) -> dict[str, Rows]:
     return {"weights": [{"weights": ", ".join(f"{value:.2f}" for value in weights)}], "confidence": rows}
 
 
-def _candidates(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def drawn_candidates(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the measures (N, 5) of the candidates in drawn pictures, and whether each is an instrument's, (N,)."""
     from dvrk_cmaes.segment.by_model import find_instruments
 

@@ -2,17 +2,21 @@
 
     python scripts/sensitivity.py pose evidence --frames SESSION... --write
     python scripts/sensitivity.py calibration track --recordings SESSION... --write
+    python scripts/sensitivity.py segment --pictures SESSION... --drawn 4 --new --write
     python scripts/sensitivity.py --show                     # constants that change nothing on any data
 
 Constants are the numbers that the modules of packages assign at their top level. The numbers of a tuple are changed
 together; whole numbers stay whole. Each change is tried in a process of its own, with one thread. Frames are solved one
-by one; recordings are followed with their own calibration by masks, and, with it, from image to image by masks and by
-images where there are any. A change that ends the run, or makes it take eight times as long, is named by its error.
+by one; recordings are followed with their own calibration by masks, and, with it, from image to image, and likewise by
+images where there are any; in pictures masks are found as `estimate --image` does, before the background that the
+session's images show, if they do. A change that ends the run, or makes it take eight times as long, is named by its
+error.
 
 --write puts the rows into scripts/measure/sensitivity.csv, which has the value of each constant, the changed one, and
 figures with those of the unchanged run in brackets: of the images with a truth in view, those in the right place
-(tips within 5 mm), those that are ok, and those ok and more than 3 mm off; the median error of the tips; and seconds of
-processor time. A row counts as long as its constant has that value.
+(tips within 5 mm; of masks an IoU of .8), those that are ok (of masks: with a confidence above .8), and those ok and
+more than 3 mm off (of masks: not right); the median error of the tips, or the mean of 1 - IoU; and seconds of processor
+time. A row counts as long as its constant has that value.
 """
 
 from __future__ import annotations
@@ -23,14 +27,16 @@ import importlib
 import json
 import multiprocessing
 import os
+import pickle
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, is_dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -38,29 +44,39 @@ from measure.accuracy.errors import error_of
 from measure.accuracy.fleet import TipErrors
 from measure.cases import Case, Measurement
 from measure.constants import Row, constants_in, measured, read_table, write_table
+from measure.pictures import Picture, found_in, pictures_of
 from measure.places import ROOT
 from measure.tables import commit
 
 from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.results.track_files import TRACKS, read_tracks
+from dvrk_cmaes.runs.backgrounds import learned_backgrounds
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.segment.segmentation import SegmentSettings
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track.view_segmenter import EvidenceKind
 
 RIGHT_MM: Final = 5.0
 WRONG_MM: Final = 3.0
+RIGHT_IOU: Final = 0.8
+SURE: Final = 0.8
+_DRAWN: Final = 4000  # first seed of drawn pictures
+_CHANGE: Final = "DVRK_CMAES_SENSITIVITY_CHANGE"  # variable that tells a changed constant to processes
 SLOWER: Final = 8
 
 
 class Figures(NamedTuple):
-    """Figures of a run: images in the right place, ok, ok and wrong; median of the tips, mm; processor seconds."""
+    """Figures of a run: images in the right place, ok, ok and wrong; how far they are off; processor seconds."""
 
     right: int
     ok: int
     wrong: int
-    tips_mm: float
+    off: float
     seconds: float
 
 
@@ -76,7 +92,8 @@ class Changed(NamedTuple):
 def changes(packages: Sequence[str], factors: Sequence[float]) -> Iterator[Changed]:
     """Yield the changed values of all constants of packages whose numbers a factor changes."""
     root = ROOT / "dvrk_cmaes"
-    for path in sorted(path for package in packages for path in (root / package).rglob("*.py")):
+    folders = [root / package for package in packages]
+    for path in sorted(path for one in folders for path in ([one] if one.is_file() else one.rglob("*.py"))):
         module = path.relative_to(root)
         loaded = importlib.import_module(
             ".".join(["dvrk_cmaes", *module.with_suffix("").parts]).removesuffix(".__init__")
@@ -121,7 +138,7 @@ def scaled(value: Any, factor: float) -> Any:
 def put(change: Changed) -> None:
     """Give a constant its changed value, in its module and in all that import it."""
     name, new = change.changed
-    old = getattr(sys.modules[module_name(Path(change.module))], name)
+    old = getattr(importlib.import_module(module_name(Path(change.module))), name)
     for loaded in [module for key, module in sys.modules.items() if key.startswith("dvrk_cmaes")]:
         if name in vars(loaded) and vars(loaded)[name] is old:
             setattr(loaded, name, new)
@@ -146,15 +163,56 @@ def follow(folders: Sequence[Path], body: Body) -> Figures:
         session = read_session(folder)
         has_images = any(frame.has_image for frame in session.frames)
         kinds: list[tuple[EvidenceKind, bool]] = [("masks", False), ("masks", True)]
+        kinds += [("images", False), ("images", True)] if has_images else []
         with tempfile.TemporaryDirectory() as out:
             settings = TrackSettings(EstimateConfig(threads=1), workers=1)
-            for number, (kind, causal) in enumerate([*kinds, ("images", True)] if has_images else kinds):
+            for number, (kind, causal) in enumerate(kinds):
                 chosen = replace(settings, causal=causal, evidence=kind)
                 done = track_folder(session, Path(out) / str(number), body, chosen, video=False, page=False)
                 settings = replace(settings, calibration=settings.calibration or done.calibration)
                 found.append(TipErrors.of(read_tracks(Path(out) / str(number) / TRACKS), golden))
     each = TipErrors.pooled(found)
     return _figures(each.errors, each.ok, began)
+
+
+class Shown(NamedTuple):
+    """Pictures of a session, or drawn ones, and by the name of their view the images that may show its background."""
+
+    pictures: Sequence[Picture]
+    images: Mapping[str, Sequence[Path]] = MappingProxyType({})
+
+
+def shown_in(folder: Path, instrument: str, most: int | None) -> Shown:
+    """Read at most some pictures of a session of one eye, of the instrument that its session.toml names, or this."""
+    named = read_session_toml(folder)
+    own = None if named is None else named.tools[0].instrument
+    found = [*pictures_of(folder.name, folder, own or instrument)]
+    chosen = (
+        found
+        if most is None
+        else [found[k] for k in np.unique(np.linspace(0, len(found) - 1, most).round().astype(int))]
+    )
+    session = read_session(folder)
+    images = [files.image for files in session.frames if files.image is not None]
+    prepare(own or instrument)  # once, and not in the process of each change
+    return Shown(chosen, {session.rig.names[0]: images})
+
+
+def find_masks(shown: Sequence[Shown]) -> Figures:
+    """Find the instruments in pictures."""
+    began, right, sure = time.process_time(), [], []
+    for each in shown:
+        settings = learned_backgrounds(SegmentSettings(), each.images)
+        for picture in each.pictures:
+            try:
+                found = found_in(picture, prepare(picture.instrument), settings, EstimateConfig(threads=1)).segmentation
+            except DvrkCmaesError:
+                found = None
+            right.append(0.0 if found is None else picture.shows(found.mask) or 0.0)
+            sure.append(found is not None and found.confidence > SURE)
+    wrong = [s and r < RIGHT_IOU for r, s in zip(right, sure, strict=True)]
+    off, seconds = 1 - float(np.mean(right)), time.process_time() - began
+    return Figures(sum(r >= RIGHT_IOU for r in right), sum(sure), sum(wrong), off, seconds)
 
 
 def _figures(errors: Any, ok: Any, began: float) -> Figures:
@@ -164,14 +222,17 @@ def _figures(errors: Any, ok: Any, began: float) -> Figures:
 
 
 class Data(NamedTuple):
-    """What is solved, read once: frames with their truth, recordings, and the instrument."""
+    """What is solved, read once: frames with their truth, recordings, their instrument, and pictures."""
 
     cases: Sequence[Case]
     recordings: Sequence[Path]
     body: Body
+    shown: Sequence[Shown] = ()
 
     def run(self) -> Figures:
         """Solve all of it."""
+        if self.shown:
+            return find_masks(self.shown)
         return solve_frames(self.cases, self.body) if self.cases else follow(self.recordings, self.body)
 
 
@@ -181,6 +242,7 @@ def _child(sent: Connection, data: Data, change: Changed | None) -> None:
     try:
         if change is not None:
             put(change)
+            os.environ[_CHANGE] = pickle.dumps(tuple(change)).hex()
         sent.send(data.run())
     except BaseException as error:  # whatever a wrong constant brings about
         sent.send(f"{type(error).__name__}: {error}".splitlines()[0][:80])
@@ -207,25 +269,39 @@ def main() -> int:
     options = _parser().parse_args()
     if options.show:
         return _show()
-    measurement = Measurement(options.frames or options.recordings, options.instrument, frames=options.most)
-    data = Data(measurement.cases() if options.frames else (), [Path(p) for p in options.recordings], measurement.body)
-    names = ", ".join(f"{Path(p).name}" for p in measurement.folders)
+    folders = options.frames or options.recordings or options.pictures
+    measurement = Measurement(folders, options.instrument, frames=options.most)
+    shown = [shown_in(Path(p), options.instrument, options.most) for p in options.pictures]
+    from measure.drawn_pictures import drawn_picture
+
+    drawn = [*map(drawn_picture, range(_DRAWN, _DRAWN + options.drawn))]
+    shown += [Shown([one for one in drawn if one is not None])] if drawn else []
+    recordings = [Path(p) for p in options.recordings]
+    data = Data(measurement.cases() if options.frames else (), recordings, measurement.body, shown)
+    names = ", ".join([*(_named(Path(p)) for p in folders), *([f"{options.drawn} drawn"] if drawn else [])])
     before = tried(data, None, 3600)
     if isinstance(before, str):
         print(f"sensitivity.py: {before}", file=sys.stderr)
         return 1
     print(f"unchanged: {before}", flush=True)
     limit = max(60.0, 3 * SLOWER * before.seconds)
-    each = [*changes(options.packages, options.factors)][options.part - 1 :: options.parts]
+    known = measured(read_table()) if options.new else {}
+    each = [one for one in changes(options.packages, options.factors) if one.value not in known.get(one[:2], ())]
+    each = each[options.part - 1 :: options.parts]
     rows: list[Row] = []
     with ThreadPoolExecutor(options.workers) as pool:
         for change, found in zip(each, pool.map(lambda one: tried(data, one, limit), each), strict=True):
             rows.append(row_of(change, found, before, names))
             if isinstance(found, str) or found[:4] != before[:4]:
                 print(f"{change.module} {change.name} {change.value} -> {change.changed[1]}: {found}", flush=True)
-    if options.write:
-        write_table(rows)
+            if options.write:
+                write_table(rows)  # all so far, if the run is ended
     return 0
+
+
+def _named(folder: Path) -> str:
+    """Return the name of a session's folder, and, if that is a part of a world, of the world."""
+    return "/".join(folder.resolve().parts[-2:]) if (folder / "world.json").is_file() else folder.resolve().name
 
 
 def row_of(change: Changed, found: Figures | str, before: Figures, data: str) -> Row:
@@ -254,19 +330,26 @@ def _show() -> int:
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("packages", nargs="*", metavar="PACKAGE", help="packages of dvrk_cmaes, such as pose")
+    parser.add_argument("packages", nargs="*", metavar="PACKAGE", help="packages or files of dvrk_cmaes, such as pose")
     parser.add_argument("--frames", nargs="+", default=[], metavar="SESSION", help="sessions whose frames are solved")
     parser.add_argument("--recordings", nargs="+", default=[], metavar="SESSION", help="recordings that are followed")
+    parser.add_argument(
+        "--pictures", nargs="+", default=[], metavar="SESSION", help="sessions of images with true masks"
+    )
+    parser.add_argument("--drawn", type=int, default=0, metavar="N", help="pictures that are drawn (default: none)")
     parser.add_argument("--instrument", default="lnd", help="the instrument of these (default: %(default)s)")
-    parser.add_argument("--most", type=int, metavar="N", help="solve at most N frames of each session")
+    parser.add_argument("--most", type=int, metavar="N", help="at most N frames of each session")
     parser.add_argument("--factors", nargs="+", type=float, default=[0.5, 2.0], metavar="X", help="default: 0.5 2")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes (default: %(default)s)")
     parser.add_argument("--parts", type=int, default=1, metavar="N", help="try every N-th change only")
     parser.add_argument("--part", type=int, default=1, metavar="K", help="which of these parts, from 1")
+    parser.add_argument("--new", action="store_true", help="try constants only whose value has no row in the table")
     parser.add_argument("--write", action="store_true", help="put the rows into the table")
     parser.add_argument("--show", action="store_true", help="print the constants of the table that change nothing")
     return parser
 
 
+if __name__ == "__mp_main__" and _CHANGE in os.environ:  # a process that a changed run started
+    put(Changed(*pickle.loads(bytes.fromhex(os.environ[_CHANGE]))))
 if __name__ == "__main__":
     sys.exit(main())

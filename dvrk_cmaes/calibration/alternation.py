@@ -20,7 +20,7 @@ from dvrk_cmaes.calibration.endoscope import Pieces
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, with_pieces, without_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
-from dvrk_cmaes.calibration.frame_task import FitTask, fit_task, gather_task
+from dvrk_cmaes.calibration.frame_task import fit_task, gather_task
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import with_masks
@@ -28,7 +28,7 @@ from dvrk_cmaes.calibration.model import Calibration, Deviations
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, camera_undetermined
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionState
-from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_with_modes
+from dvrk_cmaes.calibration.solve import FrameFits, alternate, solution_at, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.errors import InputError
@@ -37,6 +37,8 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 
 _ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from poses rotated about the shaft
+Start = tuple[SessionState, int, Sequence[float], Calibration, Posed | None]
+"""What a round starts from: the arguments of `_round`."""
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
 
 
@@ -124,23 +126,21 @@ def solved(state: SessionState) -> SessionState:
     if problem.refine_camera:
         scales.append(1.0)  # with the camera that all rounds before have found
     state, begun = _begun_with_few(state, scales)
-    calibration, moved = state.solution.calibration, None
-    for iteration in range(begun, len(scales)):
-        try:
-            state, at = _round(state, iteration, scales, calibration, moved)
-        except InputError as error:
-            if problem.refine_camera and iteration:
-                raise _camera_refused(state, IMPLAUSIBLE) from error
-            raise
+
+    def changed(before: Start, found: tuple[SessionState, Posed]) -> Start:
+        (state, at), iteration = found, before[1]
         calibration, moved, last = state.solution.calibration, None, iteration + 2 == len(scales)
         changes = [with_camera] if problem.refine_camera and iteration + 1 < len(scales) else []
         changes += [with_rig, *([] if problem.refine_camera else [with_margins])] if last else []
         for change in changes:
-            state, calibration, changed = change(state, calibration, at if moved is None else moved)
-            moved = moved if changed is None else changed
+            state, calibration, there = change(state, calibration, at if moved is None else moved)
+            moved = moved if there is None else there
         if last and problem.refine_camera and state.imaging.of_change is None:
             raise _camera_refused(state, IMPLAUSIBLE)
-    return _finished(state)
+        return state, iteration + 1, scales, calibration, moved
+
+    first: Start = state, begun, scales, state.solution.calibration, None
+    return _finished(alternate(first, lambda at: _round(*at), changed, len(scales) - begun)[0][0])
 
 
 def _round(
@@ -155,8 +155,13 @@ def _round(
     state.problem.progress(f"round {iteration + 1} of {len(scales)}", len(state.frames))
     expected = state.model.priors(calibration, scale=scale)
     state = _fitted(state, expected, _starts(state, iteration, expected, moved, last=last), last=last)
-    # Fits that do not explain the mask are only excluded once the prior is no longer widened.
-    return _solved_round(state, calibration, keep_all=scale != 1.0)
+    try:
+        # Fits that do not explain the mask are only excluded once the prior is no longer widened.
+        return _solved_round(state, calibration, keep_all=scale != 1.0)
+    except InputError as error:
+        if state.problem.refine_camera and iteration:
+            raise _camera_refused(state, IMPLAUSIBLE) from error
+        raise
 
 
 def _begun_with_few(state: SessionState, scales: Sequence[float]) -> tuple[SessionState, int]:
@@ -196,7 +201,7 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
     ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few do.
     """
     if not keep_all:
-        state.check_agreement(["" if fit.explains_mask else fit.describe_overlap() for fit in state.fits])
+        state.check_agreement([state.disagreement(fit) for fit in state.fits])
     fits, problem = state.outlines(keep_all=keep_all), state.problem
     state = _with_calibration(state, fits, calibration)
     if not keep_all and problem.config.session.cables:
@@ -304,7 +309,7 @@ def _fitted(
     tasks = []
     for i in again:
         margins = margins_of(masks, [view.name for view in state.stored[i].views])
-        tasks.append(FitTask(state.stored[i], expected[i], starts[i], state.imaging.change, margins))
+        tasks.append((state.stored[i], expected[i], starts[i], state.imaging.change, margins))
     fits: dict[int, FrameFit] = dict(enumerate(state.fits))
     if last:
         fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}

@@ -39,7 +39,7 @@ from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_c
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.pose.doubts import exchanged_readings
+from dvrk_cmaes.pose.judge import exchanged_readings
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import body_by, prepare

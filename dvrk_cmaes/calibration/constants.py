@@ -20,7 +20,7 @@ from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solved, Solver, alternate, marginalise
+from dvrk_cmaes.calibration.solve import FrameFits, Problem, Solved, Solver, alternate, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -117,34 +117,29 @@ class Constant(ABC):
         """Return the displacements (N, n) of the outline's points by the unknowns, times their normals' lengths, px."""
 
 
-@dataclass(frozen=True, eq=False)
-class OutlineTask:
-    """Arguments of `outline_task`: a frame, the numbers of views and by what they are seen, and the pose there."""
-
-    stored: StoredFrame
-    views: tuple[int, ...]
-    seen: tuple[ViewAsSeen, ...]
-    at: Posed
-    constants: tuple[Constant, ...]
-
-
-def outline_task(body: Body, config: EstimateConfig, task: OutlineTask) -> Quadratic:
+def outline_task(
+    body: Body,
+    config: EstimateConfig,
+    task: tuple[StoredFrame, tuple[int, ...], tuple[ViewAsSeen, ...], Posed, tuple[Constant, ...]],
+) -> Quadratic:
     """Compute the outline's terms (1, D + E + S) about a pose, E constants and the S errors that last.
 
     Other errors that parts of one mask share are eliminated. The noise is that at the frame's own estimate; of several
-    views, it is measured at the pose where it is less there: in a wrong rig, no pose fits all views.
+    views, it is measured at the pose where it is less there: in a wrong rig, no pose fits all views. The task is a
+    frame, the numbers of views and by what they are seen, the pose and the constants.
     """
-    stored = [task.stored.views[number] for number in task.views]
-    views = [one.restored(body, by.camera, by.place) for one, by in zip(stored, task.seen, strict=True)]
+    frame, numbers, seen, at, constants = task
+    stored = [frame.views[number] for number in numbers]
+    views = [one.restored(body, by.camera, by.place) for one, by in zip(stored, seen, strict=True)]
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
-    sized = [SizedView(view, blur=outline.blur, margin=by.margin) for view, by in zip(views, task.seen, strict=True)]
-    own, here = task.stored.own, Posed.stacked([task.at])
+    sized = [SizedView(view, blur=outline.blur, margin=by.margin) for view, by in zip(views, seen, strict=True)]
+    own, here = frame.own, Posed.stacked([at])
     if len(views) == 1:
-        own = own.of_view(task.views[0])
+        own = own.of_view(numbers[0])
         own = own if own.residual is not None else with_noise(own, [stored[0].restored(body)], config)
         noises = own.noises
     else:
-        pairs = zip(own.noises, OwnEstimate.of(views, task.at).noises, strict=True)
+        pairs = zip(own.noises, OwnEstimate.of(views, at).noises, strict=True)
         noises = tuple(min(pair, key=lambda noise: noise.sigma) for pair in pairs)
     coverage = Coverage(sized, outline, correlations=[noise.length for noise in noises])
     (drawn,) = coverage.draw(here)
@@ -152,11 +147,11 @@ def outline_task(body: Body, config: EstimateConfig, task: OutlineTask) -> Quadr
     coverage = coverage.with_noise(noise if own.residual is None else min(noise, own.residual))
 
     def effects(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
-        size = task.seen[number].size
-        drawn_there = OutlineOfView(views[number].name, sized[number], points, by_pose, task.at, size)
-        return np.column_stack([constant.effect(drawn_there) for constant in task.constants])
+        size = seen[number].size
+        drawn_there = OutlineOfView(views[number].name, sized[number], points, by_pose, at, size)
+        return np.column_stack([constant.effect(drawn_there) for constant in constants])
 
-    return coverage.near_with_lasting(task.at, noises, effects, drawn, as_seen=config.session.shadows)
+    return coverage.near_with_lasting(at, noises, effects, drawn, as_seen=config.session.shadows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +183,7 @@ class SessionOutlines:
         """
         values = {**values} | {one.name: one.start for one in self.constants if one.is_linear}
         tasks = [
-            OutlineTask(stored, views, tuple(self._seen(stored, view, values) for view in views), at[k], self.constants)
+            (stored, views, tuple(self._seen(stored, view, values) for view in views), at[k], self.constants)
             for k, (stored, views) in enumerate(zip(self.stored, self.views, strict=True))
             if views
         ]
@@ -320,7 +315,8 @@ def linearise(
     padded[: len(prior), : len(prior)] += prior
     asked, found = [one for one in constants if one.name in names], list[Linearised]()
 
-    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits] | None:
+    def again(at: Problem, estimate: tuple[SessionModel, Solved]) -> Problem | None:
+        fits, (model, solution) = at[1], estimate
         covariance = solution.covariance_of(inverse_information(solution.information + weak(len(padded))))
         there = fits.at.moved(marginalise(model, fits, solution.calibration).own)
         plausible = all(one.is_plausible(solution.calibration.constants[one.name]) for one in asked)
@@ -331,10 +327,10 @@ def linearise(
         settled = all((most < _SETTLED * last.std(one)).all() for one, most in moved.items())
         if count >= passes or not plausible or settled:
             return None
-        return model, outlines.near(there, solution.calibration.constants)
+        return model, outlines.near(there, solution.calibration.constants), solution.calibration
 
-    fits = outlines.near(at, calibration.constants)
-    alternate(model, fits, calibration, padded, again, passes, solver)
+    start = model, outlines.near(at, calibration.constants), calibration
+    alternate(start, lambda at: solver(*at, padded), again, passes)
     return found[-1]
 
 

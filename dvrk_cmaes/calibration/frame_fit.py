@@ -14,6 +14,7 @@ from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.joints.prior import split_readings
+from dvrk_cmaes.pose.doubts import LEAST_OVERLAP
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.terms.coverage import Coverage, DrawnCoverage
@@ -24,9 +25,6 @@ from dvrk_cmaes.pose.terms.term import Quadratic, Term, sum_of_costs, sum_of_loc
 from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
-
-LEAST_OVERLAP: Final = 0.5
-"""Intersection over union below which a mask does not support a pose, and a fit is not used."""
 
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
@@ -70,24 +68,33 @@ class OwnEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class FrameFit:
-    """A frame's pose, fitted with the session's prior.
+class LocalFit:
+    """A pose that was fitted with what was expected of it.
 
-    ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of the outline alone at the fit, and ``slope`` (D,)
-    the gradient of half its sum of squares. ``score`` is the negative log-likelihood of the fit, ``evaluations`` the
-    number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's silhouette and the
-    mask; ``own_iou`` is that of the frame's own estimate, 0 if not given. ``lasting`` are the same terms of the outline
-    as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to frame, in their
-    usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated from the others.
-    ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
-    where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline tells of the
-    pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
+    ``information`` (D, D), D = 6 + J, is the Gauss-Newton matrix of what the image alone shows at the fit, and
+    ``slope`` (D,) the gradient of half its sum of squares. ``score`` is the negative log-likelihood of the fit.
     """
 
     at: Posed
     information: Float64
     slope: Float64
     score: float
+
+
+@dataclass(frozen=True, eq=False)
+class FrameFit(LocalFit):
+    """A frame's pose, fitted to its outlines with the session's prior.
+
+    ``evaluations`` is the number of silhouettes that were rendered. ``iou`` is the intersection over union of the fit's
+    silhouette and the mask; ``own_iou`` is that of the frame's own estimate, 0 if not given. ``lasting`` are the
+    outline's terms as functions of S further unknowns, (1, D + S): the errors of the masks that last from frame to
+    frame, in their usual standard deviations, of which the first view's is ``side_px``. These errors are eliminated
+    from the others.
+    ``side_offsets`` (2,), px, are by how much the first view's mask lies outwards of both sides of the shaft; None
+    where that is not measured. ``by_masks`` (D, 7) is the change of ``information`` times what the outline tells of the
+    pose, per px of the mean errors of all masks (`mean_errors`); None where that is not measured.
+    """
+
     evaluations: int = 0
     iou: float = 1.0
     own_iou: float = 0.0
@@ -113,10 +120,6 @@ class FrameFit:
     def explains_mask(self) -> bool:
         """Whether the fit overlaps the mask about as well as the frame's own estimate."""
         return self.iou > max(self.own_iou - _OVERLAP_LOSS, LEAST_OVERLAP)
-
-    def describe_overlap(self) -> str:
-        """Say how much less of the mask the fit overlaps than the frame's own estimate, which explains it."""
-        return f"what it expects does not explain the mask (IoU {self.iou:.2f}, by itself {self.own_iou:.2f})"
 
     def step_to(self, expected: Expected) -> float:
         """Return how far the fit would move with another prior, in standard deviations per parameter.

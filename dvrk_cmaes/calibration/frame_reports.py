@@ -16,9 +16,8 @@ from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
+from dvrk_cmaes.pose.doubts import doubts
 from dvrk_cmaes.results.result import Result
-
-_SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
 
 
 def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[FrameReport], dict[str, str]]:
@@ -54,7 +53,6 @@ def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[Fr
         covariance = covariances[i] + covariance_of_camera(camera, fit.at, state.stored[i].camera)
         if growth is not None:
             covariance += growth.of_frames[i] @ growth.squares @ growth.of_frames[i].T
-        doubts = [disagreements[i]] if disagreements[i] else []
         tasks.append(
             ReportTask(
                 state.stored[i],
@@ -64,7 +62,7 @@ def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[Fr
                 alone.predict(without)[0],
                 np.sqrt(np.diag(spread)[6:]),
                 np.asarray(fit.at.pose @ inverse(base_from_root[i])),
-                (*doubts, *_describe_slips(model, i, problem.config.session)),
+                (*([disagreements[i]] if disagreements[i] else ()), *_describe_slips(model, i, problem.config.session)),
                 agree=not disagreements[i],
                 config=stated,
                 first=first.get(i),
@@ -91,11 +89,7 @@ def _results(state: SessionState) -> list[Result]:
 
 def _describe_slips(model: SessionModel, i: int, config: SessionConfig) -> list[str]:
     """Describe the joints whose readings have a large error in one frame, one text for each joint."""
-    stds = [model.deviations.outer[3], *model.deviations.joints]
-    texts = []
-    for name, factor, std in zip(("roll", *model.names), model.inflation[i], stds, strict=True):
-        error = factor * config.tail  # in standard deviations
-        if error > _SLIP:
-            degrees = np.degrees(error * std)
-            texts.append(f"reading of {name}: {degrees:.0f} deg off in this frame, beyond the session's offset")
-    return texts
+    stds = np.array([model.deviations.outer[3], *model.deviations.joints])
+    sigmas = model.inflation[i] * config.tail
+    errors = list(zip(("roll", *model.names), np.degrees(sigmas * stds).tolist(), sigmas.tolist(), strict=True))
+    return doubts("slips", "solved", errors=errors)

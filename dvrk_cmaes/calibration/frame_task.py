@@ -20,8 +20,8 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Float64, Posed, change_between
 from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.pose.covariance import rough_covariance
-from dvrk_cmaes.pose.doubts import doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
+from dvrk_cmaes.pose.judge import doubts_in_views
 from dvrk_cmaes.pose.quality import measure_overlap, measure_views, pooled_quality
 from dvrk_cmaes.pose.search.modes import are_distinct
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -101,21 +101,6 @@ class SessionFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class FitTask:
-    """Arguments of `fit_task`: the frame's stored evidence; the others as in `fit_frame`.
-
-    ``change`` (3,) is that of all cameras for the fit, as of `changed`, where they are not those of the evidence and of
-    the own estimate. ``margins``, px, are those of the views' masks.
-    """
-
-    stored: StoredFrame
-    expected: Expected
-    starts: tuple[Posed, ...]
-    change: Float64 | None = None
-    margins: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class ReportTask:
     """Arguments of `report_task`.
 
@@ -125,7 +110,7 @@ class ReportTask:
     fit and the corrected readings, ``doubts`` the texts of reasons to doubt the frame. If ``agree`` is true, the
     frame's new result is the fit, otherwise its own result. ``config`` is stored with the result. ``first`` is the
     evidence of the frame's first masks, against which the prediction is measured, if these are others, and ``change``
-    that of its cameras, as in `FitTask`. ``brief`` is as in `SessionFrame`.
+    that of its cameras, as in `fit_task`. ``brief`` is as in `SessionFrame`.
     """
 
     stored: StoredFrame
@@ -192,17 +177,21 @@ def _with_views(changes: Mapping[str, ViewChange], data: FrameData) -> FrameData
     return replace(data, views=changed_views(data.views, changes))
 
 
-def fit_task(body: Body, config: EstimateConfig, task: FitTask) -> FrameFit:
-    """Fit a frame to its outline, with the session's prediction as a prior."""
-    fit, _ = fit_frame(
-        restored_views(body, task.stored, task.change),
-        config,
-        task.expected,
-        task.starts,
-        task.stored.own,
-        own_cameras=None if task.change is None else [view.evidence.camera for view in task.stored.views],
-        margins=task.margins,
-    )
+def fit_task(
+    body: Body,
+    config: EstimateConfig,
+    task: tuple[StoredFrame, Expected, tuple[Posed, ...], Float64 | None, tuple[float, ...]],
+) -> FrameFit:
+    """Fit a frame to its outline, with the session's prediction as a prior.
+
+    The task is the frame's stored evidence, what is expected of it and the starts, as in `fit_frame`, the change (3,)
+    of all cameras for the fit, as of `changed`, where they are not those of the evidence and of the own estimate, and
+    the margins of the views' masks, px.
+    """
+    stored, expected, starts, change, margins = task
+    own_cameras = None if change is None else [view.evidence.camera for view in stored.views]
+    views = restored_views(body, stored, change)
+    fit, _ = fit_frame(views, config, expected, starts, stored.own, own_cameras=own_cameras, margins=margins)
     return fit
 
 
@@ -260,7 +249,7 @@ def _result_of_fit(
     covariance = rough_covariance(task.covariance, main.noise_at(fit.at), quality)
     error = expected_error(body.instrument, fit.at, covariance)
     tips, tips_px = locate_tips(body.instrument, task.stored.camera, fit.at)
-    doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust)
+    doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust, "solved")
     doubts += task.doubts
     names = body.instrument.joint_names
     of_view = dict(zip([view.name for view in views], qualities, strict=True))

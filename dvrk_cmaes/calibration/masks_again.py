@@ -93,19 +93,6 @@ def compared(
     return MasksAgain(len(overlaps), changed_frames, float(np.mean(overlaps)), *base, *pairs, applied)
 
 
-@dataclass(frozen=True, eq=False)
-class AgainTask:
-    """Arguments of `again_task`: a frame's data, what finds its masks, and where the instrument is, with ``change``.
-
-    ``change`` (3,) is that of all cameras, as of `changed`, where they are not those of the data.
-    """
-
-    data: FrameData | Callable[[], FrameData]
-    find: FindMasks
-    at: Posed
-    change: Float64 | None
-
-
 @dataclass(frozen=True)
 class FoundAgain:
     """The masks of a frame by view that changed, and the least overlap of both masks over the views."""
@@ -114,36 +101,40 @@ class FoundAgain:
     iou: float
 
 
-@dataclass(frozen=True, eq=False)
-class PredictedTask:
-    """Arguments of `predicted_task`: the evidence of a frame, poses (C,) and the change of its cameras, if any."""
+def again_task(
+    body: Body,
+    config: EstimateConfig,
+    task: tuple[FrameData | Callable[[], FrameData], FindMasks, Posed, Float64 | None],
+) -> FoundAgain:
+    """Find the masks of one frame again, given its data, what finds its masks, and where the instrument is.
 
-    stored: StoredFrame
-    poses: Posed
-    change: Float64 | None
-
-
-def again_task(body: Body, config: EstimateConfig, task: AgainTask) -> FoundAgain:
-    """Find the masks of one frame again."""
-    data = read_data(task.data)
+    Last comes the change (3,) of all cameras, as of `changed`, where they are not those of the data.
+    """
+    given_data, find, at, change = task
+    data = read_data(given_data)
     given = [view for view in data.views if view.given]
     width, silhouettes = data.camera.width, {}
     for view in given:
-        camera = view.camera if task.change is None else changed(view.camera, task.change, width)
-        seen = task.at.seen_from(view.view_from_camera)
+        camera = view.camera if change is None else changed(view.camera, change, width)
+        seen = at.seen_from(view.view_from_camera)
         drawn = Renderer(body, camera, threads=1).masks(seen.pose[None], seen.joints[None])[0]
         silhouettes[view.name] = np.asarray(drawn)
     first = {view.name: view.mask for view in given}
-    found = task.find(silhouettes, first)
+    found = find(silhouettes, first)
     overlaps = {name: overlap_of(mask, first[name]) for name, mask in found.items()}
     masks = {name: PackedMask.of(mask) for name, mask in found.items() if overlaps[name] < _UNCHANGED}
     return FoundAgain(masks, min(overlaps.values(), default=1.0))
 
 
-def predicted_task(body: Body, config: EstimateConfig, task: PredictedTask) -> list[tuple[float, float]]:
-    """Measure the overlap of a frame's mask and the silhouette at each pose, and the median contour distance, px."""
-    views = restored_views(body, task.stored, task.change)
-    poses = [task.poses[k] for k in range(len(task.poses))]
+def predicted_task(
+    body: Body, config: EstimateConfig, task: tuple[StoredFrame, Sequence[Posed], Float64 | None]
+) -> list[tuple[float, float]]:
+    """Measure the overlap of a frame's mask and the silhouette at each pose, and the median contour distance, px.
+
+    The task is the evidence of the frame, the poses, and the change of its cameras, if any.
+    """
+    stored, poses, change = task
+    views = restored_views(body, stored, change)
     pooled = (pooled_quality([measure_overlap(view, at) for view in views]) for at in poses)
     return [(quality.iou, quality.contour_px_median) for quality in pooled]
 

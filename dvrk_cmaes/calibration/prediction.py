@@ -21,9 +21,9 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.joints.sparse import LEAST_ERROR
-from dvrk_cmaes.pose.doubts import OF_FRAMES, doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
+from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
 from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.tip_probability import tip_probability
@@ -288,7 +288,7 @@ def fit_session_pose(
     deviation = fit.at.minus(expected.mean)
     misfit = float(deviation @ expected.information @ deviation) / len(deviation)
     usual = session.iou, session.contour_px_95
-    if doubts := OF_FRAMES["alone"].doubts_in_session(quality, misfit, *usual, config.session):
+    if doubts := doubts_of_agreement("solved", misfit, config.session, quality, usual):
         return f"session: {'; '.join(doubts)}: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
     camera = views[0].evidence.camera
@@ -298,14 +298,14 @@ def fit_session_pose(
     fitted += covariance_of_masks(session.masks, by_masks, by_calibration)
     fitted += covariance_of_camera(session.camera, fit.at, camera)
     error = expected_error(instrument, fit.at, fitted)
-    doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust)
+    reasons, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust, "solved")
     return FoundPose(
         at=fit.at,
         covariance=fitted,
         expected_error=error,
         tip_probability=tip_probability(error.of_tips_mm, config.trust.tip_mm),
         quality=quality,
-        reasons=tuple(doubts),
+        reasons=tuple(reasons),
         evaluations=first.evaluations + fit.evaluations + sum(view.renderer.poses for view in views),
         rays=rays + sum(view.renderer.rays for view in views),
         camera_from_base=np.asarray(fit.at.pose @ inverse(predicted.base_from_root[0])),

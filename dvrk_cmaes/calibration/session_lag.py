@@ -18,7 +18,7 @@ from dvrk_cmaes.calibration.clock import FARTHEST, Clock
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.lag_search import LEAST_AT_LAG, MOVE, LagCurve, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solved, alternate
+from dvrk_cmaes.calibration.solve import FrameFits, Problem, Solved, alternate, solve
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.play import Play
@@ -79,7 +79,7 @@ def refine_lag(
     prior = np.diag(np.concatenate([np.zeros(len(frames.prior)), known**-2.0]))
     prior[: len(frames.prior), : len(frames.prior)] = frames.prior
 
-    def near(lag: Float64, calibration: Calibration) -> tuple[SessionModel, FrameFits] | None:
+    def near(lag: Float64, calibration: Calibration) -> Problem | None:
         has = np.logical_and.reduce([clock.has_readings(lag + by) for by in (*rows, *-rows)])
         if has.sum() < LEAST_AT_LAG:
             return None
@@ -91,10 +91,12 @@ def refine_lag(
 
         ends = [[compared(lag + by).predict(calibration) for by in (row, -row)] for row in _LEAST_STEP * rows]
         changes = [later.minus(earlier) for later, earlier in ends]
-        return compared(lag), fits.along("lag", lag[own], np.stack(changes, axis=2) / (2 * _LEAST_STEP * reach))
+        along = fits.along("lag", lag[own], np.stack(changes, axis=2) / (2 * _LEAST_STEP * reach))
+        return compared(lag), along, calibration
 
-    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits] | None:
+    def again(at: Problem, solution: Solved) -> Problem | None:
         nonlocal lag, moved, left
+        fits = at[1]
         found.append(solution)
         change = np.clip(solution.calibration.further - fits.further, -reach / 2, reach / 2)
         lag, moved = start.copy(), np.abs(change) / reach
@@ -105,7 +107,8 @@ def refine_lag(
     first = near(start, frames.calibration)
     if first is None:
         return None
-    alternate(*first, replace(frames.calibration, constants=first[1].constants), prior, again, _MOST_LINEARISATIONS)
+    begun: Problem = (*first[:2], replace(frames.calibration, constants=first[1].constants))
+    alternate(begun, lambda at: solve(*at, prior), again, _MOST_LINEARISATIONS)
     if (moved > _SETTLING).any():
         return None
     inverse, std = np.asarray(np.linalg.inv(found[-1].information)), np.zeros(3)

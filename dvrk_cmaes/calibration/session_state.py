@@ -17,7 +17,6 @@ from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.mask_growth import GrowthEstimate
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
-from dvrk_cmaes.calibration.session_doubts import DISAGREES
 from dvrk_cmaes.calibration.session_lag import LagEstimate
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
@@ -30,6 +29,7 @@ from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.pose.doubts import DISAGREES, doubts
 
 LEAST_FRAMES = 3
 """Smallest number of frames from which a session can be calibrated."""
@@ -252,13 +252,13 @@ class SessionState:
     @property
     def disagreements(self) -> list[str]:
         """Why each frame disagrees with the calibration; an empty text where it agrees."""
-        texts, most = [], self.problem.config.session.largest_misfit
-        for fit, misfit in zip(self.fits, self.solution.misfit / (6 + len(self.model.names)), strict=True):
-            text = "" if fit.explains_mask else fit.describe_overlap()
-            if not misfit < most:
-                text = f"{np.sqrt(misfit):.1f} times the expected error from what it expects"
-            texts.append(text and f"{DISAGREES}: {text}")
-        return texts
+        misfits = self.solution.misfit / (6 + len(self.model.names))
+        return [self.disagreement(fit, misfit) for fit, misfit in zip(self.fits, misfits.tolist(), strict=True)]
+
+    def disagreement(self, fit: FrameFit, misfit: float = 0.0) -> str:
+        """Say why a fit disagrees, whose squared distance from what is expected, per parameter, is ``misfit``."""
+        most = self.problem.config.session.largest_misfit
+        return "".join(doubts("keyframe", "solved", fit=fit, misfit=misfit, distance=misfit**0.5, most=most))
 
     def check_agreement(self, disagreements: Sequence[str]) -> None:
         """Refuse the session if fewer than `LEAST_FRAMES` agree.

@@ -26,16 +26,13 @@ from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, with_pieces, wi
 from dvrk_cmaes.calibration.lag_search import LagCurve
 from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.masks_again import (
-    AgainTask,
     FoundAgain,
-    PredictedTask,
     again_task,
     compared,
     predicted_task,
 )
 from dvrk_cmaes.calibration.session_state import FoundMasks, SessionState
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Posed
 
 MOST_LAGS: Final = 3
 """Largest number of lags at which a session is solved, beside none."""
@@ -175,9 +172,7 @@ def with_masks_again(session: SessionState) -> SessionState:
     agree, problem, change = session.agreeing, session.problem, session.imaging.change
     finders = {i: frame.find_masks for i, frame in enumerate(session.frames) if agree[i]}
     tasks = {
-        i: AgainTask(session.frames[i].data, find, session.fits[i].at, change)
-        for i, find in finders.items()
-        if find is not None
+        i: (session.frames[i].data, find, session.fits[i].at, change) for i, find in finders.items() if find is not None
     }
     if not tasks:
         return session
@@ -186,9 +181,9 @@ def with_masks_again(session: SessionState) -> SessionState:
     new = {i: of_frame.masks for i, of_frame in found.items() if of_frame.masks}
     other = with_other_masks(session, new) if new else session
     pairs = zip(session.left_out_predictions(), other.left_out_predictions(), strict=True)
-    poses = [Posed.stacked(pair) for pair in pairs]
+    poses = list(pairs)
     used = [i for i, agrees in enumerate(agree) if agrees]
-    predicted = problem.run(predicted_task, [PredictedTask(session.stored[i], poses[i], change) for i in used])
+    predicted = problem.run(predicted_task, [(session.stored[i], poses[i], change) for i in used])
     bases = (session.solution.calibration.camera_from_base, other.solution.calibration.camera_from_base)
     again = compared([of_frame.iou for of_frame in found.values()], len(new), bases, predicted)
     better = other if again.applied else session
@@ -207,8 +202,8 @@ def _at_lags(start: SessionState, lags: Sequence[float]) -> list[SessionState]:
 
 def _left_out_overlaps(session: SessionState) -> dict[str, float]:
     """Return the overlap of each frame's masks and the silhouette that all other frames predict, by its name."""
-    poses = [Posed.stacked([at]) for at in session.left_out_predictions()]
-    tasks = [PredictedTask(*pair, session.imaging.change) for pair in zip(session.stored, poses, strict=True)]
+    pairs = zip(session.stored, session.left_out_predictions(), strict=True)
+    tasks = [(stored, [at], session.imaging.change) for stored, at in pairs]
     measured = session.problem.run(predicted_task, tasks)
     return {frame.name: iou for frame, ((iou, _),) in zip(session.frames, measured, strict=True)}
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,8 +186,11 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
 Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solved]]
 """Estimates a calibration from a model, fits, a start and the prior's information, as `solve`; the model may change."""
 
-Change = Callable[[SessionModel, FrameFits, Solved], tuple[SessionModel, FrameFits] | None]
-"""Changes what a calibration is estimated from by a solution; None where nothing changes."""
+Problem = tuple[SessionModel, FrameFits, Calibration]
+"""What a calibration is estimated from: a model, fits and a start."""
+
+S = TypeVar("S")
+R = TypeVar("R")
 
 
 def solve(
@@ -240,40 +244,32 @@ def solve_unchanged(
     return model, solve(model, fits, start, prior, steps=steps)
 
 
-def alternate(
-    model: SessionModel,
-    fits: FrameFits,
-    start: Calibration,
-    prior: Float64,
-    change: Change,
-    most: int,
-    solver: Solver = solve_unchanged,
-) -> tuple[SessionModel, Solved]:
-    """Alternate between estimating the calibration and changing what it is estimated from by that.
+def alternate(start: S, estimate: Callable[[S], R], change: Callable[[S, R], S | None], most: int) -> tuple[S, R]:
+    """Alternate between an estimate and a change of what it is made from by that.
 
     Parameters
     ----------
-    model, fits, start, prior
-        As in `solve`.
+    start
+        What the first estimate is made from.
+    estimate
+        Makes an estimate.
     change
-        Returns model and fits of the next estimation; None where there is to be no other.
+        Returns what the next estimate is made from; None where there is to be no other.
     most
-        Largest number of estimations.
-    solver
-        What estimates the calibration.
+        Largest number of estimates, at least 1.
 
     Returns
     -------
-    (SessionModel, Solved)
-        The model after the last change, and the last solution.
+    (S, R)
+        What estimates are made from after the last change, and the last estimate.
     """
     for _ in range(most):
-        model, solution = solver(model, fits, start, prior)
-        changed = change(model, fits, solution)
+        found = estimate(start)
+        changed = change(start, found)
         if changed is None:
             break
-        (model, fits), start = changed, solution.calibration
-    return model, solution
+        start = changed
+    return start, found
 
 
 def solve_with_modes(
@@ -283,15 +279,16 @@ def solve_with_modes(
 
     Arguments are as in `choose_modes` and `solve`.
     """
-    chosen = choose_modes(model, modes, start)
 
-    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits] | None:
-        nonlocal chosen
-        before, chosen = chosen, choose_modes(model, modes, solution.calibration)
-        same = all(a is b for a, b in zip(chosen, before, strict=True))
-        return None if same else (model, FrameFits.of_modes(chosen))
+    def again(at: tuple[list[Mode], Calibration], solution: Solved) -> tuple[list[Mode], Calibration] | None:
+        chosen = choose_modes(model, modes, solution.calibration)
+        same = all(a is b for a, b in zip(chosen, at[0], strict=True))
+        return None if same else (chosen, solution.calibration)
 
-    return alternate(model, FrameFits.of_modes(chosen), start, prior, again, _MODE_ITERATIONS)[1]
+    first = choose_modes(model, modes, start), start
+    return alternate(first, lambda at: solve(model, FrameFits.of_modes(at[0]), at[1], prior), again, _MODE_ITERATIONS)[
+        1
+    ]
 
 
 def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> Solved:

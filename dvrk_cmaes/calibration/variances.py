@@ -12,12 +12,11 @@ from these: the standard deviation of that joint is inflated in that frame only.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
-from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solved, alternate, marginalise, solve_unchanged
+from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solved, alternate, marginalise, solve
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Float64
 
@@ -38,10 +37,13 @@ def solve_with_variances(
 ) -> tuple[SessionModel, Solved]:
     """Alternate between estimating the calibration and the variances; arguments as in `solve` and below."""
 
-    def again(model: SessionModel, fits: FrameFits, solution: Solved) -> tuple[SessionModel, FrameFits]:
-        return estimate_variances(model, fits, solution, config, initial), fits
+    def again(at: tuple[SessionModel, Calibration], solution: Solved) -> tuple[SessionModel, Calibration]:
+        return estimate_variances(at[0], fits, solution, config, initial), solution.calibration
 
-    return alternate(model, fits, start, prior, again, _ITERATIONS, partial(solve_unchanged, steps=steps))
+    (model, _), solution = alternate(
+        (model, start), lambda at: solve(at[0], fits, at[1], prior, steps=steps), again, _ITERATIONS
+    )
+    return model, solution
 
 
 def estimate_variances(

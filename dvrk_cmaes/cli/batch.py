@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.label import Label
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.batch import BatchSummary
+    from dvrk_cmaes.runs.batch import BatchProgress, BatchSummary, Workers
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.worklist import Shard
 
@@ -212,6 +212,7 @@ def batch(
     from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.arms import write_arms
+    from dvrk_cmaes.runs.batch import Workers
     from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
 
     part = None if shard is None else Shard.parse(shard)
@@ -232,10 +233,11 @@ def batch(
                 calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
             )
         own = {"pattern": frames, "shard": part, "retry_failed": retry_failed}
-        options = {"segment": segment.resolve(), "resume": resume, "workers": workers, "time_limit": time_limit}
+        options = {"segment": segment.resolve(), "resume": resume}
+        at_work = Workers(workers, time_limit=time_limit)
         for name, arm in arms.items():
             finished[name] = done = _run(
-                arm, results / name, settings, calibrations[name], scheduler, given, own, options
+                arm, results / name, settings, calibrations[name], scheduler, at_work, given, own, options
             )
             if done.interrupted:
                 break
@@ -247,7 +249,7 @@ def batch(
                 for text in exchanged:
                     warn(text)
             if not exchanged:
-                finished = solve_crossing_tools(finished, scheduler, workers, time_limit)
+                finished = solve_crossing_tools(finished, scheduler, at_work)
         _report_all(finished, json, part)
         stopped = next((summary for summary in finished.values() if summary.interrupted), None)
         if stopped is not None:
@@ -305,6 +307,7 @@ def _run(
     settings: EstimateConfig,
     calibration: SessionCalibration | None,
     scheduler: str | None,
+    workers: Workers,
     lag: Lag | str | None,
     own: Mapping[str, Any],
     options: Mapping[str, Any],
@@ -321,10 +324,11 @@ def _run(
     session, model, used = arm.session, arm.body.instrument, {"config": settings, "arm": arm.kinematics, **options}
     with ExitStack() as stack:
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
-        used |= {"executor": executor, "stop": stack.enter_context(stopping_on_interrupt()), "calibration": calibration}
+        workers = replace(workers, executor=executor, stop=stack.enter_context(stopping_on_interrupt()))
 
-        def run(session: Session, out: Path, **more: Any) -> BatchSummary:
-            return run_batch(session, out, model, threads=settings.threads, **used, **more)
+        def run(session: Session, out: Path, *, progress: BatchProgress, **more: Any) -> BatchSummary:
+            of_run = replace(workers, progress=progress)
+            return run_batch(session, out, model, calibration=calibration, workers=of_run, **used, **more)
 
         if calibration is not None and lag in (None, AUTO):
             lag = calibration.applied_lag

@@ -40,7 +40,7 @@ class _Reporter(BatchProgress):
 
     def on_frame(self, outcome: FrameOutcome) -> None:
         self._done += 1
-        self._counts[outcome.status] += 1
+        self._counts[outcome.result.status] += 1
         now = time.monotonic()
         rate = self._done / max(now - self._started, 1e-9)
         counts = f"{self._counts['doubtful']} doubtful, {self._counts['failed']} failed"

@@ -311,20 +311,13 @@ def _solving_arm(
             segment = segment_settings(session, results) if settings.session.masks_again else None
         else:
             from dvrk_cmaes.cli.batch_progress import progress
-            from dvrk_cmaes.runs.batch import run_batch
+            from dvrk_cmaes.runs.batch import Workers, run_batch
 
             results = target / ALONE
             with stopping_on_interrupt() as stop, progress() as reporter:
-                done = run_batch(
-                    session,
-                    results,
-                    model,
-                    config=settings,
-                    arm=arm.kinematics,
-                    processes=processes,
-                    stop=stop,
-                    progress=reporter,
-                )
+                workers = Workers(executor=processes, stop=stop, progress=reporter)
+                config = replace(settings, threads=1)
+                done = run_batch(session, results, model, config=config, arm=arm.kinematics, workers=workers)
             if done.interrupted:
                 return None
             alone = done.results

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.instrument.arm import Arm
-    from dvrk_cmaes.runs.batch import BatchSummary
+    from dvrk_cmaes.runs.batch import BatchSummary, Workers
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.silhouette import Body
 
@@ -199,11 +199,10 @@ def read_calibration_of(
 
 
 def solve_crossing_tools(
-    finished: Mapping[str, BatchSummary], scheduler: str | None, workers: int | None, time_limit: float
+    finished: Mapping[str, BatchSummary], scheduler: str | None, workers: Workers
 ) -> dict[str, BatchSummary]:
     """Solve the frames of all arms again in which a tool is in front of another one, with progress on stderr."""
     from dvrk_cmaes.cli.batch_progress import progress
-    from dvrk_cmaes.runs.batch import Workers
     from dvrk_cmaes.runs.cluster import dask_executor
     from dvrk_cmaes.runs.crossing_tools import solve_crossing
 
@@ -212,7 +211,7 @@ def solve_crossing_tools(
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, folder))
         stop = stack.enter_context(stopping_on_interrupt())
         reporter = stack.enter_context(progress())
-        return solve_crossing(finished, Workers(workers, executor, time_limit, stop, reporter))
+        return solve_crossing(finished, replace(workers, executor=executor, stop=stop, progress=reporter))
 
 
 def write_bases(

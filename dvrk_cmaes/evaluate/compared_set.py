@@ -63,7 +63,7 @@ def read_compared_set(path: Path) -> ComparedSet:
     """
     if path.suffix.lower() == ".csv":
         poses = read_published_poses(path).items()
-        return ComparedSet(path, "published poses", {n: ComparedFrame(p.camera_from_root, p.joints) for n, p in poses})
+        return ComparedSet(path, "published poses", {name: ComparedFrame(*pose) for name, pose in poses})
     if path.suffix.lower() == ".json":
         return _truth(path)
     if not path.is_dir():

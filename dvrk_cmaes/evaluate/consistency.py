@@ -88,19 +88,13 @@ class PointSpread:
 
 @dataclass(frozen=True, eq=False)
 class BaseSpread:
-    """Estimates ``camera_from_base`` (N, 4, 4) of one pose of the arm's base, and the scatter of their rotations.
+    """The scatter of the rotations of one pose of the arm's base in several frames.
 
-    ``angles`` (N,), rad, are those between each frame's rotation and that of the most central frame, which is the frame
+    ``angles_deg`` (N,) are those between each frame's rotation and that of the most central frame, which is the frame
     with the smallest sum of angles to all others.
     """
 
-    camera_from_base: Float64
-    angles: Float64
-
-    @property
-    def angles_deg(self) -> Float64:
-        """Angles in degrees, (N,)."""
-        return np.degrees(self.angles)
+    angles_deg: Float64
 
     @property
     def median_deg(self) -> float:
@@ -168,4 +162,4 @@ def base_spread(
 def spread_of_bases(camera_from_base: Float64) -> BaseSpread:
     """Compare the frames' poses of the arm's base (N, 4, 4) with that of the most central frame."""
     apart = rotation_angle(camera_from_base[:, None], camera_from_base[None, :])
-    return BaseSpread(camera_from_base, apart[int(apart.sum(axis=1).argmin())])
+    return BaseSpread(np.degrees(apart[int(apart.sum(axis=1).argmin())]))

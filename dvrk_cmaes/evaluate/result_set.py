@@ -85,7 +85,7 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
         beside = path.with_name("joints.csv")
         if given is None and beside.exists():
             given = read_joint_table(beside)
-        poses = np.stack([entry.camera_from_root for entry in table.values()])
+        poses = np.stack([camera_from_root for camera_from_root, _ in table.values()])
         return ResultSet(str(path), tuple(table), poses, readings=given or {})
     results = read_results(path).frames
     posed = {name: result.camera_from_root for name, result in results.items() if result.camera_from_root is not None}

@@ -7,7 +7,6 @@ half of their difference is added to the wrist's yaw.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -23,16 +22,10 @@ _JOINTS: Final = ("wrist_pitch", "wrist_yaw", "jaw_2", "jaw_1")
 _COLUMNS: Final = ("frame", *_ROTATION, *_TRANSLATION, *_JOINTS)
 
 
-@dataclass(frozen=True, eq=False)
-class PublishedPose:
-    """A frame's ``camera_from_root`` (4, 4), m, and ``joints`` wrist_pitch, wrist_yaw, jaw by name, rad."""
+def read_published_poses(path: str | Path) -> dict[str, tuple[Float64, dict[str, float]]]:
+    """Read a published.csv, by frame, in the order of its rows.
 
-    camera_from_root: Float64
-    joints: dict[str, float]
-
-
-def read_published_poses(path: str | Path) -> dict[str, PublishedPose]:
-    """Read a published.csv: poses by frame, in the order of its rows.
+    Each frame has its ``camera_from_root`` (4, 4), m, and its joints wrist_pitch, wrist_yaw, jaw by name, rad.
 
     Raises
     ------
@@ -43,7 +36,7 @@ def read_published_poses(path: str | Path) -> dict[str, PublishedPose]:
     missing = [name for name in _COLUMNS if name not in header]
     if missing:
         raise InputError(f"{path}: header: expected {','.join(_COLUMNS)}, got no {listed(missing)}")
-    poses: dict[str, PublishedPose] = {}
+    poses: dict[str, tuple[Float64, dict[str, float]]] = {}
     for where, cells in rows:
         frame = cells["frame"]
         if not frame or frame in poses:
@@ -54,7 +47,7 @@ def read_published_poses(path: str | Path) -> dict[str, PublishedPose]:
     return poses
 
 
-def _pose(row: dict[str, float]) -> PublishedPose:
+def _pose(row: dict[str, float]) -> tuple[Float64, dict[str, float]]:
     rotation = exp_rotation([row[name] for name in _ROTATION])
     first, second = row["jaw_2"], row["jaw_1"]
     joints = {
@@ -62,4 +55,4 @@ def _pose(row: dict[str, float]) -> PublishedPose:
         "wrist_yaw": row["wrist_yaw"] + (second - first) / 2,
         "jaw": first + second,
     }
-    return PublishedPose(transform(rotation, [row[name] for name in _TRANSLATION]), joints)
+    return transform(rotation, [row[name] for name in _TRANSLATION]), joints

@@ -1,4 +1,4 @@
-"""Readings that are too sparse for the motion: how far they may be off between two of them, and the reason in words."""
+"""How far readings that are sparse may be off between two of them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from dvrk_cmaes.geometry import Float64
 
 _LEAST_SPACING: Final = 0.03  # s, from which on readings may be too sparse; errors of single ones would count otherwise
 _LEVER: Final = 0.01  # m, of the jaws about the shaft's axis
+MOST_OFF: Final = 4e-3  # m, by which readings may be off without doubt: what they are off widens the predictions
 _INSERTION, _ROLL = 2, 3  # places among the outer joints
-_MOST_OFF: Final = 4e-3  # m, by which readings may be off without doubt: what they are off widens the predictions
 _LARGEST_ERROR: Final = 1.0  # rad or m: readings of almost the same time tell any number, whose square spoils digits
 LEAST_ERROR: Final = 2e-4
 """Error of an interpolated reading, rad or m, from which on it counts beside the errors of readings themselves."""
@@ -20,10 +20,11 @@ LEAST_ERROR: Final = 2e-4
 
 @dataclass(frozen=True, eq=False)
 class Sparseness:
-    """How far the outer joints (4,), rad and m, may be off at a time, and why that is too much; "" if it is not."""
+    """How far the outer joints (4,), rad and m, and the jaws, m, may be off at a time; the spacing, in words."""
 
     error: Float64
-    reason: str = ""
+    off: float = 0.0
+    between: str = ""
 
     @staticmethod
     def none() -> Sparseness:
@@ -60,8 +61,6 @@ class Sparseness:
         error = np.minimum(bent * (max(inside, 0.0) / 2 + beyond * (beyond + 3 * spacing) / 2), _LARGEST_ERROR)
         depth = abs(float(values[after, _INSERTION]))
         off = float(np.hypot(*error[:2])) * depth + float(error[_INSERTION]) + _LEVER * float(error[_ROLL])
-        if off <= _MOST_OFF:
-            return cls(error)
         change = np.abs(steps).max(axis=0)
         turn = float(np.delete(change, _INSERTION).max())
         moves = (
@@ -69,4 +68,4 @@ class Sparseness:
             if error[_INSERTION] > off / 2
             else f"the arm turns {np.degrees(turn):.0f} deg"
         )
-        return cls(error, f"readings too sparse: every {1e3 * spacing:.0f} ms, {moves} between them")
+        return cls(error, off, f"every {1e3 * spacing:.0f} ms, {moves} between them")

@@ -21,6 +21,7 @@ from dvrk_cmaes.live.inputs import Decoded, LiveFrame
 from dvrk_cmaes.live.messages import JointMessage
 from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.stamps import LONGEST_GAP
+from dvrk_cmaes.pose.doubts import doubts
 from dvrk_cmaes.results.tracked import TrackResult
 
 Pixels = NDArray[np.uint8]
@@ -171,7 +172,7 @@ class LiveArm:
         image = next(iter(arrays.images.values()), None)
         overlay = None if self._draw is None or image is None else self._draw(image, result)
         old = age()
-        reasons = (f"the image is {old:.1f} s old",) if old > OLD else ()
+        reasons = doubts("age", "live", age=old, oldest=OLD)
         self.published += self._outputs.publish(
             frame.time,
             result,

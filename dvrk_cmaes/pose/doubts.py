@@ -1,45 +1,32 @@
-"""Reasons for which the pose of a frame is doubtful: its mode is in doubt, an input is wrong, or it is not accurate.
+"""The table of doubts: for which reasons a result of any command is not ok. `doubts` alone reads it.
 
-All commands ask the same of a frame, with the limits of its row of `OF_FRAMES`: of one that is estimated by itself or
-fitted with a session's calibration, of a keyframe, and of an image that is followed. What is asked of sessions is in
-`calibration.session_doubts`. A rough mask alone is no reason: it makes the expected error larger, which counts once it
-is beyond the limit.
+A row is a rule: what is asked of which evidence, the limit, the text of the reason, and the results that it holds for.
+The evidence is what its rules name of it: of a pose, `pose.judge` makes it, of a session `calibration.session_doubts`.
+A rough mask alone is no reason: it makes the expected error larger, which counts once it is beyond the limit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from operator import attrgetter
+from types import SimpleNamespace
+from typing import Any, Final, Literal
 
-import numpy as np
+from dvrk_cmaes.camera.critical import WRONG, known_mistakes
+from dvrk_cmaes.joints.sparse import MOST_OFF
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.camera.rig import mirrored_place
-from dvrk_cmaes.config import SessionConfig, TrustConfig
-from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.evidence.straight_cut import shaft_width
-from dvrk_cmaes.geometry import Bool, Float64, Posed, apply
-from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.mode_probability import mode_weights
-from dvrk_cmaes.pose.refine.gauss_newton import Fit
-from dvrk_cmaes.pose.search.modes import PoseCandidate, is_twin
-from dvrk_cmaes.pose.tip_probability import tip_probability
-from dvrk_cmaes.pose.views import FrameView, overlap
-from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
+Kind = Literal["alone", "solved", "followed", "edges", "confirmed", "live", "session"]
+"""The results: of a frame by itself, and of one with its session; of an image that is followed by masks or by edges of
+colours, or that a calibration whose lag is not told confirms; what is published; and a calibration."""
 
-_LEAST_OVERLAP, _MIRRORED_OVERLAP = 0.3, 0.6  # IoU of a view, and of the view on the other side
+DISAGREES: Final = "disagrees with the session"
+"""What the reason begins with for which a frame is left out that does not agree with the others."""
 TIPS_NOT_ACCURATE: Final = "tips not accurate"
 """What the reason begins with for which the expected error of the tips is too large."""
-_WRIST: Final = ("wrist_pitch", "wrist_yaw")
-_EXCHANGED_RAD, _EXCHANGED_FACTOR = np.deg2rad(15.0), 3.0
-"""How far the wrist is from its readings, rad and in distances from the exchanged ones, where they may be exchanged.
+BASE_APART: Final = "base far from the others'"
+"""What the reason begins with for which a frame of a folder differs from the others."""
 
-Both are root mean squares over the frames of one recording.
-
-In 13 made recordings with rough masks, that is so of 3 of 780 frames with right columns, of 45 % with exchanged ones.
-"""
 _FAR_JOINTS = 2.1
 """Largest mean square of the joints' deviations in standard deviations, in images whose masks are found in them.
 
@@ -47,19 +34,42 @@ Of three joints, 90 % of normal errors are within it. In 19 recordings that were
 of the ok frames; of the 11 images of another one in which a flap of tissue hides the tips, nine are beyond it, all
 that are more than 3 mm off.
 """
-_CLEAR = 4.0  # standard deviations of a rotation
 _CERTAIN_MODE = 0.97  # probability of a mode that is not what makes the tips doubtful
-_MINOR = 0.15  # probability that may be missing from the modes found, before they are not named
+_MIRRORED_OVERLAP = 0.6  # IoU of a view that is taken for the one on the other side
+LEAST_OVERLAP: Final = 0.5
+"""Intersection over union below which a mask does not support a pose, and a fit is not used."""
+UNSUPPORTED: Final = 0.3
+"""Share of the silhouette without the instrument's colours, from which on a pose is doubtful."""
+_CONVINCING, _MOST_BESIDE = 0.65, 0.2  # shares of the outline with an edge of the image, and with its colours beside it
+SUPPORTED: Final = 0.35, 0.5
+"""The least and the largest of these two shares with which an image supports a pose at all."""
+MOST_ASTRAY: Final = 10
+"""Images in a row that disagree with the calibration, after which it does not hold any more."""
+CONFIRMING: Final = 5
+"""Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
+RELIED_ON: Final = 8
+"""Keyframes of a solution, from which on its stated errors held; chosen on twelve recordings."""
+_SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
+_LARGEST_LOSS = 0.15  # of the overlap, from the frames' own fits to their predictions by the others
+_TRUSTED_SHARE = 0.5  # of the frames that were solved together; if fewer agree, these few may be the wrong ones
+_LARGEST_MARGIN_PX = 2.0  # of all masks of a session
+_TELL_THE_CAMERA = 40
+"""Number of frames of a right session by which an estimate of the camera does not run away.
+
+It did so in 2 of 159 sessions of more than 30 frames, both wrong, and in 4 of 100 of 10 to 30, some of them right.
+"""
+_LARGEST_INSERTION = 10e-3  # m, beyond which tools of one kind do not differ
+_BEYOND_CABLES_DEG = {"roll": 15.0, "wrist": 20.0, "jaw": 30.0}  # by the beginning of the joint's name
 
 
 @dataclass(frozen=True)
 class FrameLimits:
-    """How far a frame may be from its mask and from what its session expects: a row of the table of frames.
+    """How far a frame may be from its mask and from what its session expects.
 
-    what : what the frame belongs to, in words. factor : on the limits of contour, bend and missing overlap. outside :
-    the jaw tips outside the image that make it doubtful, one of them or all, in words. overlap_loss : below the
-    session's median intersection over union. largest_px, contour_factor : 95 % of the contour are within the larger one
-    of the first, px, and of the second times the session's median.
+    what : what the frame belongs to, and what of it tells its pose, in words. factor : on the limits of contour, bend
+    and missing overlap. outside : the jaw tips outside the image that make it doubtful, one of them or all, in words.
+    overlap_loss : below the session's median intersection over union. largest_px, contour_factor : 95 % of the contour
+    are within the larger one of the first, px, and of the second times the session's median.
     """
 
     what: str
@@ -69,287 +79,268 @@ class FrameLimits:
     largest_px: float
     contour_factor: float
 
-    def doubts_in_view(
-        self, at: Posed, view: FrameView, quality: Quality, expected: ExpectedError, trust: TrustConfig
-    ) -> list[str]:
-        """List the reasons, in words, for which a pose does not explain a view's mask or is not accurate."""
-        instrument, evidence, seen = view.renderer.body.instrument, view.evidence, at.seen_from(view.view_from_camera)
-        reasons, factor = [], self.factor
-        least_iou = 1 - factor * (1 - trust.least_iou)
-        if quality.iou < least_iou:
-            reasons.append(f"overlap too low: IoU {quality.iou:.3f}, expected at least {least_iou:.2f}")
-        if quality.distal_px > factor * trust.largest_distal_px:
-            reasons.append(
-                f"wrist or jaws off: beyond the shaft, the mask's contour is {quality.distal_px:.1f} px (rms) from the "
-                "silhouette; another instrument, another tool or tissue may be there"
-            )
-        width = shaft_width(instrument, evidence.camera, seen.pose)
-        largest_bend = max(trust.largest_bend_px, trust.largest_bend_share * (width or 0.0))
-        if width is not None and quality.bend_px > factor * largest_bend:
-            bent = f"along a straight line that ends it, the silhouette bends by {quality.bend_px:.1f} px"
-            reasons.append(f"mask cut straight: {bent}")
-        return reasons + self.doubts_of_tips(seen, instrument, evidence.camera, expected, trust)
 
-    def doubts_of_tips(
-        self, seen: Posed, instrument: Instrument, camera: Camera, expected: ExpectedError, trust: TrustConfig
-    ) -> list[str]:
-        """List the reasons, in words, for which tips are not in a view, in whose camera the pose is, or inaccurate."""
-        tips = apply(seen.pose, instrument.tips(seen.joints))
-        outside = outside_image(tips, camera) if instrument.jaw_tips else np.zeros(1, dtype=np.bool_)
-        is_out = outside.any() if self.outside == "a jaw tip lies" else outside.all()
-        reasons = [f"tip out of view: {self.outside} outside the image"] if is_out else []
-        return reasons + doubts_of_tips(expected, trust)
-
-    def doubts_in_session(
-        self, quality: Quality, misfit: float, iou: float, contour_px_95: float, config: SessionConfig
-    ) -> list[str]:
-        """List the reasons, in words, for which a frame is not what its session expects.
-
-        ``quality`` is that of the frame's pose, ``misfit`` as in `disagreement`; ``iou`` and ``contour_px_95`` are the
-        medians of the session.
-        """
-        least, largest_px = iou - self.overlap_loss, max(self.largest_px, self.contour_factor * contour_px_95)
-        reasons = self.disagreement(misfit, config)
-        if quality.iou < least or quality.contour_px_95 > largest_px:
-            measured = f"IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour"
-            expected = f"expected at least {least:.3f} and at most {largest_px:.1f} px"
-            reasons.insert(0, f"mask not explained: {measured}, {expected}")
-        return reasons
-
-    def disagreement(self, misfit: float, config: SessionConfig, source: str = "mask") -> list[str]:
-        """List the reason, in words, for which a pose is too far from what its session expects; empty if it is not.
-
-        ``misfit`` is the squared distance by the covariance, per parameter; ``source`` is what of the image tells the
-        pose: its mask, or the image itself.
-        """
-        if misfit <= config.largest_misfit:
-            return []
-        return [
-            f"disagrees with the {self.what}: the {source} is {misfit**0.5:.1f} times the expected error from what the "
-            "calibration and the readings expect"
-        ]
-
-
-OF_FRAMES: Final = {
-    "alone": FrameLimits("session", 1.0, "a jaw tip lies", 0.03, 3.5, 1.5),
-    "followed": FrameLimits("recording", 1.5, "the jaw tips lie", 0.15, 9.0, 3.0),
-}
-"""The table of frames: a frame by itself, and one whose pose its neighbours support, too.
+_ONE: Final = FrameLimits("session: the mask", 1.0, "a jaw tip lies", 0.03, 3.5, 1.5)
+FOLLOWED: Final = FrameLimits("recording: the mask", 1.5, "the jaw tips lie", 0.15, 9.0, 3.0)
+"""The limits of a frame by itself, and of one whose pose its neighbours support, too.
 
 In 17 followed recordings with known truth, frames that only the limits of contour and bend made doubtful were as
 accurate as others; so were those of four hard ones that only the overlap did.
 """
+_BY_EDGES: Final = replace(FOLLOWED, what="recording: the image")
+LIMITS: Final[dict[Kind, FrameLimits]] = {"alone": _ONE, "solved": _ONE, "followed": FOLLOWED, "edges": _BY_EDGES}
 
 
-def judge(
-    modes: Sequence[Fit],
-    views: Sequence[FrameView],
-    checks: Sequence[ViewCheck],
-    expected: ExpectedError,
-    of_mode: float,
-    readings: Readings,
-    trust: TrustConfig,
-) -> tuple[list[str], list[str], float]:
-    """List the reasons, in words, for which the first of all modes is doubtful, and remarks on single views.
+@dataclass(frozen=True)
+class Rule:
+    """A row of the table: when a result is not ok.
 
-    ``checks`` are those of the views, in their order, ``expected`` the expected error and ``of_mode`` the probability
-    of the first mode. Also returns the probability that the tips are within the limit.
+    Attributes
+    ----------
+    of
+        The evidence that is asked.
+    holds
+        The kinds of results that the rule holds for, divided by spaces.
+    limit
+        The limit, or the names of the attributes of the evidence that are it, as of settings, divided by spaces.
+    asked
+        Tells from evidence and limit whether there is a reason; a list has an item for each one.
+    begins
+        Words with which the reason may begin, divided by "|", where its text begins with a value.
     """
-    qualities = [check.quality for check in checks]
-    reasons, remarks = doubts_in_views(modes[0].at, views, qualities, expected, trust)
-    further = zip(checks[1:], views[1:], strict=True)
-    for check, view in further:
-        if _is_exchanged(modes[0].at, check, view):
-            other = f"views disagree: {check.name} fits {views[0].name} only from its other side: the images, masks or "
-            reasons.insert(0, f"{other}camera files of the two are exchanged")
-        elif (text := _disagreement(check, views[0].name, trust)) is not None:
-            reasons.append(text)
-    evidence = next((view.evidence for view in views if view.evidence.shaft_edges), views[0].evidence)
-    instrument = views[0].renderer.body.instrument
-    probability = tip_probability(expected.of_tips_mm, trust.tip_mm, of_mode=of_mode)
-    is_near = not doubts_of_tips(expected, trust)
-    if probability < trust.least_probability and (is_near or of_mode < _CERTAIN_MODE):
-        reasons.append(_in_doubt(modes, probability, of_mode, instrument, trust))
-    return reasons + doubts_of_modes(modes, evidence, readings, instrument, trust), remarks, probability
+
+    of: str
+    holds: str
+    limit: Any
+    asked: Callable[..., Any]
+    begins: str = ""
 
 
-def doubts_in_views(
-    at: Posed,
-    views: Sequence[FrameView],
-    qualities: Sequence[Quality],
-    expected: ExpectedError,
-    trust: TrustConfig,
-    limits: FrameLimits = OF_FRAMES["alone"],
-) -> tuple[list[str], list[str]]:
-    """List the reasons for which a pose is doubtful that hold in every view, and remarks for those that do not.
+_ANY: Final = True  # of what is there or not
+_TURNED: Final = "trust.largest_view_deg trust.largest_view_sigmas"
 
-    What one view shows well is not in doubt because another view is occluded, cut or has the tips outside: a reason
-    that does not hold in every view is a remark that names the view. ``qualities`` are those of the pose in each view,
-    in their order.
-    """
-    of_views = [
-        limits.doubts_in_view(at, view, quality, expected, trust)
-        for view, quality in zip(views, qualities, strict=True)
-    ]
-    kinds = [{_kind(reason) for reason in reasons} for reasons in of_views]
-    everywhere = set.intersection(*kinds)
-    reasons = [reason for reason in of_views[0] if _kind(reason) in everywhere]
-    remarks = [
-        f"view {view.name}: {reason}"
-        for view, own in zip(views, of_views, strict=True)
-        for reason in own
-        if _kind(reason) not in everywhere
-    ]
-    return reasons, remarks
+RULES: Final[dict[str, Rule]] = {
+    "overlap too low: IoU {e.quality.iou:.3f}, expected at least {limit[0]:.2f}": Rule(
+        "view", "alone solved followed", "least_iou", lambda e, least: e.quality.iou < least
+    ),
+    "wrist or jaws off: beyond the shaft, the mask's contour is {e.quality.distal_px:.1f} px (rms) from the "
+    "silhouette; another instrument, another tool or tissue may be there": Rule(
+        "view",
+        "alone solved followed",
+        "trust.largest_distal_px",
+        lambda e, most: e.quality.distal_px > e.limits.factor * most,
+    ),
+    "mask cut straight: along a straight line that ends it, the silhouette bends by {e.quality.bend_px:.1f} px": Rule(
+        "view", "alone solved followed", "largest_bend_px", lambda e, most: e.quality.bend_px > most
+    ),
+    "tip out of view: {limit[0]} outside the image": Rule(
+        "view", "alone solved followed edges", "limits.outside", lambda e, which: e.is_outside
+    ),
+    f"{TIPS_NOT_ACCURATE}: their expected error is {{e.error.of_tips_mm:.1f}} mm, the probability that they are within "
+    "{e.trust.tip_mm:g} mm {e.probability:.2f}": Rule(
+        "view",
+        "alone solved followed edges confirmed",
+        "trust.least_probability",
+        lambda e, least: e.probability < least,
+    ),
+    "views disagree: {it} fits {e.main} only from its other side: the images, masks or camera files of the two are "
+    "exchanged": Rule(
+        "eyes", "alone", _MIRRORED_OVERLAP, lambda e, most: [name for name, overlap in e.mirrored if overlap > most]
+    ),
+    "views disagree: {it[0]} fits {e.main} only if turned by {it[1]:.2f} deg; the rig may be calibrated wrongly, or "
+    "the images are not of one time or exchanged": Rule(
+        "frame",
+        "alone",
+        _TURNED,
+        lambda e, deg, sigmas: [(name, turn) for name, turn, std in e.turned if turn >= deg and std >= sigmas],
+    ),
+    "tips in doubt: they are within {e.trust.tip_mm:g} mm with a probability of {e.probability:.2f}": Rule(
+        "frame",
+        "alone",
+        "trust.least_probability",
+        lambda e, least: e.probability < least <= e.if_right and e.of_mode >= _CERTAIN_MODE,
+    ),
+    "mode in doubt: the pose is in the right mode with a probability of {e.of_mode:.2f}; {e.rival}": Rule(
+        "frame",
+        "alone",
+        "trust.least_probability",
+        lambda e, least: e.probability < least and e.of_mode < _CERTAIN_MODE,
+    ),
+    "readings against outline: a pose farther from the readings explains the mask clearly better": Rule(
+        "frame", "alone", "trust.largest_outline_gap", lambda e, most: e.outline_gap > most
+    ),
+    "no readings: nothing tells the pose from its mirror twin": Rule(
+        "frame", "alone followed", _ANY, lambda e, least: e.joints_read < least
+    ),
+    "far from the readings: {it[0]} is {it[1]:.1f} times the expected error away": Rule(
+        "frame",
+        "alone",
+        "trust.largest_reading_sigmas",
+        lambda e, most: [(name, off) for name, off in e.off if off > most],
+    ),
+    "far from the readings: all joints together are farther off than readings are": Rule(
+        "frame",
+        "alone",
+        "trust.largest_reading_sum trust.largest_reading_sigmas",
+        lambda e, most, of_one: e.together > most and not any(off > of_one for _, off in e.off),
+    ),
+    "shaft not found: no two edges in the mask could bound it": Rule(
+        "frame", "alone", _ANY, lambda e, least: e.has_shaft < least
+    ),
+    "mask is a guess: confidence {e.confidence:.2f}, expected at least {limit[0]}": Rule(
+        "picture", "alone", "guess", lambda e, least: e.confidence < least
+    ),
+    "mask or pose: {e.cause}": Rule("doubtful picture", "alone", _ANY, lambda e, least: e.cause),
+    f"{BASE_APART}: rotated by {{e.angle:.0f}} deg, expected at most {{limit[0]:.0f}} deg; another mode, or wrong "
+    "readings": Rule("folder", "alone", "most", lambda e, most: e.angle > most),
+    "views disagree in {e.count} frames together: {e.name} fits the first view only if turned by {e.angle:.2f} deg "
+    "({e.sigmas:.0f} standard deviations); the rig seems to be calibrated wrongly": Rule(
+        "rig", "alone", _TURNED, lambda e, deg, sigmas: e.angle >= deg and e.sigmas >= sigmas
+    ),
+    # what a session's calibration expects of a frame
+    "mask not explained: IoU {e.quality.iou:.3f}, {e.quality.contour_px_95:.1f} px at 95 % of the contour, expected "
+    "at least {limit[0]:.3f} and at most {limit[1]:.1f} px": Rule(
+        "agreement",
+        "solved followed",
+        "least_iou largest_px",
+        lambda e, least, most: e.quality.iou < least or e.quality.contour_px_95 > most,
+    ),
+    "disagrees with the {e.limits.what} is {e.distance:.1f} times the expected error from what the calibration and the "
+    "readings expect": Rule(
+        "agreement", "solved followed edges", "config.largest_misfit", lambda e, most: not e.misfit <= most
+    ),
+    f"{DISAGREES}: what it expects does not explain the mask (IoU {{e.fit.iou:.2f}}, by itself "
+    "{e.fit.own_iou:.2f})": Rule(
+        "keyframe", "solved", "most", lambda e, most: e.misfit < most and not e.fit.explains_mask
+    ),
+    f"{DISAGREES}: {{e.distance:.1f}} times the expected error from what it expects": Rule(
+        "keyframe", "solved", "most", lambda e, most: not e.misfit < most
+    ),
+    "reading of {it[0]}: {it[1]:.0f} deg off in this frame, beyond the session's offset": Rule(
+        "slips", "solved", _SLIP, lambda e, most: [(name, deg) for name, deg, sigmas in e.errors if sigmas > most]
+    ),
+    "session: {it}": Rule("calibration", "solved followed", _ANY, lambda e, least: list(e.doubts)),
+    # an image that is followed
+    "lost: the {e.source} shows nothing of the instrument": Rule(
+        "support", "followed", _ANY, lambda e, least: (e.iou is not None) < least
+    ),
+    "lost: the mask does not support the pose (IoU {e.iou:.2f})": Rule(
+        "support", "followed", LEAST_OVERLAP, lambda e, least: e.iou is not None and e.iou < least
+    ),
+    "lost: {it}": Rule("support", "edges", SUPPORTED, lambda e, limit: not e.holds and "; ".join(e.doubts)),
+    "outline without edge: {e.bare_percent:.0f} % of it has no edge of the image near it": Rule(
+        "edges", "edges", _CONVINCING, lambda e, least: e.supported < least
+    ),
+    "colours without outline: the instrument's go on beside {e.beside_percent:.0f} % of it": Rule(
+        "edges", "edges", _MOST_BESIDE, lambda e, most: e.beside > most
+    ),
+    "{e.percent:.0f} % of the silhouette are without the instrument's colours": Rule(
+        "colours", "followed", UNSUPPORTED, lambda e, most: e.share > most, "N % of the silhouette"
+    ),
+    "joints far from the recording: {e.name} is {e.deg:+.0f} deg from what readings and calibration expect; something "
+    "may hide the end of the instrument": Rule("joints", "followed", _FAR_JOINTS, lambda e, most: e.mean_square > most),
+    "no readings: none of the outer joints at the time of the image less the lag": Rule(
+        "readings", "followed", _ANY, lambda e, least: e.told < least
+    ),
+    "readings stand still: where the instrument is, only the {e.source} tells": Rule(
+        "readings", "followed", _ANY, lambda e, least: e.told >= least and e.still
+    ),
+    "readings too sparse: {e.between}": Rule("spacing", "followed", MOST_OFF, lambda e, most: e.off > most),
+    "readings frozen since frame {e.frozen}: the mask moves, and they do not": Rule(
+        "mask and readings", "followed", _ANY, lambda e, least: e.frozen
+    ),
+    "calibration contradicted: {e.astray} images in a row disagree with it; the base or the camera may have "
+    "moved": Rule("last image", "live", MOST_ASTRAY, lambda e, most: e.astray >= most),
+    "checking an earlier calibration: {e.agreeing} of {limit[0]} images agree": Rule(
+        "earlier calibration", "live", CONFIRMING, lambda e, least: e.agreeing is not None and e.agreeing < least
+    ),
+    "too few keyframes to rely on: base known to {e.tip_mm:.2g} mm, {e.keyframes} keyframes": Rule(
+        "own calibration", "live", RELIED_ON, lambda e, least: e.keyframes < least
+    ),
+    "base known to {e.tip_mm:.2g} mm, {e.keyframes} keyframes": Rule(
+        "base of tips", "live", "most", lambda e, most: e.std_mm is not None and e.std_mm > most
+    ),
+    "base not known yet: {e.kept} keyframes{e.known}": Rule("base", "live", _ANY, lambda e, least: e.bases < least),
+    "no readings of the outer joints so far": Rule("base", "live", _ANY, lambda e, least: e.bases >= least),
+    "not found: the first image could not be solved": Rule("search", "live", _ANY, lambda e, least: not e.search),
+    "{it.stage}: the image of {it.images[0].time:.3f} s": Rule(
+        "search", "live", _ANY, lambda e, least: e.search, "searching|segmenting"
+    ),
+    "searching: {e.waiting} images are followed to this one": Rule("following", "live", _ANY, lambda e, least: True),
+    "black image: nothing can be seen": Rule("image", "live", "black_level", lambda e, least: e.brightest < least),
+    "no mask: the pose is predicted": Rule("mask", "live", _ANY, lambda e, least: e.masks < least),
+    "empty mask: the instrument is not in view": Rule("mask", "live", _ANY, lambda e, least: e.shown < least),
+    "full mask: no edge can be seen": Rule("mask", "live", _ANY, lambda e, least: e.beside < least),
+    "frozen image: the {e.source} is that of the image before, but the arm moved": Rule(
+        "same image", "live", _ANY, lambda e, most: e.same >= most
+    ),
+    "the image is {e.age:.1f} s old": Rule("age", "live", "oldest", lambda e, most: e.age > most),
+    # a session as a whole
+    "this calibration predicts frames badly that it has not seen: IoU {e.predicted_iou:.2f} by the other frames, "
+    "{e.iou:.2f} by their own fits; its lag, camera file, instrument or readings may be wrong": Rule(
+        "predictions", "session", _LARGEST_LOSS, lambda e, most: e.predicted_iou < e.iou - most
+    ),
+    "only {e.agreeing} of {e.solved} frames agree on where the arm's base is: the others' masks or the readings are "
+    "wrong, or these few are": Rule(
+        "session", "session", _TRUSTED_SHARE, lambda e, least: e.agreeing < least * e.solved
+    ),
+    "these frames fit {it}": Rule("session", "session", _ANY, lambda e, least: e.fits),
+    "{it}: another instrument (--instrument), or another focal length than the camera file's": Rule(
+        "session", "session", _ANY, lambda e, least: e.sizes, "the shaft is|the length from the wrist|the jaws are"
+    ),
+    "masks are {e.margin:.1f} px (std {e.masks.std_margin_px:.1f}) too {e.side} all round: more than segmenters err; "
+    "another instrument, another focal length or masks that were widened have this effect": Rule(
+        "session", "session", _LARGEST_MARGIN_PX, lambda e, most: e.margin > most
+    ),
+    "{it}": Rule(
+        "session", "alone session", _ANY, lambda e, least: known_mistakes(e.remarks), WRONG.removesuffix(": ")
+    ),
+    "the camera file is contradicted: {it}": Rule("session", "session", _ANY, lambda e, least: e.contradictions),
+    "the camera file cannot be tested: many frames, which fit none that is plausible; their masks are wrong alike, the "
+    "readings are, or the base moved": Rule(
+        "session", "session", _TELL_THE_CAMERA, lambda e, least: e.implausible >= least
+    ),
+    "offset of insertion: {it}": Rule(
+        "session", "session", _LARGEST_INSERTION, lambda e, most: e.insertion > most and e.unusual
+    ),
+    "offset of {it[0][0]}: {it[0][1]:+z.1f} deg (std {it[0][2]:.1f}), where {it[1]:.1f} deg are the most that cables "
+    "do; likely causes: {it[0][3]}": Rule(
+        "session",
+        "session",
+        _BEYOND_CABLES_DEG,
+        lambda e, limits: [
+            ((name, deg, std, causes), most)
+            for name, deg, std, causes in e.offsets
+            for start, most in limits.items()
+            if name.startswith(start) and abs(deg) > most + std
+        ],
+    ),
+    "lag between images and readings: {e.without_lag}": Rule(
+        "session", "session", _ANY, lambda e, least: e.without_lag
+    ),
+}
+"""The reasons, of the evidence ``e``, the limit and an item ``it`` of what the question found, each with its rule."""
 
 
-def _kind(reason: str) -> str:
-    """Return the kind of a reason: its text before the first colon."""
-    return reason.split(":")[0]
-
-
-def doubts_of_tips(expected: ExpectedError, trust: TrustConfig) -> list[str]:
-    """List the reason, in words, for which the tips of a pose in the right mode are inaccurate; empty if none is."""
-    error, limit = expected.of_tips_mm, trust.tip_mm
-    probability = tip_probability(error, limit)
-    if probability >= trust.least_probability:
-        return []
-    return [
-        f"{TIPS_NOT_ACCURATE}: their expected error is {error:.1f} mm, the probability that they are within {limit:g} "
-        f"mm {probability:.2f}"
-    ]
-
-
-def far_joints(found: Posed, expected: Posed, spread: Float64, names: Sequence[str]) -> str:
-    """Say that the joints of an image are far from what its recording expects; empty if they are not.
-
-    Where something hides the end of an instrument, the edges that are left are explained by other joints.
+def doubts(of: str, kind: Kind, evidence: object = None, **known: object) -> list[str]:
+    """Return the reasons, in words, for which a result is not ok.
 
     Parameters
     ----------
-    found, expected
-        The pose and joints that were found, and what calibration and readings expect.
-    spread : (D, D)
-        Covariance of the expected ones.
-    names
-        Names of the J joints.
+    of
+        What is judged, as the rules name it.
+    kind
+        The kind of the result.
+    evidence, known
+        What the rules ask, as attributes or by name.
     """
-    off = found.joints - expected.joints
-    deviations = off / np.sqrt(np.diag(spread)[-len(off) :])
-    if float(np.mean(deviations**2)) <= _FAR_JOINTS:
-        return ""
-    worst = int(np.abs(deviations).argmax())
-    return (
-        f"joints far from the recording: {names[worst]} is {np.degrees(off[worst]):+.0f} deg from what readings and "
-        "calibration expect; something may hide the end of the instrument"
-    )
-
-
-def outside_image(points: Float64, camera: Camera) -> Bool:
-    """Return which points (K, 3) in a camera's frame are outside its image; all of them if one is behind the camera."""
-    if (points[:, 2] <= 0).any():
-        return np.ones(len(points), dtype=np.bool_)
-    pixels = camera.project(points)
-    return np.asarray(((pixels < -0.5) | (pixels > [camera.width - 0.5, camera.height - 0.5])).any(axis=1))
-
-
-def _is_exchanged(at: Posed, check: ViewCheck, view: FrameView) -> bool:
-    """Return whether a view seems to be on the other side of the first one.
-
-    It then shows nothing of the pose, but does so from there; or, where the pose is a compromise of both views, it
-    would have to be turned by more than the angle between the two as seen from the instrument, and a degree.
-    """
-    distances = np.linalg.norm(view.view_from_camera[:3, 3]), np.linalg.norm(at.pose[:3, 3])
-    between = float(np.degrees(np.arctan2(*distances)))
-    if float(np.linalg.norm(check.rotation_deg)) > max(between, 1.0) and check.significance > _CLEAR:
-        return True
-    if check.quality.iou > _LEAST_OVERLAP:
-        return False
-    mirrored = replace(view, view_from_camera=mirrored_place(view.view_from_camera))
-    return overlap([mirrored], [mirrored.silhouette(at)]) > _MIRRORED_OVERLAP
-
-
-def _disagreement(check: ViewCheck, main: str, trust: TrustConfig) -> str | None:
-    """Say by how much a view contradicts the main one; None if it does not, beyond its error."""
-    angle = float(np.linalg.norm(check.rotation_deg))
-    if angle < trust.largest_view_deg or check.significance < trust.largest_view_sigmas:
-        return None
-    return (
-        f"views disagree: {check.name} fits {main} only if turned by {angle:.2f} deg; the rig may be calibrated "
-        "wrongly, or the images are not of one time or exchanged"
-    )
-
-
-def doubts_of_modes(
-    modes: Sequence[Fit], evidence: Evidence, readings: Readings, instrument: Instrument, trust: TrustConfig
-) -> list[str]:
-    """List the reasons, in words, for which the first of all modes contradicts outline or readings."""
-    best, reasons = modes[0], []
-    better = min(modes, key=lambda mode: mode.outline_score)
-    if best.outline_score - better.outline_score > trust.largest_outline_gap:
-        reasons.append("readings against outline: a pose farther from the readings explains the mask clearly better")
-    return reasons + _doubts_of_readings(best, evidence, readings, instrument, trust)
-
-
-def _in_doubt(
-    modes: Sequence[Fit], probability: float, of_mode: float, instrument: Instrument, trust: TrustConfig
-) -> str:
-    """Say how probable the tips of the first mode are right, or the mode, and which other one is the most probable."""
-    if of_mode >= _CERTAIN_MODE:
-        return f"tips in doubt: they are within {trust.tip_mm:g} mm with a probability of {probability:.2f}"
-    text = f"mode in doubt: the pose is in the right mode with a probability of {of_mode:.2f}"
-    if len(modes) < 2 or mode_weights(modes)[1:].max() < 1 - of_mode - _MINOR:
-        return f"{text}; the mask says too little"
-    other = min(modes[1:], key=lambda mode: mode.score)
-    twin = instrument.has_twin and is_twin(instrument, modes[0].at, other.at)
-    return f"{text}; {'the mirror twin' if twin else 'another pose'} explains the frame nearly as well"
-
-
-def exchanged_readings(found: Float64, read: Float64, instrument: Instrument) -> list[str]:
-    """Say that the readings of both joints of the wrist may be exchanged; empty where they do not seem to be.
-
-    Parameters
-    ----------
-    found : (N, J)
-        The joints that were found in N frames whose readings are those of one recording, rad.
-    read : (N, J)
-        Their readings, rad; NaN where there is none.
-    instrument
-        The instrument.
-    """
-    if not set(_WRIST) <= set(instrument.joint_names):
-        return []
-    index = [instrument.joint_names.index(name) for name in _WRIST]
-    told = ~np.isnan(read[:, index]).any(axis=1)
-    wrist, as_read = found[told][:, index], read[told][:, index]
-    if not told.any():
-        return []
-    far, near = (np.linalg.norm(wrist - values, axis=1) for values in (as_read, as_read[:, ::-1]))
-    rms = float(np.sqrt(np.mean(far**2)))
-    if not (rms > _EXCHANGED_RAD and rms > _EXCHANGED_FACTOR * float(np.sqrt(np.mean(near**2)))):
-        return []
-    worst = int(far.argmax())
-    texts = [" and ".join(f"{value:.0f}" for value in np.degrees(values[worst])) for values in (wrist, as_read)]
-    return [
-        f"readings of {' and '.join(_WRIST)} may be exchanged: found {texts[0]} deg, read {texts[1]}: check the "
-        "order of the columns or joint names"
-    ]
-
-
-def _doubts_of_readings(
-    best: PoseCandidate, evidence: Evidence, readings: Readings, instrument: Instrument, trust: TrustConfig
-) -> list[str]:
-    """List the reasons, in words, for which a pose contradicts its readings or could not be told without them."""
-    reasons = []
-    if np.isnan(readings.values).all():
-        reasons.append("no readings: nothing tells the pose from its mirror twin")
-    off = np.abs(best.at.joints - readings.values) / readings.sigma
-    for name, sigmas in zip(instrument.joint_names, off, strict=True):
-        if sigmas > trust.largest_reading_sigmas:
-            reasons.append(f"far from the readings: {name} is {sigmas:.1f} times the expected error away")
-    together = float(np.nansum(off**2))
-    if together > trust.largest_reading_sum and not (off > trust.largest_reading_sigmas).any():
-        reasons.append("far from the readings: all joints together are farther off than readings are")
-    if instrument.shaft is not None and not evidence.shaft_edges:
-        reasons.append("shaft not found: no two edges in the mask could bound it")
+    asked = SimpleNamespace(**known) if evidence is None else evidence
+    reasons: list[str] = []
+    for text, rule in RULES.items():
+        if rule.of == of and kind in rule.holds.split():
+            names = rule.limit.split() if isinstance(rule.limit, str) else []
+            limits = [attrgetter(name)(asked) for name in names] or [rule.limit]
+            found = rule.asked(asked, *limits)
+            items = found if isinstance(found, list) else [found] if found else []
+            reasons += [text.format(e=asked, limit=limits, it=item) for item in items]
     return reasons

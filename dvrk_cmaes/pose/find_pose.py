@@ -12,8 +12,8 @@ from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings, reading_distance
 from dvrk_cmaes.pose.covariance import pose_covariance
-from dvrk_cmaes.pose.doubts import judge
 from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.judge import judge
 from dvrk_cmaes.pose.mode_probability import mode_probability
 from dvrk_cmaes.pose.quality import Overlap, measure_modes, pooled_quality
 from dvrk_cmaes.pose.refine.coarse_to_fine import LocalSearch

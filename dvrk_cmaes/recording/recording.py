@@ -103,8 +103,3 @@ class Recording:
     arms: Mapping[str, tuple[TimedReadings, ...]] = field(default_factory=dict)
     rectified: bool = False
     has_images: bool = True
-
-    @property
-    def by_arm(self) -> Mapping[str, tuple[TimedReadings, ...]]:
-        """The readings of each arm by its name, which is empty where there is one."""
-        return self.arms or {"": self.readings}

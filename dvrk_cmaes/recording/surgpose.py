@@ -29,7 +29,7 @@ from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.io.yaml_file import read_yaml_by_frame
 from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
 from dvrk_cmaes.joints.names import joint_reading, joints_by_count
@@ -37,6 +37,7 @@ from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording, frame_name
 from dvrk_cmaes.recording.stereo_ini import read_stereo_ini
 from dvrk_cmaes.recording.surgpose_labels import Labels, arm_boxes, arm_labels
+from dvrk_cmaes.recording.surgsync import chosen_arm
 from dvrk_cmaes.recording.video import check_rate, decoded_frame
 
 _VIDEOS: Final = "regular"
@@ -121,12 +122,7 @@ def _chosen_arm(path: Path, rows: Mapping[int, Any], arm: str | None) -> str:
         raise InputError(
             f"{path / _READINGS}: expected joints by the name of the arm in each frame, got {shown(first)}"
         )
-    arms = [str(name) for name in first]
-    if arm is None and len(arms) > 1:
-        raise InputError(f"{path}: --arm: expected the name of the arm to import, for this folder has {listed(arms)}")
-    if arm is not None and arm not in arms:
-        raise InputError(f"{path}: --arm: expected one of {listed(arms)}, got {shown(arm)}")
-    return arm or arms[0]
+    return chosen_arm(path, [str(name) for name in first], arm, "folder")
 
 
 def _readings(path: Path, rows: Mapping[int, Any], arm: str) -> tuple[TimedReadings, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -90,11 +91,7 @@ def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Ite
             notes.append(f"images: the fields of interlaced frames, {pictures.first_field} first")
         images = _images(path, capture, round(asked.start * NANOSECONDS))
         rate = float(capture.get(cv2.CAP_PROP_FPS)) or 30.0
-        decoded = _of_eye(images, window, pictures.first_field, round(NANOSECONDS / rate / 2))
-        recorded = (
-            RecordedImage(number, time, lambda pixels=pixels: encode_png(pixels()))  # type: ignore[misc]
-            for number, (time, pixels) in enumerate(decoded)
-        )
+        recorded = _of_eye(images, window, pictures.first_field, round(NANOSECONDS / rate / 2))
         if pictures.first_field is None and _is_interlaced(path):
             notes.append("images: they look interlaced: --interlaced top or bottom makes an image of each field")
         doubled = 1 if pictures.first_field is None else 2
@@ -140,14 +137,15 @@ def _of_eye(
     window: EyeWindow,
     first_field: Literal["top", "bottom"] | None,
     half: int,
-) -> Iterator[tuple[int, Callable[[], NDArray[np.uint8]]]]:
-    """Yield times and pictures of one eye; of interlaced frames, each field at its own time, ``half`` ns apart."""
+) -> Iterator[RecordedImage]:
+    """Yield the images of one eye; of interlaced frames, each field at its own time, ``half`` ns apart."""
+    numbers = count()
     for time, pixels in images:
         if first_field is None:
-            yield time, lambda pixels=pixels: window.of(pixels())  # type: ignore[misc]
+            yield RecordedImage(next(numbers), time, lambda pixels=pixels: encode_png(window.of(pixels())))  # type: ignore[misc]
             continue
         for k, field in enumerate(of_fields(pixels(), first_field)):
-            yield time + k * half, lambda field=field: window.of(field)  # type: ignore[misc]
+            yield RecordedImage(next(numbers), time + k * half, partial(encode_png, window.of(field)))
 
 
 def _is_interlaced(path: Path) -> bool:

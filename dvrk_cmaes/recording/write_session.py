@@ -146,7 +146,7 @@ def write_session(
             cells = zip(names, map(_seconds_text, times), strict=True)
             write_text(folder / "images.csv", csv_text(("frame", "time"), cells))
             cameras = _write_cameras(folder, recording)
-        for number, (name, readings) in enumerate(recording.by_arm.items()):
+        for number, (name, readings) in enumerate((recording.arms or {"": recording.readings}).items()):
             file, arm = f"joints_{name}.csv" if name else "joints.csv", name or _arm_of(readings)
             at = times if names or not readings else readings[0].times.tolist()
             if not at:

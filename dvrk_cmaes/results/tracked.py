@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from dvrk_cmaes.geometry import Bool, Float64, Image
@@ -158,3 +159,9 @@ class TrackView:
 def without_pose(time: float, reason: str, *, searched: bool = False) -> TrackResult:
     """Return the result of an image of a time, s, of whose pose nothing is known, for a reason."""
     return TrackResult(time, "lost", (reason,), None, {}, None, None, None, searched=searched)
+
+
+def doubted(result: TrackResult, reasons: Sequence[str]) -> TrackResult:
+    """Return a result with further reasons, if there are any, for which it is not ok."""
+    status: TrackStatus = "doubtful" if reasons and result.status == "ok" else result.status
+    return replace(result, status=status, reasons=(*result.reasons, *reasons)) if reasons else result

@@ -16,14 +16,12 @@ import numpy as np
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
+from dvrk_cmaes.pose.doubts import BASE_APART, doubts
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.output import update_result
 
 FEWEST = 5
 """Least number of frames whose bases are compared."""
-
-PREFIX = "base far from the others'"
-"""Beginning of the reason of a frame that differs."""
 
 _SPREADS = 3.0  # median distances from the most central base, beyond which a frame differs
 
@@ -33,18 +31,18 @@ def compare_bases(out: Path, results: Mapping[str, Result], limit_deg: float) ->
 
     Reasons of an earlier comparison are replaced, so that the files depend only on the frames that are there.
     """
-    doubts = base_doubts(results, limit_deg)
+    far = base_doubts(results, limit_deg)
     compared = {}
     for name, result in results.items():
-        compared[name] = now = by_itself(result, [doubts[name]] if name in doubts else ())
+        compared[name] = now = by_itself(result, [far[name]] if name in far else ())
         if now is not result:
             update_result(out, name, status=now.status, reasons=list(now.reasons))
     return compared
 
 
-def by_itself(result: Result, doubts: Sequence[str] = ()) -> Result:
+def by_itself(result: Result, further: Sequence[str] = ()) -> Result:
     """Return a result without the reasons that come from a comparison of all frames, and with others of these."""
-    reasons = (*(reason for reason in result.reasons if not reason.startswith(PREFIX)), *doubts)
+    reasons = (*(reason for reason in result.reasons if not reason.startswith(BASE_APART)), *further)
     if reasons == result.reasons:
         return result
     return replace(result, reasons=reasons, status="doubtful" if reasons else "ok")
@@ -66,17 +64,16 @@ def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, st
         return {}
     steered = Steered.of(ecm_readings([results[name].readings for name in bases]))
     places = np.zeros(len(bases), np.intp) if steered is None else steered.place
-    doubts: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for place in sorted(set(places[places >= 0].tolist())):
         there = [name for name, own in zip(bases, places, strict=True) if own == place]
         if len(there) < FEWEST:
             continue
         angles = spread_of_bases(np.stack([bases[name] for name in there])).angles_deg
         limit = max(limit_deg, _SPREADS * float(np.median(angles)))
-        doubts |= {
-            name: f"{PREFIX}: rotated by {angle:.0f} deg, expected at most {limit:.0f} deg; another mode, or wrong "
-            "readings"
+        reasons |= {
+            name: text
             for name, angle in zip(there, angles, strict=True)
-            if angle > limit
+            for text in doubts("folder", "alone", angle=angle, most=limit)
         }
-    return {name: doubts[name] for name in bases if name in doubts}
+    return {name: reasons[name] for name in bases if name in reasons}

@@ -83,7 +83,11 @@ class BatchProgress:
 
 @dataclass(frozen=True, eq=False)
 class Workers:
-    """What estimates frames: ``count`` processes, or the ``executor``; when it stops, and who is told of each frame."""
+    """What estimates frames: ``count`` processes, or the ``executor``, which may be open worker processes.
+
+    By default there are as many processes as the cores allow. A frame is given up after ``time_limit`` s in a process.
+    Once ``stop`` is set, running frames are finished and no more are started; ``progress`` is told of each frame.
+    """
 
     count: int | None = None
     executor: Executor | ExternalExecutor | Processes | None = None
@@ -122,17 +126,11 @@ def run_batch(
     arm: Arm = "classic",
     segment: SegmentSettings | None = None,
     calibration: SessionCalibration | None = None,
-    threads: int = 1,
     pattern: str | None = None,
     shard: Shard | None = None,
     resume: bool = True,
     retry_failed: bool = False,
-    workers: int | None = None,
-    executor: Executor | ExternalExecutor | None = None,
-    processes: Processes | None = None,
-    time_limit: float = TIME_LIMIT,
-    stop: threading.Event | None = None,
-    progress: BatchProgress | None = None,
+    workers: Workers | None = None,
 ) -> BatchSummary:
     """Estimate the frames of a session that have no result in a folder yet, and write results, tables and page.
 
@@ -146,13 +144,11 @@ def run_batch(
     out
         Folder of the results.
     config, arm
-        As in `estimate`; of the configuration, ``threads`` is replaced by the argument.
+        As in `estimate`; the threads are those of each worker.
     segment
         How masks are found in the images of frames that have no mask.
     calibration
         The session's calibration, from whose predictions frames are started.
-    threads
-        Number of threads of each worker.
     pattern
         Shell pattern (``*``, ``?``, ``[..]``) of the names of the frames to do.
     shard
@@ -162,17 +158,7 @@ def run_batch(
     retry_failed
         Do failed frames again.
     workers
-        Number of worker processes; by default as many as the cores allow.
-    executor
-        Executor to use instead of worker processes.
-    processes
-        Open worker processes to use instead of ``workers`` of its own.
-    time_limit
-        Seconds after which a frame in a worker process is given up.
-    stop
-        Once this event is set, running frames are finished and no more are started.
-    progress
-        Progress callback.
+        What estimates the frames; by default as many processes as the cores allow.
 
     Raises
     ------
@@ -182,8 +168,7 @@ def run_batch(
     DvrkCmaesError
         Another batch is writing to the folder, the disk is full, or workers cannot be started or were lost.
     """
-    stop, progress, out = stop or threading.Event(), progress or BatchProgress(), Path(out)
-    settings = replace(EstimateConfig() if config is None else config, threads=threads)
+    workers, settings, out = workers or Workers(), config or EstimateConfig(), Path(out)
     check_config(settings)
     folder = out if shard is None else shard.folder(out)
     names = instrument.joint_names
@@ -212,16 +197,16 @@ def run_batch(
             session=[files.name for files in session.frames],
             retry_failed=retry_failed,
         )
-        progress.on_start(len(todo), kept)
+        workers.progress.on_start(len(todo), kept)
         ran = 0
-        for outcome in outcomes(setup, todo, Workers(workers, executor or processes, time_limit, stop)):
+        for outcome in outcomes(setup, todo, workers):
             write_outcome(folder, outcome)
             ran += 1
-            progress.on_frame(outcome)
+            workers.progress.on_frame(outcome)
         seconds = time.monotonic() - started
         timing = timing_of(ran, seconds)
         finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
-    document, interrupted = finished.summary or {}, stop.is_set() and ran < len(todo)
+    document, interrupted = finished.summary or {}, workers.stop.is_set() and ran < len(todo)
     counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)
 

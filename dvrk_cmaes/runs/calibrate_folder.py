@@ -33,6 +33,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import encoded_image, write_json
 from dvrk_cmaes.io.output import Output, changed_files, whole_folder, write_bytes
 from dvrk_cmaes.results.folder import ALONE, SESSION
+from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.paths import (
     check_output,
     found_masks,
@@ -44,7 +45,7 @@ from dvrk_cmaes.results.paths import (
 )
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
-from dvrk_cmaes.runs.calibration_pictures import CalibrationPictures, DrawTask, draw_task
+from dvrk_cmaes.runs.calibration_pictures import draw_task
 from dvrk_cmaes.runs.digests import frame_digests, instrument_digest
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 from dvrk_cmaes.runs.instrument_processes import run_with_body
@@ -115,17 +116,14 @@ def solving_folder(
         corrected = Rig(solved.calibration.corrected_views(session.rig.views))
         views = tuple(ViewDocument.of(view) for view in corrected.views)
         calibration = replace(solved.calibration, views=views)
-        if (
-            session.guessed and calibration.camera is not None
-        ):  # the camera that was found is the session's from here on
+        # the camera that was found is the session's from here on
+        if session.guessed and calibration.camera is not None:
             calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
             session = replace(session, rig=corrected)
         solved = replace(solved, calibration=calibration)
-        tasks = [
-            DrawTask(files[name], session.rig, corrected, solved.results[name], left_out, evidence[name])
-            for name, left_out in solved.leave_one_out.items()
-        ]
-        pictures = dict(zip(solved.leave_one_out, run(draw_task, tasks), strict=True))
+        tasks = [(files[k], solved.results[k], left_out, evidence[k]) for k, left_out in solved.leave_one_out.items()]
+        drawn = run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
+        pictures = dict(zip(solved.leave_one_out, drawn, strict=True))
         with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,), opened_before=opened) as beside:
             for path in masks.rglob("*.png"):
                 write_bytes(beside / path.relative_to(masks), path.read_bytes())
@@ -175,7 +173,7 @@ def _with_masks_again(
 
 def _write(
     solved: SolvedSession,
-    pictures: Mapping[str, CalibrationPictures],
+    pictures: Mapping[str, tuple[bytes, bytes, FrameLayers]],
     arm: ArmInSession,
     out: Path,
     config: EstimateConfig,
@@ -185,9 +183,10 @@ def _write(
     session = arm.session
     for name, result in solved.results.items():
         if name in pictures:
-            write_bytes(overlay_path(out, name), pictures[name].overlay)
-            write_bytes(left_out_path(out, name), pictures[name].left_out)
-            write_json(layers_path(out, name), pictures[name].layers.to_dict())
+            overlay, left_out, layers = pictures[name]
+            write_bytes(overlay_path(out, name), overlay)
+            write_bytes(left_out_path(out, name), left_out)
+            write_json(layers_path(out, name), layers.to_dict())
         else:
             for path in (overlay_path, layers_path):
                 if alone is not None and path(alone, name).is_file():

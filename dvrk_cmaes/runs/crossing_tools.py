@@ -126,10 +126,11 @@ def _solved_again(batch: BatchSummary, starts: Sequence[Result], workers: Worker
     workers.progress.on_start(len(todo), [])
     with output(batch.folder, COMMAND):
         for outcome in outcomes(batch.setup, todo, workers):
-            if outcome.status == "failed":
-                start = first[outcome.frame]
-                unused = [*start.unused, _UNSOLVED + outcome.reasons[0]]
-                update_result(batch.folder, outcome.frame, unused=unused, other_tools=start.other_tools)
+            result = outcome.result
+            if result.status == "failed":
+                start = first[result.frame]
+                unused = [*start.unused, _UNSOLVED + result.reasons[0]]
+                update_result(batch.folder, result.frame, unused=unused, other_tools=start.other_tools)
             else:
                 write_outcome(batch.folder, outcome)
             done += 1

@@ -146,40 +146,30 @@ def _loss(files: FrameFiles, arm: ArmInSession, config: EstimateConfig) -> float
     return None if result.quality is None else result.quality.loss
 
 
-def exchanged_tools(results: Mapping[str, Mapping[str, Result]]) -> list[str]:
-    """Say which tools seem to be exchanged, given the results of each arm by frame; empty without any.
+def exchanged_tools(found: Mapping[str, Mapping[str, Result | FoundFrame]], *, followed: bool = False) -> list[str]:
+    """Say which tools seem to be exchanged, given what was found of each arm by frame; empty without any.
 
     Two tools are compared in the frames in which both were found and read. The readings pull a pose towards them, so
-    joints that are clearly nearer to the readings of the other tool are no accident.
+    joints that are clearly nearer to the readings of the other tool are no accident. Tools that are ``followed``, whose
+    frames are in order, may be exchanged from a frame on to the end: that from which on the distances from the own
+    readings exceed the others' most.
     """
+    least, least_off = (_LEAST_FOLLOWED, _LEAST_OFF**2) if followed else (_LEAST_FRAMES, 0.0)
     texts = []
-    for first, second in combinations(results, 2):
-        distances = _distances(results[first], results[second])
-        if len(distances) < _LEAST_FRAMES:
+    for first, second in combinations(found, 2):
+        distances = _distances(found[first], found[second])
+        if len(distances) < least:
             continue
-        own, other = np.median(list(distances.values()), axis=0)
-        if own > _FACTOR * other:
-            texts.append(_describe_joints(first, second, own, other))
-    return texts
-
-
-def exchanged_while_followed(tracks: Mapping[str, Mapping[str, FoundFrame]]) -> list[str]:
-    """Say which followed tools seem to be exchanged, and from which frame on to the end; empty without any.
-
-    ``tracks`` have what was found of each arm by frame, in the order of the frames. The first frame is that from which
-    on the distances from the own readings exceed the others' most.
-    """
-    texts = []
-    for first, second in combinations(tracks, 2):
-        distances = _distances(tracks[first], tracks[second])
-        if len(distances) < _LEAST_FOLLOWED:
-            continue
-        names, values = list(distances), np.array(list(distances.values()))
-        excess = np.cumsum((values[:, 0] - values[:, 1])[::-1])[::-1]
-        start = int(np.argmax(excess[: len(names) - _LEAST_FOLLOWED + 1]))
+        values, start = np.array(list(distances.values())), 0
+        if followed:
+            excess = np.cumsum((values[:, 0] - values[:, 1])[::-1])[::-1]
+            start = int(np.argmax(excess[: len(values) - least + 1]))
         own, other = np.median(values[start:], axis=0)
-        if own > _FACTOR * other and own > _LEAST_OFF**2:
-            texts.append(_describe_joints(first, second, own, other) + f" from frame {names[start]} on")
+        if own > _FACTOR * other and own > least_off:
+            degrees = f"{np.degrees(np.sqrt(other)):.0f} instead of {np.degrees(np.sqrt(own)):.0f} deg"
+            nearer = f"the joints found for each are nearer to the readings of the other ({degrees})"
+            since = f" from frame {list(distances)[start]} on" if followed else ""
+            texts.append(_describe(first, second, nearer) + since)
     return texts
 
 
@@ -204,16 +194,6 @@ def _distance(found: Mapping[str, float], read: Mapping[str, float]) -> float:
     """Return the summed squares of the distances of found joints from readings, rad^2."""
     names = [name for name in _JOINTS if name in found and name in read]
     return float(sum((found[name] - read[name]) ** 2 for name in names))
-
-
-def _describe_joints(first: str, second: str, own: float, other: float) -> str:
-    """Say that two tools seem to be exchanged, given the squared distances from the own and the other's readings."""
-    return _describe(
-        first,
-        second,
-        "the joints found for each are nearer to the readings of the other "
-        f"({np.degrees(np.sqrt(other)):.0f} instead of {np.degrees(np.sqrt(own)):.0f} deg)",
-    )
 
 
 def _describe(first: str, second: str, evidence: str) -> str:

@@ -19,7 +19,7 @@ from dvrk_cmaes.results.paths import found_masks, layers_path, overlay_path
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.manifest import check_same_settings, read_manifest, with_frames, write_manifest
 from dvrk_cmaes.runs.output import COMMAND, TABLES, has_results
-from dvrk_cmaes.runs.worklist import is_shard, shards_folder
+from dvrk_cmaes.runs.worklist import shards_folder
 
 
 def merge_shards(out: str | Path) -> dict[str, Any]:
@@ -38,7 +38,7 @@ def merge_shards(out: str | Path) -> dict[str, Any]:
     out = Path(out)
     if not out.is_dir():
         raise InputError(f"{out}: {no_folder(out)}; expected results of dvrk-cmaes batch --shard")
-    folders = sorted(path for path in shards_folder(out).glob("*") if is_shard(path) and (path / MANIFEST).exists())
+    folders = sorted(path for path in shards_folder(out).glob("[0-9]*-of-[0-9]*") if (path / MANIFEST).exists())
     if not folders and not (out / MANIFEST).exists():
         raise InputError(f"{out}: expected results of dvrk-cmaes batch --shard, got none")
     with ExitStack() as opened:

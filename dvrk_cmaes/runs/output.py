@@ -10,7 +10,7 @@ from typing import Any, Final
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import readable
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.atomic import json_text, write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.output import Output, output, remove, write_bytes
 from dvrk_cmaes.io.short_text import natural, shown
@@ -90,17 +90,18 @@ def complete_results(out: Path) -> dict[str, Status]:
 
 def write_outcome(out: Path, outcome: FrameOutcome) -> None:
     """Write a frame's files, the result last, so that a frame with a result has all its files."""
+    frame = outcome.result.frame
     for view, mask in outcome.masks.items():
-        write_bytes(mask_path(out, outcome.frame, view), mask)
+        write_bytes(mask_path(out, frame, view), mask)
     for path, data in (
-        (overlay_path(out, outcome.frame), outcome.overlay),
-        (layers_path(out, outcome.frame), outcome.layers),
+        (overlay_path(out, frame), outcome.overlay),
+        (layers_path(out, frame), outcome.layers),
     ):
         if data is not None:
             write_bytes(path, data)
         else:
             remove(path)
-    write_bytes(result_path(out, outcome.frame), outcome.result)
+    write_bytes(result_path(out, frame), json_text(outcome.result.to_dict()).encode())
 
 
 def update_result(out: Path, name: str, **fields: Any) -> None:

@@ -113,7 +113,7 @@ class Processes:
         Exception
             What ``call`` raised.
         """
-        run = _Run(iter(tasks), call, time_limit, stop or threading.Event())
+        run = _SharedTasks(iter(tasks), call, time_limit, stop or threading.Event())
         threads = [threading.Thread(target=run.drive, args=(process,), daemon=True) for process in self._processes]
         for thread in threads:
             thread.start()
@@ -138,7 +138,7 @@ class Processes:
                 thread.join()
 
     @staticmethod
-    def _run_here(run: _Run[T, R], start: Callable[[], object]) -> Iterator[tuple[T, R]]:
+    def _run_here(run: _SharedTasks[T, R], start: Callable[[], object]) -> Iterator[tuple[T, R]]:
         """Do tasks in this thread, until there are none or a worker has failed."""
         with single_library_threads():
             start()
@@ -152,7 +152,7 @@ def _each(call: Callable[[T], R], tasks: Sequence[T]) -> list[R]:
 
 
 @dataclass(eq=False)
-class _Run(Generic[T, R]):
+class _SharedTasks(Generic[T, R]):
     """Tasks that several threads share, each of which drives a process; there are no more once it is stopped or closed.
 
     ``done`` gets each task with its value, and from each thread None at its end, or what went wrong.

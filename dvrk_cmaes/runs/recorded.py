@@ -21,14 +21,15 @@ from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.sparse import Sparseness
-from dvrk_cmaes.pose.doubts import far_joints
+from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_frames import fit_block
-from dvrk_cmaes.track.reading_buffer import describe_frozen
-from dvrk_cmaes.track.recorded_frames import NO_READINGS, FittedFrame, PredictedFrame, judge_frame
+from dvrk_cmaes.track.reading_buffer import frozen_since
+from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame, judge_frame
 from dvrk_cmaes.track.window import FitEvidence, WindowImage, result_of, solve_window, status_of
 
 BLOCK: Final = 10
@@ -172,15 +173,17 @@ def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[Trac
     shown = [(fitted.stored, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
     judged = iter(run(judge_frame, shown))
     names = [own.name for own in recorded.files]
-    frozen = describe_frozen(recorded.frozen, names)
+    frozen = frozen_since(recorded.frozen, names)
     results = []
     for i, (name, fitted, image) in enumerate(zip(names, fits, images, strict=True)):
         quality = None if fitted is None else next(judged)
         status, reasons = status_of(quality, image.told.misfit, session, config, source)
-        told_by_readings = "" if predicted.told[i] else NO_READINGS
-        doubts = () if fitted is None else fitted.doubts
-        far = "" if solution.colours is None else far_joints(found[i][0], image.at, predicted.spread[i], joint_names)
-        reasons += [text for text in (*doubts, far, told_by_readings, sparse[i].reason, frozen[i]) if text]
+        reasons += () if fitted is None else fitted.doubts
+        if solution.colours is not None:
+            reasons += far_joints(found[i][0], image.at, predicted.spread[i], joint_names)
+        reasons += doubts("readings", "followed", told=predicted.told[i], still=False, source=source)
+        reasons += doubts("spacing", "followed", sparse[i])
+        reasons += doubts("mask and readings", "followed", frozen=frozen[i])
         results.append(
             result_of(
                 image.time,

@@ -168,7 +168,8 @@ def solving_images(
         return recorded, f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}"
     work.progress("finding masks", len(chosen))
     segmented = partial(segment_task, rig=recorded.rig, colours=_moving_colours(recorded, chosen))
-    tasks = [(files[i], _hints(files[i], hints if i == 0 else Hints())) for i in chosen]
+    of_frames = {i: hints if i == 0 and hints != Hints() else hints_of(files[i]) or Hints() for i in chosen}
+    tasks = [(files[i], of_frame) for i, of_frame in of_frames.items()]
     found: dict[int, PackedFrame | None] = dict(zip(chosen, work.run(segmented, tasks), strict=True))
     recorded = _measured(recorded, found)
     if given is not None:
@@ -210,11 +211,6 @@ def _found_around(
     around: Sequence[FrameData | None] = work.run(find, solution.expected(predicted, others))
     again = {i: None if data is None else PackedFrame.of(data) for i, data in zip(others, around, strict=True)}
     return {i: again.get(i, one) for i, one in found.items()}
-
-
-def _hints(files: FrameFiles, first: Hints) -> Hints:
-    """Return the prompts of a frame; those of the first one are given."""
-    return first if first != Hints() else hints_of(files) or Hints()
 
 
 def _measured(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None]) -> RecordedFrames:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import replace
@@ -12,7 +12,7 @@ from functools import partial
 from threading import Lock
 from typing import TypeVar
 
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.digests import instrument_digest
@@ -51,13 +51,11 @@ class SolverProcess(ExitStack):
         self._process = WorkerConnection(partial(_prepare, instrument, background))
         self._futures: deque[Future[Solution]] = deque()
         self._problems: deque[tuple[KeyframeProblem, Future[Solution]]] = deque()  # not begun
-        self._alone: dict[str, Result] = {}
-        self._unsolved: set[str] = set()  # names of the keyframes that no solution has estimated yet
-        self._waiting: dict[str, KeyframeTask] = {}  # of these, those that are to be estimated by themselves
-        self._begun: set[str] = set()  # and those that were
-        self._turns = 0  # for which the driver was asked, each for a problem or one of those that wait then
+        self._tasks: dict[str, KeyframeTask] = {}  # the keyframes that no solution has estimated yet
+        self._ahead: dict[str, Result | None] = {}  # what was found of these, None where that failed
+        self._solved: Mapping[str, Result] = {}  # the own results of the keyframes of the last solution
+        self._works = False  # whether the driver does
         self._lock = Lock()
-        self._solved_names: set[str] = set()  # of those of the last solution
         self.callback(self._end)
         if background:
             self._process.begin()
@@ -68,7 +66,7 @@ class SolverProcess(ExitStack):
         self._futures.append(future)
         with self._lock:
             self._problems.append((problem, future))
-            self._ask()
+            self._drive()
 
     def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
         """Estimate keyframes by themselves, each once, while there is no problem; returns at once.
@@ -77,16 +75,16 @@ class SolverProcess(ExitStack):
         are not among them any more, as where others were kept instead, are not estimated, and forgotten.
         """
         with self._lock:
-            self._unsolved = {task.keyframe.name for task in tasks}
-            self._begun &= self._unsolved
-            self._waiting = {task.keyframe.name: task for task in tasks if task.keyframe.name not in self._begun}
-            self._ask()
+            self._tasks = {task.keyframe.name: task for task in tasks}
+            self._ahead = {name: result for name, result in self._ahead.items() if name in self._tasks}
+            if self._tasks:
+                self._drive()
 
-    def _ask(self) -> None:
-        """Ask the driver for as many turns as there is work."""
-        while self._turns < len(self._problems) + len(self._waiting):
-            self._turns += 1
-            self._driver.submit(self._turn)
+    def _drive(self) -> None:
+        """Have the driver work, unless it does."""
+        if not self._works:
+            self._works = True
+            self._driver.submit(self._work)
 
     @property
     def ready(self) -> bool:
@@ -106,50 +104,45 @@ class SolverProcess(ExitStack):
     def _end(self) -> None:
         """End the process, whatever it is at."""
         self._process.end()
-        self._driver.shutdown(cancel_futures=True)
-        for _, future in self._problems:
-            future.cancel()
+        self._driver.shutdown()
         self._process.close()
 
-    def _turn(self) -> None:
-        """Solve the first problem, or else estimate the first keyframe by itself."""
-        with self._lock:
-            self._turns -= 1
-            problem, future = self._problems.popleft() if self._problems else (None, None)
-            name = next(iter(self._waiting), None)
-            if problem is None and name is not None:
-                task = self._waiting.pop(name)
-                self._begun.add(name)
-        if problem is not None and future is not None:
-            try:
-                future.set_result(self._solved(problem))
-            except Exception as error:
-                future.set_exception(error)
-        elif name is not None:
-            self._estimate(name, task)
+    def _work(self) -> None:
+        """Solve all problems, one after the other; while there is none, estimate the first keyframe by itself."""
+        while self._works:
+            with self._lock:
+                problem, future = self._problems.popleft() if self._problems else (None, None)
+                names = (name for name in self._tasks if not {name} & (self._ahead.keys() | self._solved.keys()))
+                name = next(names, None)
+                task = None if name is None else self._tasks[name]
+                self._works = problem is not None or task is not None
+            if problem is not None and future is not None:
+                try:
+                    future.set_result(self._solution_of(problem))
+                except Exception as error:
+                    future.set_exception(error)
+            elif name is not None and task is not None:
+                found: Result | None = None
+                with suppress(Exception):  # which is tried again, and raised, with a problem
+                    found = self._call(_estimate, task)
+                with self._lock:
+                    self._ahead[name] = found
 
-    def _estimate(self, name: str, task: KeyframeTask) -> None:
-        """Estimate a keyframe by itself in the process; what fails here is tried again, and raised, with a problem."""
-        wanted = self._unsolved | self._solved_names
-        self._alone = {other: result for other, result in self._alone.items() if other in wanted}
-        if name not in self._alone:
-            with suppress(InputError, ProcessDiedError):
-                self._alone[name] = self._call(_estimate, task)
-
-    def _solved(self, problem: KeyframeProblem) -> Solution:
+    def _solution_of(self, problem: KeyframeProblem) -> Solution:
         """Solve a problem in the process, and once more in a new one if that dies.
 
         No keyframe is solved by itself twice, where problems were given before the solutions of others were there.
         """
+        with self._lock:
+            known = self._ahead | {**self._solved}
         names = {keyframe.name for keyframe in problem.keyframes}
-        known = {name: result for name, result in self._alone.items() if name in names}
-        problem = replace(problem, alone={**known, **problem.alone})
+        alone = {name: result for name, result in known.items() if name in names and result is not None}
+        problem = replace(problem, alone={**alone, **problem.alone})
         for _ in range(_TRIES):
             with suppress(ProcessDiedError):
                 solution = self._call(_solve, problem)
                 give_back_memory()
-                self._alone = dict(solution.alone)
-                self._solved_names = set(solution.alone)
+                self._solved = solution.alone
                 return solution
         raise DvrkCmaesError(f"keyframes: their process died {_TRIES} times: out of memory?")
 

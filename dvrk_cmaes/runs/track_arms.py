@@ -18,7 +18,7 @@ from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
 from dvrk_cmaes.runs.exchanged_tools import (
     ArmInSession,
     FoundFrame,
-    exchanged_while_followed,
+    exchanged_tools,
     find_exchanged_masks,
 )
 from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
@@ -92,7 +92,7 @@ def exchanged_arms(
             read = {name: float(v[number]) for name, v in of_joints.items() if np.isfinite(v[number])}
             joints = {} if row["camera_from_root"] is None else row["joints"]
             found[arm][row["frame"]] = FoundFrame(joints, read, row["status"] == "ok")
-    return exchanged_while_followed(found) or find_exchanged_masks(arms, found, config)
+    return exchanged_tools(found, followed=True) or find_exchanged_masks(arms, found, config)
 
 
 def _together(seen: Mapping[str, Iterator[SeenFrame]]) -> Iterator[tuple[str, dict[str, SeenFrame]]]:

@@ -48,7 +48,6 @@ from dvrk_cmaes.runs.track_pictures import write_outputs
 from dvrk_cmaes.runs.track_recorded import following_recorded, with_lag
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 
 P = ParamSpec("P")
@@ -152,10 +151,7 @@ def tracking_folder(
         if followed is None:
             followed = yield from _by_keyframes(run)
         if followed is None:
-            tracker = settings.tracker(session.rig, body)
-            rows = _forwards(run, tracker)
-            found = tracker.calibration
-            followed = rows, None if found is None else with_lag(found, settings.lag, clock)
+            followed = _forwards(run)
         rows, calibration = followed
         lag = None if calibration is None else calibration.applied_lag
         late = (settings.lag or 0.0) if lag is None else lag.in_seconds(1 / clock.interval)
@@ -186,9 +182,12 @@ def _of_one_arm(solving: Callable[P, Solving[TrackSummary]]) -> Callable[P, Trac
 track_folder = _of_one_arm(tracking_folder)
 
 
-def _forwards(run: TrackRun, tracker: Tracker) -> list[dict[str, Any]]:
-    """Follow the frames from image to image, and write the row of each when it is there; returns the rows."""
-    rows: list[dict[str, Any]] = []
+def _forwards(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration | None]:
+    """Follow the frames from image to image, and write the row of each when it is there; returns rows and calibration.
+
+    The calibration has its whole lag.
+    """
+    rows, tracker = list[dict[str, Any]](), run.settings.tracker(run.session.rig, run.body)
     total = len(run.frames)
     run.progress(0, total, None)
     with ExitStack() as stack:
@@ -204,10 +203,12 @@ def _forwards(run: TrackRun, tracker: Tracker) -> list[dict[str, Any]]:
             append(rows[-1])
             run.progress(len(rows), total, result)
             if run.stop is not None and run.stop.is_set():
-                return rows
-        if schedule is not None:
-            schedule.finish()
-    return rows
+                break
+        else:
+            if schedule is not None:
+                schedule.finish()
+    found = tracker.calibration
+    return rows, None if found is None else with_lag(found, run.settings.lag, run.clock)
 
 
 def _finished(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.pose.doubts import doubts
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.mask_owners import AmongArms
 from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
@@ -31,9 +32,6 @@ from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 from dvrk_cmaes.track.view_segmenter import EvidenceKind
 
 Mask = Bool
-
-UNREAD: Final = "no readings: nothing tells the pose from its mirror twin"
-"""Reason of every frame of an instrument with a mirror twin that is followed without any readings."""
 
 _SAME_TIME = 1e-9  # s
 
@@ -111,7 +109,7 @@ class TrackRun:
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
         if not self.clock.readings and self.body.instrument.has_twin and result.status == "doubtful":
-            result = replace(result, reasons=(UNREAD, *result.reasons))
+            result = replace(result, reasons=(*doubts("frame", "followed", joints_read=0), *result.reasons))
         return result.to_dict(files.name, timed=self.clock.unit == "s")
 
 

@@ -29,7 +29,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import encoded_image, json_text
 from dvrk_cmaes.results.paths import mask_path, overlay_path
-from dvrk_cmaes.results.result import Result, Status
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.frame import draw_failed_frame, layers_of_frame, read_any_frame, solve_frame
 from dvrk_cmaes.runs.worker_process import limit_library_threads
@@ -73,22 +73,18 @@ class PackedSetup:
         return PackedSetup(hashlib.sha256(data).hexdigest(), data, _here())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FrameOutcome:
-    """Contents of the files of a frame's result: JSON, the overlay's JPEG, and the layers of its drawing, JSON.
+    """A frame's result, and the contents of its other files: the overlay's JPEG, and the layers of its drawing, JSON.
 
     ``overlay`` is None if the frame failed and neither its image nor its mask can be read; ``layers`` is None for every
     frame that failed before its pose was drawn. ``masks`` are PNGs of the masks found in images, by view.
     """
 
-    frame: str
-    status: Status
-    reasons: tuple[str, ...]
-    seconds: float
-    result: bytes = field(repr=False)
-    overlay: bytes | None = field(repr=False)
-    masks: Mapping[str, bytes] = field(default_factory=dict, repr=False)
-    layers: bytes | None = field(default=None, repr=False)
+    result: Result
+    overlay: bytes | None
+    masks: Mapping[str, bytes] = field(default_factory=dict)
+    layers: bytes | None = None
 
 
 def prepare_instrument(instrument: Instrument) -> Body:
@@ -114,7 +110,7 @@ def run_task(packed: PackedSetup, files: FrameFiles) -> FrameOutcome:
     """Estimate one frame; never raises."""
     setup, body = _unpacked(packed)
     try:
-        return _outcome(*_estimated(setup, body, files))
+        return _estimated(setup, body, files)
     except DvrkCmaesError as error:
         reason = str(error)
     except MemoryError:
@@ -139,10 +135,10 @@ def failed_outcome(setup: BatchSetup, files: FrameFiles, reason: str) -> FrameOu
         config={**setup.config.as_dict(), "instrument": setup.instrument.describe_limits(setup.arm)},
     )
     drawing = draw_failed_frame(result, files)
-    return _outcome(result, None if drawing is None else encoded_image(overlay_path(Path(), files.name), drawing))
+    return FrameOutcome(result, None if drawing is None else encoded_image(overlay_path(Path(), files.name), drawing))
 
 
-def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result, bytes, Mapping[str, bytes], bytes]:
+def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> FrameOutcome:
     frame = read_any_frame(files, setup.rig)
     frame = replace(frame, notes=tuple(relative_text(setup.folder, note) for note in frame.notes))
     method = FrameMethod(setup.arm, setup.config, setup.calibration, setup.segment, hints_of(files))
@@ -152,7 +148,7 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> tuple[Result
         view: encoded_image(mask_path(Path(), files.name, view), mask) for view, mask in solved.found_masks.items()
     }
     layers = json_text(layers_of_frame(solved.result, solved.data, body).to_dict()).encode()
-    return solved.result, encoded_image(overlay_path(Path(), files.name), drawing), masks, layers
+    return FrameOutcome(solved.result, encoded_image(overlay_path(Path(), files.name), drawing), masks, layers)
 
 
 def hints_of(files: FrameFiles) -> Hints | None:
@@ -161,15 +157,6 @@ def hints_of(files: FrameFiles) -> Hints | None:
     if prompts is None:
         return None
     return hints_within(Hints(prompts.box, prompts.points, prompts.not_points), files.crop)
-
-
-def _outcome(
-    result: Result, overlay: bytes | None, masks: Mapping[str, bytes] | None = None, layers: bytes | None = None
-) -> FrameOutcome:
-    document = json_text(result.to_dict()).encode()
-    return FrameOutcome(
-        result.frame, result.status, result.reasons, result.seconds, document, overlay, masks or {}, layers
-    )
 
 
 def relative_text(folder: Path, text: str) -> str:

@@ -46,11 +46,6 @@ def shards_folder(out: Path) -> Path:
     return out / "shards"
 
 
-def is_shard(folder: Path) -> bool:
-    """Whether a folder's name is that of a shard's results."""
-    return re.fullmatch(r"\d+-of-\d+", folder.name) is not None
-
-
 def chosen_frames(frames: Sequence[FrameFiles], pattern: str | None) -> tuple[FrameFiles, ...]:
     """Return the frames whose names match a shell pattern (``*``, ``?``, ``[..]``), or all frames, in order.
 

@@ -25,7 +25,7 @@ from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import fill_holes
 from dvrk_cmaes.segment.segmentation import Segmentation, noted
 from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
-from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
+from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
 
 FREE: Final = 3.0
 """px on either side of a silhouette's outline, in which a silhouette that is known well has no say."""
@@ -33,8 +33,6 @@ ROUGH: Final = 10.0
 """px on either side of the outline of a rough mask that was found in the image, likewise."""
 _REFINED: Final = 8.0  # px, likewise of a mask that was refined before
 _COARSEST: Final = 480  # px, longer side at which an outline is refined first, at least
-FINEST: Final = 1000
-"""px, longer side above which masks are found in a reduced image."""
 REACH: Final = 12.0
 """px beyond the free band, from which on nothing is instrument."""
 

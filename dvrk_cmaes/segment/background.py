@@ -28,14 +28,13 @@ from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Segmentation, noted
 from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
-from dvrk_cmaes.segment.sizes import shrunk
+from dvrk_cmaes.segment.sizes import FINEST, SMALLEST, shrunk
 
 FEWEST: Final = 8
-"""Images from which a background is learned, at least."""
+"""Images from which a background, or what moves before it, is learned, at least."""
 MOST: Final = 40
 """Images from which a background is learned, at most."""
 
-_FINEST: Final = 1000  # px, longer side at which backgrounds are learned and compared
 _AGREEING: Final = 0.3  # share of the images whose closest values show a pixel's background
 _STANDING: Final = 0.6, 75.0, 4.0  # of share 0.6 of the images, 75 % of the pixels differ by at most 4 grey levels
 _PASSES: Final = 2  # in which images with the instrument near a pixel are left out
@@ -57,7 +56,6 @@ _WEIGHT: Final = 4.0
 """Factor on the log-odds: in a window about the instrument edges are dense, and the graph cut takes each for weaker."""
 _EDGE: Final = 2.5  # px by which the outline is moved to an edge, at most
 _WINDOW: Final = 0.06  # of the longer side, about the mask, in which it is assessed
-_SMALLEST: Final = 8  # px, shorter side to which a smooth background is fitted
 _SURFACE: Final = 160  # px, longer side at which it is fitted
 _SURFACE_PASSES: Final = 8
 _NEAR_SURFACE: Final = 0.05  # logarithm of brightness
@@ -72,7 +70,7 @@ def learn_background(images: Sequence[Image]) -> Image | None:
     """
     if len(images) < FEWEST or len({image.shape for image in images}) > 1:
         return None
-    stack = np.stack([shrunk(image, _FINEST) for image in images])
+    stack = np.stack([shrunk(image, FINEST) for image in images])
     found, spread = np.empty(stack.shape[1:], np.uint8), np.empty(stack.shape[1:3], np.float32)
     for rows in _blocks(stack.shape[1]):
         found[rows], spread[rows] = _closest_values(stack[:, rows])
@@ -90,7 +88,7 @@ def smooth_background(image: Image) -> Image | None:
     """Fit a smooth background to one image (H, W, 3) uint8 BGR; None if it does not fit 40 % of the pixels."""
     small = shrunk(image, _SURFACE)
     height, width = small.shape[:2]
-    if min(height, width) < _SMALLEST:
+    if min(height, width) < SMALLEST:
         return None
     v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v, u**4, v**4, u * u * v * v], axis=-1).reshape(-1, 9)

@@ -20,11 +20,10 @@ from dvrk_cmaes.geometry import Bool, Float64, Image, Posed, frame_along, rotati
 from dvrk_cmaes.segment.appearance import Appearance
 from dvrk_cmaes.segment.segmentation import GUESS
 from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs, pair_of_mask
-from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
+from dvrk_cmaes.segment.sizes import REDUCED, resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import decimated_body
 
-_REDUCED: Final = 320  # px, longer side at which candidates are compared
 _RANKED: Final = 160  # px, longer side at which places are ranked
 _LINES: Final = 800  # px, longer side at which edges are looked for
 _DETAILS: Final = 0.0015, 0.002, 0.003, 0.004, 0.005, 0.006  # m, cells of the meshes
@@ -109,7 +108,7 @@ def find_instruments(
     instrument = body.instrument
     if instrument.shaft is None:
         return []
-    (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, _REDUCED))
+    (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, REDUCED))
     lines = shrunk(image, _LINES).max(axis=2)
     pairs = find_pairs(lines, camera.scaled(*fine), instrument.shaft.radius, resized(outside, fine), _PAIRS)
     if rough is not None:
@@ -120,7 +119,7 @@ def find_instruments(
     coarse = camera.scaled(*size)
     meshes = [_with_few_faces(body, faces) for faces in _FACES]
     ranked = _appearance(image, outside, meshes[0], camera, _RANKED)
-    appearance = _appearance(image, outside, meshes[1], camera, _REDUCED)
+    appearance = _appearance(image, outside, meshes[1], camera, REDUCED)
     read = np.array([np.nan if joints is None else joints.get(name, np.nan) for name in instrument.joint_names])
     jaw = np.array([name == "jaw" for name in instrument.joint_names])
     straight = np.where(np.isnan(read), np.where(jaw, _JAW, 0.0), read)

@@ -28,11 +28,9 @@ from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Hints, Segmentation
-from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
+from dvrk_cmaes.segment.sizes import REDUCED, SMALLEST, resized, shrunk, size_within
 
 # lengths without a unit are fractions of the image's longer side
-_SMALLEST = 8  # px, least shorter side of an image that is segmented
-REDUCED = 320  # px, the longer side at the reduced size
 # (share of the instrument that may have any colour, largest number of iterations); a large share lets the mask grow
 # into parts whose colours are not in the mask yet, such as the wrist
 _SCHEDULE = ((0.5, 8), (0.1, 2), (0.02, 2))
@@ -47,7 +45,7 @@ def rough_mask(image: Image, hints: Hints) -> Segmentation:
     """Find the mask of the instrument in an image (H, W, 3) uint8 BGR at a reduced size, of which it is."""
     height, width = image.shape[:2]
     small, scale = shrunk(image, REDUCED), size_within(image.shape, REDUCED)[1]
-    if min(height, width) < _SMALLEST:
+    if min(height, width) < SMALLEST:
         return Segmentation(np.zeros(small.shape[:2], np.bool_), None, 0.0, ("no instrument found",))
     prompts = draw_prompts(small.shape, scale, hints.box, hints.points, hints.not_points)
     prompts = prompts.with_outside(outside_view(small))

@@ -133,7 +133,7 @@ def segment_by_model(
         last, best = by_colours(), next((each for each in candidates if _fits(each, prompts, image)), None)
         if last.mask.any() or best is None or best.confidence < _POSSIBLE:
             return last
-        return _segmentation(image, best, body, camera, prompts) or last
+        return mask_of_candidate(image, best, body, camera, prompts) or last
     other = by_colours() if sure else None
 
     def mask_of(each: Candidate) -> Segmentation | None:
@@ -142,7 +142,7 @@ def segment_by_model(
             same = replace(other, mask=other.mask & ~beside) if beside.any() else other
             if same.confidence > each.confidence:  # its own mask would be no surer than the candidate
                 return same
-        own = _segmentation(image, each, body, camera, prompts.with_outside(outside | beside))
+        own = mask_of_candidate(image, each, body, camera, prompts.with_outside(outside | beside))
         return same if own is not None and same is not None and same.confidence > own.confidence else own
 
     masks: list[Segmentation] = []
@@ -185,7 +185,9 @@ def _overlap(found: Candidate, mask: Bool) -> float:
     return overlap_of(found.silhouette, resized(mask, (found.silhouette.shape[1], found.silhouette.shape[0])))
 
 
-def _segmentation(image: Image, found: Candidate, body: Body, camera: Camera, prompts: Prompts) -> Segmentation | None:
+def mask_of_candidate(
+    image: Image, found: Candidate, body: Body, camera: Camera, prompts: Prompts
+) -> Segmentation | None:
     """Return the mask of a candidate in an image (H, W, 3), with its confidence; None if it is not in the picture."""
     instrument = body.instrument
     assert instrument.shaft is not None

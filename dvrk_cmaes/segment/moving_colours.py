@@ -14,15 +14,13 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.geometry import Bool, Image
+from dvrk_cmaes.segment.background import FEWEST
 from dvrk_cmaes.segment.colours import measure_colours
-from dvrk_cmaes.segment.sizes import shrunk
+from dvrk_cmaes.segment.sizes import REDUCED, shrunk
 
-FEWEST: Final = 8
-"""Images that tell what moves, at least."""
 MOST: Final = 30
 """Images that are compared, at most."""
 
-_REDUCED: Final = 320  # px, longer side at which images are compared
 _NEARBY: Final = 0.02  # of the longer side, by which tissue may move
 _TOLERANCE: Final = 0.08  # by which logarithms of ratios may lie outside those nearby
 _OPENED: Final = 5  # px, narrower pieces do not count
@@ -54,4 +52,4 @@ def moving_pixels(images: Sequence[Image]) -> list[tuple[Image, Bool]] | None:
 
 def reduced(image: Image) -> Image:
     """Return an image at the size at which images are compared."""
-    return shrunk(image, _REDUCED)
+    return shrunk(image, REDUCED)

@@ -12,6 +12,8 @@ pixels of the encoder's square of 1024 pixels, x before y:
 - onnx-community: `Sam2Model.forward` in transformers.js (a box in ``input_boxes``; where there is no point, or no box,
   an empty tensor; the processor scales both to the square).
 - osam: `osam/_models/sam2` (the encoder's outputs are identified by position; the graph scales masks to the image).
+
+Source of the numbers: these, and `SAM2ImagePredictor` in facebookresearch/sam2.
 """
 
 from __future__ import annotations

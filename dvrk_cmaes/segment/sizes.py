@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import cv2
 import numpy as np
 
 from dvrk_cmaes.geometry import Bool, Image
+
+REDUCED: Final = 320
+"""px, longer side of the reduced images in which instruments are looked for."""
+FINEST: Final = 1000
+"""px, longer side above which masks and backgrounds are found in a reduced image."""
+SMALLEST: Final = 8
+"""px, least shorter side of an image in which a mask is looked for."""
 
 
 def size_within(shape: tuple[int, ...], longest: int) -> tuple[tuple[int, int], float]:

@@ -15,9 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.frame_fit import LocalFit
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Indices, Posed
 from dvrk_cmaes.joints.prior import Readings
+from dvrk_cmaes.pose.doubts import SUPPORTED, doubts
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
@@ -40,9 +42,6 @@ _OUTLIER = 2.0  # standard deviations, scale of the robust weight
 _UNSUPPORTED = 9.0  # squared standard deviations that a measurement counts whose edge is not found
 _SUPPORT_PX = 3.0  # distance within which an edge supports a point of the outline
 _BESIDE = 3  # px from the outline, beyond which the instrument's colours tell that it is elsewhere
-_CONVINCING, _MOST_BESIDE = 0.65, 0.2
-"""Share of the outline with such an edge, from which on a pose is not doubtful, and the most without outline."""
-_LEAST, _MOST = 0.35, 0.5  # the same of a pose that an image supports at all
 _FARTHEST = 12.0  # pixels of the image as it is sampled; to look farther, the image is reduced
 _DEPENDENT = 0.3  # weight of a pixel's log-odds: neighbours are alike
 _CHANGE_SCORE = 1.0 / _DEPENDENT  # weight of the log-odds of a change relative to those of a pixel
@@ -198,7 +197,7 @@ def _odds_of(model: ColourModel | EdgeModel, bins: NDArray[np.int32], outline: D
 
     They are those of instrument, or of its outline; 0 where bins are not ``valid`` (N, K).
     """
-    bins += (_parts_of(outline) * model.bins).astype(np.int32)[:, None]
+    bins += (_parts_of(outline) * model.log_odds.shape[1]).astype(np.int32)[:, None]
     odds = np.asarray(model.log_odds.ravel().take(bins))
     odds *= valid
     return odds
@@ -307,19 +306,14 @@ class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeFit:
+class EdgeFit(LocalFit):
     """The fit of a pose to the edges that the colours of images show.
 
-    ``information`` (D, D) and ``slope`` (D,) are those of the edges alone there, ``score`` half of all sums of squares.
     ``supported`` is the share of the outline near which there is an edge, ``beside`` the share beside which the
     instrument's colours go on; ``sigma`` px is the robust standard deviation of the supporting edges, None without any.
     ``by_masks`` (D, 7) is as of `FrameFit`.
     """
 
-    at: Posed
-    information: Float64
-    slope: Float64
-    score: float
     supported: float
     beside: float
     sigma: float | None
@@ -335,19 +329,14 @@ class EdgeFit:
     @property
     def holds(self) -> bool:
         """Whether the images support the pose at all."""
-        return self.supported >= _LEAST and self.beside <= _MOST
+        least, most = SUPPORTED
+        return self.supported >= least and self.beside <= most
 
     @property
     def doubts(self) -> list[str]:
         """The reasons, in words, for which the pose does not fit its images well."""
-        found = []
-        if self.supported < _CONVINCING:
-            share = 100 * (1 - self.supported)
-            found.append(f"outline without edge: {share:.0f} % of it has no edge of the image near it")
-        if self.beside > _MOST_BESIDE:
-            share = 100 * self.beside
-            found.append(f"colours without outline: the instrument's go on beside {share:.0f} % of it")
-        return found
+        known = {"bare_percent": 100 * (1 - self.supported), "beside_percent": 100 * self.beside}
+        return doubts("edges", "edges", supported=self.supported, beside=self.beside, **known)
 
 
 def fit_edges(

@@ -40,24 +40,19 @@ class DrawnOutline:
         """Return the outlines that were ``drawn`` in single views as one; ``views`` are all that were to be drawn."""
         ends = list(accumulate((len(outline.points) for outline in drawn), initial=0))
         parts = {outline.views[0]: slice(*pair) for outline, pair in zip(drawn, pairwise(ends), strict=True)}
-        names = ("link", "points", "normals", "lengths", "pixels")
-        arrays = (np.concatenate([getattr(outline, name) for outline in drawn]) for name in names)
-        return DrawnOutline(views, drawn[0].at, parts, *arrays)
+        arrays = [outline._arrays(slice(None)) for outline in drawn]
+        of_all: dict[str, Any] = {name: np.concatenate([own[name] for own in arrays]) for name in arrays[0]}
+        return replace(drawn[0], views=views, parts=parts, **of_all)
+
+    def _arrays(self, part: slice) -> dict[str, Any]:
+        """Return the arrays of a part of the points, by name."""
+        return {name: getattr(self, name)[part] for name in ("link", "points", "normals", "lengths", "pixels")}
 
     @cached_property
     def by_view(self) -> dict[int, DrawnOutline]:
         """The outline in each view, by itself."""
         return {
-            view: replace(
-                self,
-                views=(view,),
-                parts={view: slice(None)},
-                link=self.link[part],
-                points=self.points[part],
-                normals=self.normals[part],
-                lengths=self.lengths[part],
-                pixels=self.pixels[part],
-            )
+            view: replace(self, views=(view,), parts={view: slice(None)}, **self._arrays(part))
             for view, part in self.parts.items()
         }
 

@@ -9,7 +9,6 @@ import time as clock
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 import numpy as np
 
@@ -18,27 +17,24 @@ from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_at
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.pose.doubts import FOLLOWED, MOST_ASTRAY, doubts
 from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.judge import doubts_in_view, doubts_of_agreement
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus, without_pose
 from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.recorded_frames import EMPTY, NO_READINGS, fit_near, judged, views_that_show
+from dvrk_cmaes.track.recorded_frames import fit_near, judged, views_that_show
 from dvrk_cmaes.track.view_segmenter import Seen
-from dvrk_cmaes.track.window import LIMITS, FitEvidence, WindowImage, result_of, solve_window, status_of
-
-BASE_MOVED: Final = (
-    "calibration contradicted: {count} images in a row disagree with it; the base or the camera may have moved"
-)
+from dvrk_cmaes.track.window import FitEvidence, WindowImage, result_of, solve_window, status_of
 
 _WINDOW = 15  # images whose deviations are estimated together
 _SEEN_MOTION = (2e-4, 5e-3, 2e-2)  # m, rad of the shaft and rad of a joint, beyond which two masks differ
 _EDGES_PX = 0.7  # standard deviation of the margin that the colours' edges of all images of a window share
 _EDGES_ALIKE = 2.0  # factor by which edges of images near each other err more alike than masks do
 _LEARNED_EVERY = 0.2  # s
-_MOST_ASTRAY = 10  # images in a row that disagree with the calibration, after which it does not hold any more
 _DISAGREES = 4  # images in a row that disagree, from which on the keyframes are solved again
 
 
@@ -129,7 +125,7 @@ class Following:
     @property
     def contradicted(self) -> bool:
         """Whether so many images in a row disagree with the calibration that it does not hold any more."""
-        return self.last.astray >= _MOST_ASTRAY
+        return self.last.astray >= MOST_ASTRAY
 
     @property
     def explains_little(self) -> bool:
@@ -188,7 +184,7 @@ class Following:
             self._read = reading.outer, self._read[1]
         outer, _ = self._read
         if outer is None:
-            return without_pose(time, "no readings of the outer joints so far")
+            return without_pose(time, *doubts("base", "live", bases=1))
         predicted = self._predicted(reading, outer, time)
         at, spread = predicted.at[0], predicted.spread[0]
         if not seen.any_same or self._still is None:
@@ -201,7 +197,7 @@ class Following:
         camera = given.rig.views[0].camera
         (found,) = solve_window(list(self._images), self.calibration, camera, only_last=True)
         of_image = fit.judge(found)
-        reasons, last, explained = of_image.reasons, self.last, False
+        last, explained = self.last, False
         astray, unexplained = last.astray, last.unexplained
         if of_image.error is not None:
             disagrees = of_image.status == "lost" or fit.told.misfit > given.config.session.largest_misfit
@@ -214,12 +210,12 @@ class Following:
                 self._learned = time
                 given.segmenter.learn(seen, self._views, found[0])
         self.last = LastImage(masks, fit.score, fit.told.misfit, explained, fit.deviation, astray, unexplained)
-        if not reading.has_outer:
-            reasons.append(NO_READINGS)
-        elif reading.still and of_image.error is not None:
-            reasons.append(f"readings stand still: where the instrument is, only the {seen.source} tells")
-        if self.contradicted:
-            reasons.insert(0, BASE_MOVED.format(count=astray))
+        still = reading.still and of_image.error is not None
+        reasons = [
+            *doubts("last image", "live", self.last),
+            *of_image.reasons,
+            *doubts("readings", "followed", told=reading.has_outer, still=still, source=seen.source),
+        ]
         return result_of(
             time,
             of_image.status,
@@ -258,7 +254,7 @@ class Following:
         def judge(found: tuple[Posed, Float64]) -> _Judged:
             quality = judged(views, *found, given.body, given.config)
             status, reasons = status_of(quality, told.misfit, self.calibration, given.config)
-            explained = quality.quality.iou >= self.calibration.iou - LIMITS.overlap_loss
+            explained = quality.quality.iou >= self.calibration.iou - FOLLOWED.overlap_loss
             return _Judged(status, reasons, quality.error, quality.residual_px, explained)
 
         return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.explains_mask else None, judge)
@@ -279,10 +275,10 @@ class Following:
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:
             error = expected_error(instrument, *found)
-            if not fit.holds:
-                return _Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma)
-            reasons = fit.doubts + LIMITS.doubts_of_tips(found[0], instrument, camera, error, given.config.trust)
-            reasons += LIMITS.disagreement(told.misfit, given.config.session, "image")
+            if lost := doubts("support", "edges", fit):
+                return _Judged("lost", lost, error, fit.sigma)
+            reasons = fit.doubts + doubts_in_view("edges", found[0], instrument, camera, error, given.config.trust)
+            reasons += doubts_of_agreement("edges", told.misfit, given.config.session)
             return _Judged("doubtful" if reasons else "ok", reasons, error, fit.sigma, explained=not fit.doubts)
 
         return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.holds else None, judge)
@@ -291,8 +287,8 @@ class Following:
 def _nothing(at: Posed, spread: Float64, seen: Seen) -> _FitOfImage:
     """Return what an image tells that shows nothing."""
     lost = seen.problem is None or (seen.masks[seen.main] is not None and not seen.any_same)
-    reason = EMPTY.format(source=seen.source) if seen.problem is None else seen.problem
-    nothing = _Judged("lost" if lost else "doubtful", [reason], None)
+    empty = doubts("support", "followed", source=seen.source, iou=None)
+    nothing = _Judged("lost" if lost else "doubtful", empty if seen.problem is None else [seen.problem], None)
     return _FitOfImage(FitEvidence.of(None, at, spread, holds=False), np.inf, None, lambda found: nothing)
 
 

@@ -42,11 +42,6 @@ class HistogramRatio:
     shape: ClassVar[tuple[int, ...]]
     smoothing: ClassVar[float]
 
-    @property
-    def bins(self) -> int:
-        """Number of bins of a histogram."""
-        return int(self.log_odds.shape[1])
-
     @classmethod
     def of(cls, inside: Float32, outside: Float32) -> Self:
         """Return the model of histograms."""

@@ -20,6 +20,7 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.packed_mask import PackedMask, overlap_of
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Float64, Posed
+from dvrk_cmaes.pose.doubts import UNSUPPORTED, doubts
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.track.histogram_ratio import ColourModel
@@ -31,9 +32,6 @@ _SAME = 0.97  # intersection over union of the silhouettes of two rounds, from w
 _LARGEST_SPREAD = 12.0  # px, of an outline that is expected
 _REACH = 0.015  # m from the root, of the outline whose place depends on angles
 _PREDICTED = 0.6  # intersection over union of a mask and a predicted silhouette, from which on colours are learned
-UNSUPPORTED = 0.3
-"""Share of the silhouette without the instrument's colours, from which on a pose is doubtful."""
-NO_COLOURS = "{share:.0f} % of the silhouette are without the instrument's colours"
 
 
 def learn_task(
@@ -123,12 +121,9 @@ def _fit_by_images(
     data = with_outside(data)
     at = frame.expected.mean if before is None else frame.expected.mean.moved(before)
     spread = _spread(frame.expected, data.camera)
-    fitted: FittedFrame | None = None
     seconds, drawn = 0.0, [silhouette_of(at, view, body) for view in data.views]
     for _ in range(_ROUNDS):
         masked, unsupported = _masked(data, drawn, colours, spread)
-        if masked is None:
-            return None
         fitted = fit_followed(body, config, replace(frame, read=partial(_given, masked)), before, masks)
         if fitted is None:
             return None
@@ -139,11 +134,14 @@ def _fit_by_images(
         if settled:
             break
     assert fitted is not None
-    doubts = (NO_COLOURS.format(share=100 * unsupported),)
-    return replace(fitted, seconds=seconds, doubts=doubts if unsupported > UNSUPPORTED else ())
+    return replace(
+        fitted,
+        seconds=seconds,
+        doubts=tuple(doubts("colours", "followed", share=unsupported, percent=100 * unsupported)),
+    )
 
 
-def _given(data: FrameData) -> FrameData:
+def _given(data: FrameData | None) -> FrameData | None:
     return data
 
 

@@ -17,14 +17,13 @@ import numpy as np
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment import around
-from dvrk_cmaes.segment.around import FINEST
-from dvrk_cmaes.segment.classic import GAP, REDUCED
+from dvrk_cmaes.segment.classic import GAP
 from dvrk_cmaes.segment.graph_cut import cut
 from dvrk_cmaes.segment.moving_colours import moving_pixels
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.regions import fill_holes, instrument_region
 from dvrk_cmaes.segment.segmentation import Segmentation
-from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
+from dvrk_cmaes.segment.sizes import FINEST, REDUCED, resized, shrunk, size_within
 from dvrk_cmaes.track.histogram_ratio import ColourModel, bins_of
 
 _BLURRED = 2.0  # px from the outline, within which pixels have colours of both sides

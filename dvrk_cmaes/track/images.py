@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool
+from dvrk_cmaes.pose.doubts import doubts
 
 Mask = Bool
-
-FROZEN = "frozen image: the {source} is that of the image before, but the arm moved"
-"""Problem of an image; ``source`` is what the evidence is taken from, mask or image."""
 
 
 class ImageCheck:
@@ -44,18 +42,15 @@ class ImageCheck:
         self, mask: Mask | None, image: NDArray[np.uint8] | None, ignore: Mask | None, *, by_image: bool
     ) -> str | None:
         """Return why an image says nothing about the pose; None if it may. ``by_image``: its colours are used."""
-        if image is not None and int(image.max()) < self._black_level:
-            return "black image: nothing can be seen"
-        if by_image:
-            return None
-        if mask is None:
-            return "no mask: the pose is predicted"
-        counted = mask if ignore is None else mask & ~ignore
-        if not counted.any():
-            return "empty mask: the instrument is not in view"
-        if (counted if ignore is None else counted | ignore).all():
-            return "full mask: no edge can be seen"
-        return None
+        brightest = self._black_level if image is None else int(image.max())
+        problems = doubts("image", "live", brightest=brightest, black_level=self._black_level)
+        if not by_image:
+            # without a mask, nothing is asked of its pixels
+            known = np.array([[True, False]]) if mask is None else mask
+            left_out = np.zeros_like(known) if mask is None or ignore is None else ignore
+            shown, beside = (known & ~left_out).any(), (~known & ~left_out).any()
+            problems += doubts("mask", "live", masks=int(mask is not None), shown=shown, beside=beside)
+        return next(iter(problems), None)
 
     def is_same(self, array: Mask | NDArray[np.uint8] | None) -> bool:
         """Whether a mask or an image is that of the call before; of an image, every fourth row is compared."""

@@ -12,10 +12,10 @@ from dvrk_cmaes.calibration.prediction import FoundLag, calibration_covariance, 
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.pose.doubts import TIPS_NOT_ACCURATE
+from dvrk_cmaes.pose.doubts import CONFIRMING, RELIED_ON, TIPS_NOT_ACCURATE, doubts
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.results.tracked import BaseKnown, TrackResult
+from dvrk_cmaes.results.tracked import BaseKnown, TrackResult, doubted
 from dvrk_cmaes.track.confirmed_image import confirmed_by
 from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.following import Following
@@ -24,19 +24,13 @@ from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeStor
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.view_segmenter import Seen
 
-_CONFIRMING = 5
-"""Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _TOLD_LAG = 0.055  # s, largest standard deviation of a lag that keyframes tell
-_RELIED_ON = 8  # keyframes of a solution, from which on its stated errors held; chosen on twelve recordings
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
 _NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 _LATELY = 0.5  # s, since an image from which fits by a new calibration start
 _SOON = 1.0  # s, since following by a calibration began
 _SAME_BASE = 3.0  # standard deviations per parameter, within which two calibrations are of the same base
-
-
-_NOTHING = Solution(None, "", 0, {})
 
 
 class CalibratedFollower:
@@ -50,7 +44,7 @@ class CalibratedFollower:
         self.store = KeyframeStore(given.rig, given.instrument.joint_names)
         self._given = given
         self._alone: dict[str, Result] = {}
-        self._solved = _NOTHING  # the last solution
+        self._solved = Solution(None, "", 0, {})  # the last one
         self._taken = 0  # keyframes that had been kept when some were last given to be solved
         self._asked: frozenset[str] = frozenset()  # names of these
         self._bases = 0  # that were given up
@@ -86,7 +80,7 @@ class CalibratedFollower:
         if self.calibration is None:
             return f"calibrating: {count}, {known}"
         if self._agreeing is not None:
-            return f"checking an earlier calibration: {self._agreeing} of {_CONFIRMING} images agree"
+            return doubts("earlier calibration", "live", agreeing=self._agreeing)[0]
         if not self._own:
             return f"calibration given: {count}"
         return f"{'calibrated' if self._solved.keyframes >= SOLVED_AT[-1] else 'calibrating'}: {count}, {known}"
@@ -151,7 +145,7 @@ class CalibratedFollower:
         if solution.calibration is None or solution.reason or not self._is_better(solution):
             return False
         if self.calibration is None and not self._is_useful(solution):
-            self._confirms = solution.calibration if solution.keyframes >= _RELIED_ON else None
+            self._confirms = solution.calibration if solution.keyframes >= RELIED_ON else None
             return False
         self._own, self._agreeing, self._confirms = True, None, None
         self._following = self._by(solution.calibration)
@@ -213,15 +207,13 @@ class CalibratedFollower:
         kept = self.offer(time, readings.at(time), seen, following)
         if result.status == "ok" and self._agreeing is not None:
             self._agreeing += kept and following.last.misfit < INLIER_MISFIT
-            if self._agreeing >= _CONFIRMING:
+            result = doubted(result, doubts("earlier calibration", "live", agreeing=self._agreeing))
+            if self._agreeing >= CONFIRMING:
                 self._agreeing = None
-            else:
-                result = replace(result, status="doubtful", reasons=(self.state,))
-        if result.status == "ok" and self._own and self._solved.keyframes < _RELIED_ON:
-            result = replace(result, status="doubtful", reasons=(f"too few keyframes to rely on: {self._how_far()}",))
-        uncertain = result.tip_std_mm is not None and result.tip_std_mm > self._given.config.trust.tip_mm
-        if result.status == "doubtful" and uncertain and self._own:
-            result = replace(result, reasons=(*result.reasons, self._how_far()))
+        if result.status == "ok" and self._own:
+            result = doubted(result, doubts("own calibration", "live", self._solved))
+        if result.status == "doubtful" and self._own:
+            result = doubted(result, self._how_far(result.tip_std_mm, self._given.config.trust.tip_mm))
         return result
 
     def note(self, result: TrackResult) -> None:
@@ -234,9 +226,10 @@ class CalibratedFollower:
         """Whether the calibration is that of few keyframes."""
         return self._own and self._solved.keyframes < _OWN_IS_ENOUGH
 
-    def _how_far(self) -> str:
-        """Say how far the base is known by the last solution."""
-        return f"base known to {self._solved.tip_mm:.2g} mm, {self._solved.keyframes} keyframes"
+    def _how_far(self, std_mm: float | None, most: float) -> list[str]:
+        """Say how far the base is known by the last solution, if tips are known to ``std_mm``, and not to ``most``."""
+        known = self._solved.tip_mm, self._solved.keyframes
+        return doubts("base of tips", "live", tip_mm=known[0], keyframes=known[1], std_mm=std_mm, most=most)
 
     def _give_up(self) -> None:
         """Follow by the calibration no longer: images contradict it.
@@ -246,7 +239,7 @@ class CalibratedFollower:
         those of an endoscope whose readings say where it is.
         """
         few = self._is_of_few and len(self.store) > self._solved.keyframes
-        self._following, self._solved, self._asked = None, _NOTHING, frozenset()
+        self._following, self._solved, self._asked = None, Solution(None, "", 0, {}), frozenset()
         if self._agreeing is None and not few and not self.store.steered:
             self._bases += 1
             self._alone.clear()
@@ -260,7 +253,7 @@ class CalibratedFollower:
         readings are too sparse for the motion, they do not tell what the image shows.
         """
         names = (*OUTER_JOINTS, *self._given.instrument.joint_names)
-        if reading.still or (reading.sparse is not None and reading.sparse.reason):
+        if reading.still or (reading.sparse is not None and doubts("spacing", "followed", reading.sparse)):
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
         readings = {name: value for name, value in values if not np.isnan(value)}
@@ -286,11 +279,8 @@ class CalibratedFollower:
             confirmed = confirmed_by(self._confirms, result, readings.at(result.time - late), std, self._given)
             if confirmed is not None and confirmed.status == "ok":
                 return confirmed
-        if self.calibration is not None:
-            reason = "no readings of the outer joints so far"
-        else:
-            known = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
-            why = f" ({self._solved.reason})" if self._solved.reason else ""
-            far = f" ({self._how_far()})" if np.isfinite(self._solved.tip_mm) and not why else ""
-            reason = f"base not known yet: {len(self.store)} keyframes{known}{why}{far}"
-        return replace(result, status="doubtful", reasons=(*result.reasons, reason))
+        tips = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
+        far = self._how_far(np.inf, 0.0) if np.isfinite(self._solved.tip_mm) else []
+        why = "".join(f" ({text})" for text in ([self._solved.reason] if self._solved.reason else far))
+        known = {"bases": int(self.calibration is not None), "kept": len(self.store), "known": tips + why}
+        return doubted(result, doubts("base", "live", **known))

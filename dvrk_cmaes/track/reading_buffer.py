@@ -273,12 +273,9 @@ def frozen_frames(outer: Float64, centres: Float64, width: float) -> Bool:
     return still
 
 
-def describe_frozen(frozen: Bool, names: Sequence[str]) -> list[str | None]:
-    """Return for each frame the reason that its readings are frozen; None where they are not."""
-    texts: list[str | None] = []
-    since = ""
+def frozen_since(frozen: Bool, names: Sequence[str]) -> list[str]:
+    """Return for each frame the name of that since which its readings are frozen; empty where they are not."""
+    since: list[str] = []
     for i, name in enumerate(names):
-        if frozen[i] and (i == 0 or not frozen[i - 1]):
-            since = name
-        texts.append(f"readings frozen since frame {since}: the mask moves, and they do not" if frozen[i] else None)
-    return texts
+        since.append("" if not frozen[i] else since[-1] if i and frozen[i - 1] else name)
+    return since

@@ -29,16 +29,14 @@ from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import SeenView, shown_views
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.pose.doubts import OF_FRAMES, doubts_in_views
 from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.judge import doubts_in_views
 from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError, Quality
 from dvrk_cmaes.silhouette import Body, Renderer
 
-EMPTY = "lost: the {source} shows nothing of the instrument"
-NO_READINGS = "no readings: none of the outer joints at the time of the image less the lag"
 _LEAST_SHOWN = 40  # px of mask, from which on a frame is fitted
 _ANOTHER_START = 1.0  # standard deviations per parameter between two starts that are both tried
 
@@ -150,5 +148,5 @@ def judged(
     """Measure how a pose with a covariance (D, D) explains the views' masks, and list the reasons to doubt it."""
     qualities = [measure_overlap(view, at) for view in views]
     error = expected_error(body.instrument, at, covariance)
-    doubts, _ = doubts_in_views(at, views, qualities, error, config.trust, OF_FRAMES["followed"])
+    doubts, _ = doubts_in_views(at, views, qualities, error, config.trust, "followed")
     return JudgedFrame(pooled_quality(qualities), tuple(doubts), error)

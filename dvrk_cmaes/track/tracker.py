@@ -19,8 +19,9 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm
 from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.pose.config_check import check_config
+from dvrk_cmaes.pose.doubts import doubts
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes.results.tracked import TrackResult, doubted
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import body_by, prepare
@@ -274,10 +275,7 @@ class Tracker:
     def _with_sparse_readings(self, result: TrackResult) -> TrackResult:
         """Return a result as doubtful if readings near its image are too sparse for the motion, with that reason."""
         sparse = self._readings.at(result.time - (0.0 if self.lag is None else self.lag.seconds)).sparse
-        if sparse is None or not sparse.reason:
-            return result
-        status = "doubtful" if result.status == "ok" else result.status
-        return replace(result, status=status, reasons=(*result.reasons, sparse.reason))
+        return result if sparse is None else doubted(result, doubts("spacing", "followed", sparse))
 
     def _check_time(self, time: float) -> None:
         checked_number("time", time, "a finite number of seconds")

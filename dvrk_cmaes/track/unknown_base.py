@@ -32,6 +32,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.pose.doubts import doubts
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result, modes_of
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
@@ -43,7 +44,6 @@ from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Seen
 
-NOT_FOUND: Final = "not found: the first image could not be solved"
 STEP_OF_SEARCH: Final = 6000.0
 """Pixel rows of silhouettes, or other work that takes as long, that a step does for a search; some 25 ms."""
 
@@ -107,9 +107,9 @@ class _Search:
     first: bool
 
     @property
-    def reason(self) -> str:
-        """What a step says that has no pose yet."""
-        return f"{self.call.stage or 'searching'}: the image of {self.images[0].time:.3f} s"
+    def stage(self) -> str:
+        """What is done."""
+        return self.call.stage or "searching"
 
 
 @dataclass(eq=False)
@@ -200,10 +200,9 @@ class UnknownBase:
             if self._late:
                 result = self._follow(self._late.popleft(), calibration)
         if not self._modes:
-            reason = NOT_FOUND if self._search is None else self._search.reason
-            return without_pose(time, reason, searched=True)
+            return without_pose(time, *doubts("search", "live", search=self._search), searched=True)
         if result is None or self._late:
-            return without_pose(time, f"searching: {len(self._late)} images are followed to this one", searched=True)
+            return without_pose(time, *doubts("following", "live", waiting=len(self._late)), searched=True)
         return replace(result, searched=searched)
 
     def _begin_search(self, image: _Image, calibration: SessionCalibration | None, *, first: bool) -> None:

@@ -15,15 +15,16 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.geometry import Image, Posed
 from dvrk_cmaes.io.arguments import check_type, checked_mask
+from dvrk_cmaes.pose.doubts import UNSUPPORTED, doubts
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import GUESS, Box, Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_edges import EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import UNSUPPORTED, silhouette_of
+from dvrk_cmaes.track.image_frames import silhouette_of
 from dvrk_cmaes.track.image_masks import SPREAD_OF_FIT, learned_colours, mask_around
-from dvrk_cmaes.track.images import FROZEN, ImageCheck, Mask
+from dvrk_cmaes.track.images import ImageCheck, Mask
 from dvrk_cmaes.track.outline_model import OutlineModel
 
 A = TypeVar("A", bound=NDArray[Any])
@@ -92,7 +93,9 @@ class Seen:
     def without_frozen(self) -> Seen:
         """Return the same with a problem of each view whose image is that of the time before although the arm moved."""
         problems = [
-            FROZEN.format(source="image" if mask is None else "mask") if problem is None and same else problem
+            "".join(doubts("same image", "live", source="image" if mask is None else "mask", same=same)) or None
+            if problem is None
+            else problem
             for mask, problem, same in zip(self.masks, self.problems, self.same, strict=True)
         ]
         return replace(self, problems=tuple(problems))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_fit import LEAST_OVERLAP, FrameFit
+from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
@@ -22,18 +22,16 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.doubts import OF_FRAMES
+from dvrk_cmaes.pose.doubts import doubts
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
+from dvrk_cmaes.pose.judge import doubts_of_agreement
 from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit
 from dvrk_cmaes.track.deviations import smoothed_deviations
-from dvrk_cmaes.track.recorded_frames import EMPTY, JudgedFrame
-
-LIMITS = OF_FRAMES["followed"]
-"""How far an image may be from what its calibration expects."""
+from dvrk_cmaes.track.recorded_frames import JudgedFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +123,11 @@ def status_of(
     source: str = "mask",
 ) -> tuple[TrackStatus, list[str]]:
     """Return the status of an image by its mask alone, and the reasons; ``source`` names the evidence."""
-    if judged is None:
-        return "lost", [EMPTY.format(source=source)]
-    quality = judged.quality
-    if quality.iou < LEAST_OVERLAP:
-        return "lost", [f"lost: the mask does not support the pose (IoU {quality.iou:.2f})"]
+    lost = doubts("support", "followed", source=source, iou=None if judged is None else judged.quality.iou)
+    if judged is None or lost:
+        return "lost", lost
     usual = calibration.iou, calibration.contour_px_95
-    reasons = [*judged.reasons, *LIMITS.doubts_in_session(quality, misfit, *usual, config.session)]
+    reasons = [*judged.reasons, *doubts_of_agreement("followed", misfit, config.session, judged.quality, usual)]
     return "doubtful" if reasons else "ok", reasons
 
 

@@ -24,8 +24,9 @@ class Constant(NamedTuple):
 class Row(NamedTuple):
     """What a changed constant does: its module's path in dvrk_cmaes, its value and the changed one, and figures.
 
-    Figures are texts ``NEW (OLD)``: of the images with a truth those in the right place, ok, and ok but wrong; the
-    median error of the tips, mm; seconds of processor time. ``error`` ends a run without figures.
+    Figures are texts ``NEW (OLD)``: of the images with a truth those in the right place, ok, and ok but wrong; how far
+    they are off, the median error of the tips, mm, or of pictures the mean of 1 - IoU of their masks; seconds of
+    processor time. ``error`` ends a run without figures.
     """
 
     module: str
@@ -35,7 +36,7 @@ class Row(NamedTuple):
     right: str
     ok: str
     wrong: str
-    tips_mm: str
+    off: str
     seconds: str
     error: str
     data: str

@@ -30,7 +30,7 @@ _READ_DEG: Final = 3.0  # standard deviation of the readings
 def drawn_picture(seed: int) -> Picture | None:
     """Draw a picture of a seed, half of them before tissue, and half with readings; None where no motion is in view."""
     rng = np.random.default_rng(seed)
-    table = _table()
+    table = drawn_worlds()
     number = int(rng.permutation(len(table))[0])
     world = replace(table[number], colour="colour")
     try:
@@ -52,7 +52,8 @@ def drawn_picture(seed: int) -> Picture | None:
 
 
 @lru_cache(maxsize=1)
-def _table() -> list[World]:
+def drawn_worlds() -> list[World]:
+    """Return the worlds of which pictures are drawn: small ones without a border."""
     return [world for world in worlds() if world.size[0] <= _LARGEST and world.border == "none"]
 
 

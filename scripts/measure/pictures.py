@@ -14,9 +14,15 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.files import read_camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.estimation.image_frame import SegmentedFrame, segment_and_estimate
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evidence.outline_noise import signed_distance
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
 from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.segment.segmentation import SegmentSettings
+from dvrk_cmaes.silhouette import Body
 
 Bool = NDArray[np.bool_]
 Image = NDArray[np.uint8]
@@ -127,7 +133,7 @@ def _lincoln(frames: Path) -> Iterator[Picture]:
     with (folder / "shaft_by_stereo.csv").open(encoding="utf-8") as file:
         axes = {row["frame"]: np.array([float(row[f"axis_{k}"]) for k in "xyz"]) for row in csv.DictReader(file)}
     instrument = str(next((frames.parent / "instruments/dvrk_model/urdf").glob("*400093*.urdf")))
-    for picture in _session("lincoln", folder, instrument):
+    for picture in pictures_of("lincoln", folder, instrument):
         if picture.name.startswith("left/"):
             name = picture.name.removeprefix("left/")
             mask, ignore = (folder / "by_hand" / kind / f"{name}.png" for kind in ("masks", "ignore"))
@@ -137,16 +143,19 @@ def _lincoln(frames: Path) -> Iterator[Picture]:
 
 
 def _real(frames: Path, level: str) -> Iterator[Picture]:
-    yield from _session(level, frames / "real" / level, str(frames.parent / "instruments/lnd_400006/lnd_400006.urdf"))
+    yield from pictures_of(
+        level, frames / "real" / level, str(frames.parent / "instruments/lnd_400006/lnd_400006.urdf")
+    )
 
 
 def _bench(frames: Path, predicted: Path | None) -> Iterator[Picture]:
-    for picture in _session("bench", frames / "bench/b", "lnd"):
+    for picture in pictures_of("bench", frames / "bench/b", "lnd"):
         path = None if predicted is None else predicted / f"{picture.name}.png"
         yield picture if path is None or not path.exists() else replace(picture, tools=(read_mask(path),))
 
 
-def _session(group: str, folder: Path, instrument: str) -> Iterator[Picture]:
+def pictures_of(group: str, folder: Path, instrument: str) -> Iterator[Picture]:
+    """Yield the pictures of a session's views, with their masks where there are any."""
     session = read_session(folder)
     for number, files in enumerate(session.frames):
         for view, own in files.of_views(session.rig).items():
@@ -156,6 +165,15 @@ def _session(group: str, folder: Path, instrument: str) -> Iterator[Picture]:
             camera = session.rig.view(view).camera
             image = read_image(own.image)
             yield Picture(group, name, image, camera, instrument, number % 2 == 0, files.readings, tools)
+
+
+def found_in(
+    picture: Picture, body: Body, settings: SegmentSettings | None = None, config: EstimateConfig | None = None
+) -> SegmentedFrame:
+    """Find a picture's mask and pose as `estimate` does; DvrkCmaesError if no instrument is found."""
+    data = FrameData.of(np.zeros(picture.image.shape[:2], np.bool_), picture.camera, image=picture.image)
+    method = FrameMethod("classic", config or EstimateConfig(), segment=settings)
+    return segment_and_estimate(data, FrameFiles(picture.name, None, picture.joints), body, method)
 
 
 GROUPS: Final[Mapping[str, Callable[[Path], Iterator[Picture]]]] = {

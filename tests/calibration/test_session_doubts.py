@@ -12,7 +12,6 @@ from helpers.page_calibrations import calibration, solved
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, SessionCamera
 from dvrk_cmaes.calibration.session_doubts import (
-    DISAGREES,
     bad_predictions,
     doubts_of,
     resting_on,
@@ -22,7 +21,8 @@ from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.doubts import far_joints
+from dvrk_cmaes.pose.doubts import DISAGREES
+from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.results.tracked import TrackResult
 
 FRAMES = ("0000", "0001", "0002")
@@ -172,6 +172,6 @@ def test_joints_far_from_what_is_expected_of_an_image_are_a_doubt(
     spread = np.diag(np.radians([1.0] * 6 + [4.0, 8.0, 10.0])) ** 2
     there = Posed(np.eye(4), np.zeros(3))
     found = Posed(np.eye(4), np.radians(off_deg))
-    text = far_joints(found, there, spread, ("wrist_pitch", "wrist_yaw", "jaw"))
+    text = "".join(far_joints(found, there, spread, ("wrist_pitch", "wrist_yaw", "jaw")))
     assert expected in text
     assert bool(text) == bool(expected)

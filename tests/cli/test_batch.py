@@ -15,6 +15,7 @@ from dvrk_cmaes.cli import main
 from dvrk_cmaes.cli.batch_progress import progress
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.label import EXPECTED as LABEL
+from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import BatchProgress
 from dvrk_cmaes.runs.worker import FrameOutcome
 
@@ -136,7 +137,7 @@ def test_missing_scheduler_is_refused(run: Run, tmp_path: Path, monkeypatch: pyt
 
 
 def outcome(status: str) -> FrameOutcome:
-    return FrameOutcome("a", status, (), 1.0, b"", None)  # type: ignore[arg-type]
+    return FrameOutcome(Result("a", status, (), "lnd", "roll_link", None, {}, {}), None)  # type: ignore[arg-type]
 
 
 def follow(reporter: BatchProgress) -> None:

@@ -104,7 +104,7 @@ def test_poses_of_one_arm_share_rcm_and_base() -> None:
     rcm, base = rcm_spread(poses, outer[:, 2]), base_spread(poses, outer)
     np.testing.assert_allclose(rcm.centre, camera_from_base[:3, 3], atol=1e-12)
     assert rcm.rms < 1e-12
-    np.testing.assert_allclose(base.camera_from_base, np.broadcast_to(camera_from_base, (6, 4, 4)), atol=1e-12)
+    assert base.largest_deg < 1e-5
     np.testing.assert_allclose(converge_shafts(poses).point, camera_from_base[:3, 3], atol=1e-9)
     turned = outer + [0, 0, 0, np.deg2rad(9)] * (np.arange(6) == 3)[:, None]
     angles = base_spread(poses, turned).angles_deg
@@ -311,5 +311,5 @@ def test_damaged_pose_table_is_refused_with_line(tmp_path: Path, text: str, expe
 def test_published_jaw_angles_are_converted(tmp_path: Path) -> None:
     path = tmp_path / "published.csv"
     path.write_text(f"{HEADER}\n26,0,0,0,1,2,3,0.1,0.2,0.5,0.8\n")
-    joints = read_published_poses(path)["26"].joints
+    joints = read_published_poses(path)["26"][1]
     assert joints == pytest.approx({"wrist_pitch": 0.1, "wrist_yaw": 0.35, "jaw": 1.3})

@@ -14,7 +14,7 @@ from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.geometry import Posed, transform
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.pose.doubts import OF_FRAMES, doubts_in_views
+from dvrk_cmaes.pose.judge import doubts_in_views
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError, Quality
@@ -137,9 +137,7 @@ def doubts(body: Body, evidence: Evidence, bend: float, distance: float = 0.11, 
     at = Posed(lookat_pose(0.5, 1.0, 0.7, distance), JOINTS)
     view = FrameView("", evidence, Renderer(body, CAMERA), np.eye(4))
     quality, error = Quality(0.99, 0.1, {}, 0.3, 0.9, bend), ExpectedError({"tip": 0.3}, {}, 0.5, 0.4)
-    return doubts_in_views(at, [view], [quality], error, TrustConfig(), OF_FRAMES["followed" if followed else "alone"])[
-        0
-    ]
+    return doubts_in_views(at, [view], [quality], error, TrustConfig(), "followed" if followed else "alone")[0]
 
 
 def test_reason_states_bend(bundled_body: Body, evidence: Evidence) -> None:

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.joints.sparse import Sparseness
+from dvrk_cmaes.pose.doubts import doubts
 
 DEPTH = 0.15  # m
+
+
+def reason(stamps: np.ndarray, values: np.ndarray, time: float) -> str:
+    """Why readings are too sparse at a time; empty if they are not."""
+    return "".join(doubts("spacing", "followed", Sparseness.of(stamps, values, time)))
 
 
 def swinging(rate: float, amplitude_deg: float, hertz: float, until: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
@@ -40,18 +46,18 @@ def test_readings_at_the_time_itself_have_no_error() -> None:
 
 def test_too_sparse_readings_are_a_reason_with_their_spacing_and_the_turn_between_them() -> None:
     stamps, values = swinging(1 / 0.11, 20.0, 1.4)
-    reasons = {Sparseness.of(stamps, values, float(time) + 0.055).reason for time in stamps[2:-3]}
+    reasons = {reason(stamps, values, float(time) + 0.055) for time in stamps[2:-3]}
     assert "readings too sparse: every 110 ms, the arm turns 18 deg between them" in reasons
-    assert all(not reason or reason.startswith("readings too sparse: every 110 ms") for reason in reasons)
+    assert all(not text or text.startswith("readings too sparse: every 110 ms") for text in reasons)
     slow = swinging(1 / 0.11, 20.0, 0.1)
-    assert {Sparseness.of(*slow, float(time) + 0.055).reason for time in slow[0][2:-3]} == {""}
+    assert {reason(*slow, float(time) + 0.055) for time in slow[0][2:-3]} == {""}
 
 
 def test_insertion_is_named_where_that_is_what_changes() -> None:
     stamps, values = swinging(8.0, 0.0, 1.0)
     values[:, 2] += 0.06 * np.sin(2 * np.pi * 1.2 * stamps)
-    reasons = {Sparseness.of(stamps, values, float(time) + 0.0625).reason for time in stamps[2:-3]}
-    assert any("every 125 ms, the insertion changes by" in reason for reason in reasons)
+    reasons = {reason(stamps, values, float(time) + 0.0625) for time in stamps[2:-3]}
+    assert any("every 125 ms, the insertion changes by" in text for text in reasons)
 
 
 def test_error_grows_beyond_the_last_reading() -> None:
@@ -65,11 +71,11 @@ def test_error_grows_beyond_the_last_reading() -> None:
 def test_dense_readings_are_not_too_sparse_whatever_a_single_one_says() -> None:
     stamps, values = swinging(100.0, 5.0, 0.7)
     values[50, 0] += 0.5
-    assert Sparseness.of(stamps, values, 0.503).reason == ""
+    assert reason(stamps, values, 0.503) == ""
 
 
 def test_too_few_readings_say_nothing() -> None:
-    assert Sparseness.of(np.array([0.0, 0.1]), np.zeros((2, 4)), 0.05).reason == ""
+    assert reason(np.array([0.0, 0.1]), np.zeros((2, 4)), 0.05) == ""
 
 
 def test_two_readings_of_almost_the_same_time_state_no_boundless_error() -> None:
@@ -77,4 +83,4 @@ def test_two_readings_of_almost_the_same_time_state_no_boundless_error() -> None
     values = np.outer([0.0, 0.01, 0.02, 0.03, 0.04], np.ones(4))
     found = Sparseness.of(stamps, values, 0.3)
     assert found.error.max() == 1.0
-    assert found.reason.startswith("readings too sparse: every 200 ms")
+    assert found.between.startswith("every 200 ms")

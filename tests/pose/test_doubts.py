@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 from helpers.frame_terms import SPREAD, readings_of, view_at
+from helpers.places import ROOT
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import TrustConfig
+from dvrk_cmaes.config import SessionConfig, TrustConfig
 from dvrk_cmaes.geometry import Posed, apply
-from dvrk_cmaes.pose.doubts import OF_FRAMES, doubts_in_views, exchanged_readings, judge
+from dvrk_cmaes.pose.doubts import RULES, Kind, Rule, doubts
+from dvrk_cmaes.pose.judge import doubts_in_views, exchanged_readings, judge
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
@@ -23,7 +27,7 @@ GOOD = Quality(0.97, 0.1, {}, 0.5, 1.5, distal_px=0.8)
 EXPECTED = ExpectedError({"mean": 0.3}, {}, 0.5, 0.4)
 
 
-def doubts(body: Body, *, sigmas: tuple[float, ...] = (0, 0, 0), turn: float = 0.0, std: float = 0.01) -> list[str]:
+def reasons_of(body: Body, *, sigmas: tuple[float, ...] = (0, 0, 0), turn: float = 0.0, std: float = 0.01) -> list[str]:
     """Give the reasons to doubt the true pose in two views.
 
     The readings are so many standard deviations off; the right view fits with a turn, degrees, known to ``std``.
@@ -40,16 +44,16 @@ def doubts(body: Body, *, sigmas: tuple[float, ...] = (0, 0, 0), turn: float = 0
 
 
 def test_pose_near_its_readings_is_not_doubted(bundled_body: Body) -> None:
-    assert doubts(bundled_body, sigmas=(1, -1, 1)) == []
+    assert reasons_of(bundled_body, sigmas=(1, -1, 1)) == []
 
 
 def test_one_joint_far_from_its_reading_is_named(bundled_body: Body) -> None:
-    (reason,) = doubts(bundled_body, sigmas=(0, 3, 0))
+    (reason,) = reasons_of(bundled_body, sigmas=(0, 3, 0))
     assert reason == "far from the readings: wrist_yaw is 3.0 times the expected error away"
 
 
 def test_joints_that_are_off_together_are_doubted_although_none_is_far_alone(bundled_body: Body) -> None:
-    (reason,) = doubts(bundled_body, sigmas=(2, -2, 2))
+    (reason,) = reasons_of(bundled_body, sigmas=(2, -2, 2))
     assert reason == "far from the readings: all joints together are farther off than readings are"
 
 
@@ -77,9 +81,7 @@ def test_exchanged_readings_are_told_by_all_frames_of_a_recording_together(bundl
 def doubts_followed(body: Body, camera: Camera, quality: Quality, *, followed: bool) -> list[str]:
     """Give the reasons to doubt the true pose of that quality, with or without the support of neighbouring images."""
     views = [view_at(body, camera, TRUE)]
-    return doubts_in_views(
-        TRUE, views, [quality], EXPECTED, TrustConfig(), OF_FRAMES["followed" if followed else "alone"]
-    )[0]
+    return doubts_in_views(TRUE, views, [quality], EXPECTED, TrustConfig(), "followed" if followed else "alone")[0]
 
 
 @pytest.mark.parametrize(("px", "alone", "followed"), [(2.7, 0, 0), (4.0, 1, 0), (4.4, 1, 1)])
@@ -111,5 +113,59 @@ def test_tips_outside_the_image_are_doubted_both_together_with_neighbouring_imag
 def test_views_disagree_by_a_rotation_that_is_large_and_certain(
     bundled_body: Body, turn: float, std: float, disagree: bool
 ) -> None:
-    reasons = doubts(bundled_body, turn=turn, std=std)
+    reasons = reasons_of(bundled_body, turn=turn, std=std)
     assert [reason.split(":")[0] for reason in reasons] == ["views disagree"] * disagree
+
+
+# the table
+
+
+def beginnings(text: str, rule: Rule) -> list[str]:
+    """How the reasons of a rule begin."""
+    return rule.begins.split("|") if rule.begins else [re.split(r"[:{]", text)[0].strip()]
+
+
+def listed() -> list[str]:
+    """The beginnings of reasons that the reference pages list, in the first columns of their tables."""
+    sections = {
+        "problems": ("A frame is doubtful", "A recording is lost or stays doubtful"),
+        "tracking": ("Doubts and losses",),
+        "sessions": ("Remarks and doubts",),
+    }
+    cells = []
+    for page, titles in sections.items():
+        text = (ROOT / "data" / "reference" / f"{page}.md").read_text(encoding="utf-8")
+        for title in titles:
+            cells += re.findall(r"^\| (.*?) \|", text.split(f"\n## {title}\n")[1].split("\n## ")[0], re.MULTILINE)
+    return [words for cell in cells for words in re.findall("`([^`]+)`", cell) if not words.startswith("--")]
+
+
+def test_every_rule_has_a_limit_a_text_and_a_kind() -> None:
+    for text, rule in RULES.items():
+        assert rule.of, text
+        assert rule.limit is not None, text
+        assert set(rule.holds.split()) <= set(get_args(Kind)), text
+        assert rule.holds, text
+        assert all(beginnings(text, rule)), text
+
+
+def test_every_limit_that_is_a_setting_exists() -> None:
+    for rule in RULES.values():
+        for name in rule.limit.split() if isinstance(rule.limit, str) else ():
+            if name.startswith("trust."):
+                assert hasattr(TrustConfig(), name.removeprefix("trust.")), name
+
+
+def test_pages_list_the_reasons_of_the_table_and_no_others() -> None:
+    pages, begins = listed(), [one for text, rule in RULES.items() for one in beginnings(text, rule)]
+    assert len(pages) > 40
+    same = {(one, own) for one in pages for own in begins if one.startswith(own) or own.startswith(one)}
+    assert set(pages) - {one for one, _ in same} == set()
+    assert set(begins) - {own for _, own in same} == set()
+
+
+def test_rule_that_does_not_hold_for_a_result_is_not_asked() -> None:
+    assert doubts("agreement", "edges", misfit=0.0, config=SessionConfig()) == []
+    (text,) = doubts("age", "live", age=1.5, oldest=1.0)
+    assert text == "the image is 1.5 s old"
+    assert doubts("age", "live", age=0.5, oldest=1.0) == doubts("age", "alone", age=1.5, oldest=1.0) == []

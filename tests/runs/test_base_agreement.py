@@ -11,10 +11,11 @@ from helpers.canned_results import canned
 
 from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.pose.doubts import BASE_APART
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.base_agreement import PREFIX, base_doubts, compare_bases
+from dvrk_cmaes.runs.base_agreement import base_doubts, compare_bases
 
 BASE = moved(np.eye(4), np.array([0.1, 0.0, 0.05, 0.3, -0.8, 1.0]))
 
@@ -31,7 +32,7 @@ def session(turns_deg: list[float]) -> dict[str, Result]:
 def test_frame_apart_is_named_with_its_angle() -> None:
     doubts = base_doubts(session([0, 1, -1, 2, 0.5, 40.3]), 10.0)
     assert list(doubts) == ["0005"]
-    assert doubts["0005"].startswith(f"{PREFIX}: rotated by 40 deg, expected at most 10 deg")
+    assert doubts["0005"].startswith(f"{BASE_APART}: rotated by 40 deg, expected at most 10 deg")
 
 
 def test_frames_that_agree_are_not_doubted() -> None:

@@ -21,7 +21,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.output import output
 from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.runs.batch import BatchSummary, finish, run_batch
+from dvrk_cmaes.runs.batch import BatchSummary, Workers, finish, run_batch
 from dvrk_cmaes.silhouette import Body
 
 Batch = Callable[..., BatchSummary]
@@ -33,7 +33,7 @@ def batch(bundled_body: Body, tmp_path: Path) -> Iterator[Batch]:
     with ThreadPoolExecutor(1) as thread:
 
         def go(session: Path, out: Path | str = "out", **options: object) -> BatchSummary:
-            given = {"config": QUICK_CONFIG, "executor": thread, **options}
+            given = {"config": QUICK_CONFIG, "workers": Workers(executor=thread), **options}
             return run_batch(read_session(session), tmp_path / out, bundled_body.instrument, **given)  # type: ignore[arg-type]
 
         yield go

@@ -17,7 +17,7 @@ from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.runs.batch import BatchSummary, run_batch
+from dvrk_cmaes.runs.batch import BatchSummary, Workers, run_batch
 from dvrk_cmaes.runs.batch_lag import find_batch_lag
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
@@ -137,7 +137,7 @@ def test_calibration_with_a_lag_is_used_by_batch_and_estimate(
 def test_batch_in_python_takes_a_session_with_a_lag(bundled_body: Body, tmp_path: Path) -> None:
     session = read_session(make_session(tmp_path / "session", NAMES)).with_lag(Lag(1.5))
     first = replace(session, frames=session.frames[2:3])
-    run_batch(first, tmp_path / "out", bundled_body.instrument, config=QUICK_CONFIG, workers=1)
+    run_batch(first, tmp_path / "out", bundled_body.instrument, config=QUICK_CONFIG, workers=Workers(1))
     rows = read_session(tmp_path / "session").frames
     found = json.loads((tmp_path / "out" / "frames" / "0002.json").read_text())["readings"]
     assert found["yaw"] == pytest.approx((rows[0].readings["yaw"] + rows[1].readings["yaw"]) / 2)

@@ -21,7 +21,7 @@ from helpers.worker_tasks import squared_unless_three
 from dvrk_cmaes.cli import main
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.runs.batch import BatchProgress, run_batch
+from dvrk_cmaes.runs.batch import BatchProgress, Workers, run_batch
 from dvrk_cmaes.runs.cluster import dask_executor
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
 from dvrk_cmaes.runs.processes import WorkerDied
@@ -102,15 +102,14 @@ def test_killed_worker_does_not_change_results(
             tmp_path / "cluster",
             instrument,
             config=QUICK_CONFIG,
-            executor=external,
-            progress=KillHalfWay(cluster.workers[1]),
+            workers=Workers(executor=external, progress=KillHalfWay(cluster.workers[1])),
         )
     assert cluster.workers[1].wait() == -signal.SIGKILL
     assert cluster.workers[0].poll() is None
     failed = [frame["reasons"] for frame in done.document["frames"].values() if frame["status"] == "failed"]
     assert (done.ran, done.counts["missing"], failed) == (len(NAMES), 0, [])
     with ThreadPoolExecutor(1) as here:
-        run_batch(read, tmp_path / "here", instrument, config=QUICK_CONFIG, executor=here)
+        run_batch(read, tmp_path / "here", instrument, config=QUICK_CONFIG, workers=Workers(executor=here))
     assert comparable(tmp_path / "cluster") == comparable(tmp_path / "here")
 
 

@@ -44,7 +44,7 @@ def solve(sessions: dict[str, Session], bundled_body: Body):
     """Give a function that runs the batches of both arms."""
 
     def run(out: Path, shard: Shard | None = None) -> dict[str, BatchSummary]:
-        options = {"config": CONFIG, "executor": EXECUTOR, "shard": shard}
+        options = {"config": CONFIG, "workers": Workers(executor=EXECUTOR), "shard": shard}
         return {arm: run_batch(sessions[arm], out / arm, bundled_body.instrument, **options) for arm in ARMS}
 
     return run

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_tools, exchanged_while_followed, masks_exchanged
+from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_tools, masks_exchanged
 
 NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 
@@ -54,10 +54,12 @@ def test_exchange_while_followed_is_told_with_its_first_frame(start: int) -> Non
     rng = np.random.default_rng(2)
     true = np.cumsum(0.03 * rng.standard_normal((2, 60, 3)), axis=1) + np.array([0.5, -0.5])[:, None, None]
     read = true + np.deg2rad(8) * rng.standard_normal((2, 1, 3))
-    assert exchanged_while_followed({"PSM1": followed(true[0], read[0]), "PSM2": followed(true[1], read[1])}) == []
+    assert (
+        exchanged_tools({"PSM1": followed(true[0], read[0]), "PSM2": followed(true[1], read[1])}, followed=True) == []
+    )
     seen = true.copy()
     seen[:, start:] = true[::-1, start:]
-    (text,) = exchanged_while_followed({"PSM1": followed(seen[0], read[0]), "PSM2": followed(seen[1], read[1])})
+    (text,) = exchanged_tools({"PSM1": followed(seen[0], read[0]), "PSM2": followed(seen[1], read[1])}, followed=True)
     assert text.startswith("PSM1 and PSM2: the joints found for each are nearer to the readings of the other")
     assert text.endswith(f"from frame {start:04d} on")
 
@@ -66,7 +68,7 @@ def test_tools_of_the_same_joints_are_not_taken_for_exchanged() -> None:
     rng = np.random.default_rng(3)
     true = np.cumsum(0.03 * rng.standard_normal((60, 3)), axis=0)
     read = true + np.deg2rad(8) * rng.standard_normal((2, 1, 3))
-    assert exchanged_while_followed({"PSM1": followed(true, read[0]), "PSM2": followed(true, read[1])}) == []
+    assert exchanged_tools({"PSM1": followed(true, read[0]), "PSM2": followed(true, read[1])}, followed=True) == []
 
 
 def test_masks_are_exchanged_if_those_of_the_other_tool_fit_better_in_most_frames() -> None:

@@ -12,7 +12,7 @@ from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.output import Output, output
-from dvrk_cmaes.runs.batch import BatchSummary, run_batch
+from dvrk_cmaes.runs.batch import BatchSummary, Workers, run_batch
 from dvrk_cmaes.runs.merge import merge_shards
 from dvrk_cmaes.runs.worklist import Shard
 from dvrk_cmaes.silhouette import Body
@@ -39,7 +39,7 @@ def thread() -> Iterator[Executor]:
 @pytest.fixture
 def batch(session: Path, bundled_body: Body, thread: Executor) -> Batch:
     def go(out: Path, **options: object) -> BatchSummary:
-        given = {"config": QUICK_CONFIG, "executor": thread, **options}
+        given = {"config": QUICK_CONFIG, "workers": Workers(executor=thread), **options}
         return run_batch(read_session(session), out, bundled_body.instrument, **given)  # type: ignore[arg-type]
 
     return go
@@ -51,12 +51,14 @@ def whole(
 ) -> dict[str, str]:
     """Run the batch in one thread of this process; gives its files."""
     out = tmp_path_factory.mktemp("whole") / "out"
-    run_batch(read_session(session), out, bundled_body.instrument, config=QUICK_CONFIG, executor=thread)
+    run_batch(
+        read_session(session), out, bundled_body.instrument, config=QUICK_CONFIG, workers=Workers(executor=thread)
+    )
     return comparable(out)
 
 
 def test_two_processes_agree_with_one_thread(batch: Batch, whole: dict[str, str], tmp_path: Path) -> None:
-    done = batch(tmp_path / "out", executor=None, workers=2)
+    done = batch(tmp_path / "out", workers=Workers(2))
     assert (done.ran, done.counts["failed"]) == (5, 1)
     assert comparable(tmp_path / "out") == whole
 

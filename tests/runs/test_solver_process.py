@@ -123,4 +123,4 @@ def test_keyframes_that_others_replace_are_not_estimated_and_forgotten() -> None
         for k in range(30, 38):
             solver.prepare(tasks[k : k + 3])
             solver._driver.submit(int).result(30)
-        assert set(solver._alone) == {task.keyframe.name for task in tasks[37:40]}
+        assert set(solver._ahead) == {task.keyframe.name for task in tasks[37:40]}

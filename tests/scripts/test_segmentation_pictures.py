@@ -24,7 +24,7 @@ def picture(scripts_on_path: None, monkeypatch: pytest.MonkeyPatch) -> Callable[
     from worlds.table import World
 
     world = World(0, (320, 240), 1.6, "none", 0.12, "lnd", "left", "classic", 30, 50, "colour", "none", 1, "easy")
-    monkeypatch.setattr(drawn_pictures, "_table", lambda: [world])
+    monkeypatch.setattr(drawn_pictures, "drawn_worlds", lambda: [world])
     return drawn_pictures.drawn_picture
 
 
@@ -76,7 +76,7 @@ def test_weights_are_those_by_which_candidates_were_right(monkeypatch: pytest.Mo
         return measures, (rng.random(count) < chance).astype(float)
 
     segmentation = import_module("segmentation")
-    monkeypatch.setattr(segmentation, "_candidates", candidates)
+    monkeypatch.setattr(segmentation, "drawn_candidates", candidates)
     found = report("fit", "2000")
     weights = np.array([float(text) for text in found["weights"][0]["weights"].split(",")])
     assert np.abs(weights - truth).max() < 0.4
@@ -89,7 +89,7 @@ def test_weights_are_those_by_which_candidates_were_right(monkeypatch: pytest.Mo
 def test_candidates_of_drawn_pictures_are_told_right_or_wrong(
     report: Report, picture: Callable[[int], Picture]
 ) -> None:
-    measures, right = import_module("segmentation")._candidates(1, 1)
+    measures, right = import_module("segmentation").drawn_candidates(1, 1)
     assert measures.shape == (len(right), 5)
     assert set(right) <= {0.0, 1.0}
     assert right.any()

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
-from typing import NamedTuple
+from types import ModuleType, SimpleNamespace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pytest
+
+from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.segment import Segmentation
+
+if TYPE_CHECKING:
+    from measure.pictures import Picture
 
 pytestmark = pytest.mark.usefixtures("scripts_on_path")
 
@@ -59,6 +67,7 @@ def test_changes_name_every_constant_of_a_package() -> None:
     found = [each for each in changes(["evidence"], [2.0]) if each.module == "evidence/shaft_edges.py"]
     assert {each.changed[0] for each in found} >= {"_FACING"}
     assert [each.value for each in found if each.name == "_FACING"] == ["0.93"]
+    assert [*changes(["evidence/shaft_edges.py"], [2.0])] == found
 
 
 def test_changed_constant_is_changed_where_it_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -96,6 +105,39 @@ def test_change_that_ends_a_run_is_named_by_its_error() -> None:
     assert tried(Made((), (), body), None, 60) == "ValueError: expected more"  # type: ignore[arg-type]
     assert str(tried(Slow((), (), body), None, 0.2)).startswith("took more than")  # type: ignore[arg-type]
     assert tried(Well((), (), body), None, 60) == Figures(1, 1, 0, 0.5, 1.0)  # type: ignore[arg-type]
+
+
+def test_processes_that_a_changed_run_starts_are_told_the_change() -> None:
+    from sensitivity import Changed, Data, Figures, tried
+
+    change = Changed("evidence/shaft_edges.py", "_FACING", "0.93", ("_FACING", 0.5))
+
+    class Made(Data):
+        def run(self) -> Figures:
+            told = pickle.loads(bytes.fromhex(os.environ["DVRK_CMAES_SENSITIVITY_CHANGE"]))
+            return Figures(int(told == tuple(change)), 0, 0, 0.0, 0.0)
+
+    assert tried(Made((), (), None), change, 60) == (1, 0, 0, 0, 0)  # type: ignore[arg-type]
+    assert "DVRK_CMAES_SENSITIVITY_CHANGE" not in os.environ
+
+
+def test_masks_of_pictures_are_compared_with_the_true_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sensitivity
+    from sensitivity import find_masks, shown_in
+
+    shown = shown_in(bundled_path("demo"), "lnd", 2)
+    assert [path.parent.name for path in shown.images["left"]].count("images") >= 2
+    first, second = shown.pictures
+    found = {
+        first.name: Segmentation(first.tools[0], confidence=0.9),
+        second.name: Segmentation(np.zeros_like(second.tools[0]), confidence=0.95),
+    }
+
+    def found_in(picture: Picture, *_: object) -> SimpleNamespace:
+        return SimpleNamespace(segmentation=found[picture.name])
+
+    monkeypatch.setattr(sensitivity, "found_in", found_in)
+    assert find_masks([shown])[:4] == (1, 2, 1, 0.5)
 
 
 def test_rows_take_the_place_of_older_ones_of_the_same_data(tmp_path: Path) -> None:

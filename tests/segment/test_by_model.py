@@ -147,7 +147,7 @@ def test_another_mask_is_taken_that_is_elsewhere_where_the_instrument_s_is_a_gue
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     image, mask, _ = behind_a_flap()
-    monkeypatch.setattr(model_masks, "_segmentation", lambda *_: Segmentation(mask, confidence=0.4))
+    monkeypatch.setattr(model_masks, "mask_of_candidate", lambda *_: Segmentation(mask, confidence=0.4))
     part = mask.copy()
     part[:, 125:] = False
     for shown, confidence, taken in [

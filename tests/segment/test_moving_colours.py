@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from dvrk_cmaes.segment.moving_colours import FEWEST, moving_pixels
+from dvrk_cmaes.segment.background import FEWEST
+from dvrk_cmaes.segment.moving_colours import moving_pixels
 
 SIZE = (120, 160)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dvrk_cmaes.track.reading_buffer import describe_frozen, frozen_frames
+from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.track.reading_buffer import frozen_frames, frozen_since
 
 FRAMES = 30
 
@@ -37,6 +38,6 @@ def test_missing_readings_and_masks_are_not_frozen() -> None:
 
 
 def test_reason_names_the_frame_since_which_readings_are_frozen() -> None:
-    texts = describe_frozen(np.array([False, True, True, False, True]), ["a", "b", "c", "d", "e"])
-    since = [None if text is None else text.split(":")[0] for text in texts]
-    assert since == [None, *["readings frozen since frame b"] * 2, None, "readings frozen since frame e"]
+    frozen = frozen_since(np.array([False, True, True, False, True]), ["a", "b", "c", "d", "e"])
+    since = [text.split(":")[0] for name in frozen for text in doubts("mask and readings", "followed", frozen=name)]
+    assert since == [*["readings frozen since frame b"] * 2, "readings frozen since frame e"]

@@ -29,7 +29,7 @@ from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.io.toml_file import read_config
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.results.result import Status
-from dvrk_cmaes.runs.batch import BatchProgress, run_batch
+from dvrk_cmaes.runs.batch import BatchProgress, Workers, run_batch
 from dvrk_cmaes.runs.worker import FrameOutcome
 from measure.bench.many_frames import repeated_results, repeated_session, small_session
 from measure.bench.page import chromium, load
@@ -101,7 +101,7 @@ def _measure(session: Path, out: Path, instrument: Instrument, config: EstimateC
     """Estimate a folder with a number of workers and return rates and memory."""
     memory = Memory()
     read = read_session(session, known=instrument.joint_names)
-    done = run_batch(read, out, instrument, config=config, workers=workers, progress=memory)
+    done = run_batch(read, out, instrument, config=config, workers=Workers(workers, progress=memory))
     seconds, worker, parent = np.array(memory.samples).T
     early = min(SETTLED, len(seconds) // 2)
     row: dict[str, Any] = {

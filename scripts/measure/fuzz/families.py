@@ -26,7 +26,7 @@ from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.toml_file import read_config
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.runs.batch import run_batch
+from dvrk_cmaes.runs.batch import Workers, run_batch
 
 FRAMES = 3
 QUICK = """seed = 1
@@ -175,7 +175,8 @@ def write_material(folder: Path) -> None:
     session = read_session(folder / "session")
     settings = read_config(folder / "quick.toml", EstimateConfig())
     with ThreadPoolExecutor(1) as executor:
-        run_batch(session, folder / "results", load_instrument("lnd"), config=settings, executor=executor)
+        workers = Workers(executor=executor)
+        run_batch(session, folder / "results", load_instrument("lnd"), config=settings, workers=workers)
     _write_calibration(folder / "session.json", folder / "results")
     golden = json.loads(bundled_path("demo", "golden.json").read_text(encoding="utf-8"))
     golden["frames"] = dict(list(golden["frames"].items())[:FRAMES])
