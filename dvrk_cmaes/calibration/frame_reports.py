@@ -53,10 +53,11 @@ def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[Fr
         covariance = covariances[i] + covariance_of_camera(camera, fit.at, state.stored[i].camera)
         if growth is not None:
             covariance += growth.of_frames[i] @ growth.squares @ growth.of_frames[i].T
+        by_fit = not disagreements[i] and not state.frames[i].brief
         tasks.append(
             ReportTask(
                 state.stored[i],
-                result,
+                replace(result, config=stated) if by_fit else result,
                 fit,
                 covariance,
                 alone.predict(without)[0],
@@ -64,7 +65,6 @@ def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[Fr
                 np.asarray(fit.at.pose @ inverse(base_from_root[i])),
                 (*([disagreements[i]] if disagreements[i] else ()), *_describe_slips(model, i, problem.config.session)),
                 agree=not disagreements[i],
-                config=stated,
                 first=first.get(i),
                 change=state.imaging.change,
                 brief=state.frames[i].brief,

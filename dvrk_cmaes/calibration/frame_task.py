@@ -108,9 +108,9 @@ class ReportTask:
     fit, including the calibration's. ``predicted`` are the pose and joints that the other frames predict, and
     ``predicted_std`` (J,) the standard deviations of these joints, rad. ``base`` (4, 4) is the camera_from_base of the
     fit and the corrected readings, ``doubts`` the texts of reasons to doubt the frame. If ``agree`` is true, the
-    frame's new result is the fit, otherwise its own result. ``config`` is stored with the result. ``first`` is the
-    evidence of the frame's first masks, against which the prediction is measured, if these are others, and ``change``
-    that of its cameras, as in `fit_task`. ``brief`` is as in `SessionFrame`.
+    frame's new result is the fit, otherwise its own result. ``first`` is the evidence of the frame's first masks,
+    against which the prediction is measured, if these are others, and ``change`` that of its cameras, as in `fit_task`.
+    ``brief`` is as in `SessionFrame`.
     """
 
     stored: StoredFrame
@@ -122,7 +122,6 @@ class ReportTask:
     base: Float64
     doubts: tuple[str, ...]
     agree: bool
-    config: Mapping[str, Any]
     first: StoredFrame | None = None
     change: Float64 | None = None
     brief: bool = False
@@ -274,7 +273,6 @@ def _result_of_fit(
         view_fits=tuple(
             replace(check, quality=of_view.get(check.name, check.quality)) for check in own_result.view_fits
         ),
-        config=dict(task.config),
     )
 
 

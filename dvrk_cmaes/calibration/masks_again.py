@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
+from dvrk_cmaes.camera import View
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.packed_mask import PackedMask, overlap_of
@@ -19,7 +20,8 @@ from dvrk_cmaes.geometry import Bool, Float64, Posed, change_between
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
 from dvrk_cmaes.pose.quality import measure_overlap, pooled_quality
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.pose.views import silhouette_of
+from dvrk_cmaes.silhouette import Body
 
 FindMasks = Callable[[Mapping[str, Bool], Mapping[str, Bool]], Mapping[str, Bool]]
 """Finds masks (H, W) in the images of a frame, by view, around silhouettes, given the first masks; picklable."""
@@ -116,9 +118,7 @@ def again_task(
     width, silhouettes = data.camera.width, {}
     for view in given:
         camera = view.camera if change is None else changed(view.camera, change, width)
-        seen = at.seen_from(view.view_from_camera)
-        drawn = Renderer(body, camera, threads=1).masks(seen.pose[None], seen.joints[None])[0]
-        silhouettes[view.name] = np.asarray(drawn)
+        silhouettes[view.name] = silhouette_of(at, View(view.name, camera, view.view_from_camera), body)
     first = {view.name: view.mask for view in given}
     found = find(silhouettes, first)
     overlaps = {name: overlap_of(mask, first[name]) for name, mask in found.items()}

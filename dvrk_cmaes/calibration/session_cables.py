@@ -14,7 +14,6 @@ from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.rounding import rounded, rounded_array
 from dvrk_cmaes.io.typed_document import Number, Texts, refused
 from dvrk_cmaes.joints.cable_prior import cable_prior
-from dvrk_cmaes.joints.cables import PARAMETERS, CableModel
 from dvrk_cmaes.joints.play import NARROW
 
 Row = tuple[Number, ...]
@@ -132,17 +131,6 @@ class SessionCables(Document):
                     raise refused(where, f"cables.{name}", f"{count} rows of {count} numbers", table)
         if min(self.seconds) <= 0:
             raise refused(where, "cables.seconds", "numbers above 0", self.seconds)
-
-    def model(self, offset: Float64) -> CableModel:
-        """Return the model of the errors with the session's offsets (C,), rad.
-
-        Parameters
-        ----------
-        offset
-            Offsets (C,) of the joints, rad.
-        """
-        parts = {name: np.array(getattr(self, name)) for name in PARAMETERS}
-        return CableModel(self.joints, offset=offset, **parts)
 
     def correction_alone(self, readings: Float64) -> Correction:
         """Return the corrections of frames of which nothing is known but their readings (N, C), rad.

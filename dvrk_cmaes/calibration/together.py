@@ -162,7 +162,7 @@ def _differs(one: SessionState, other: SessionState) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class RelativeBase:
+class RelativeBase(Document):
     """Pose of an arm's base in the base of a reference arm.
 
     ``reference_from_base`` is (4, 4), m; ``covariance`` (6, 6) that of its small changes [t, r] in the arm's own base's
@@ -184,10 +184,6 @@ class RelativeBase:
         both = of_reference @ shared
         covariance = other.covariance[:6, :6] + of_reference @ reference.covariance[:6, :6] @ of_reference.T
         return cls(np.asarray(reference_from_base), np.asarray(covariance - both - both.T))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the values in the documented schema, ready for JSON."""
-        return encoded_fields(self, "reference_from_base", "covariance")
 
     def describe(self) -> str:
         """Describe distance and angle in words, with standard deviations."""

@@ -162,8 +162,8 @@ def _find_mask(
 def _with_doubts(result: Result, view: SeenView, found: Segmentation, body: Body) -> Result:
     """Add to a result the doubts that follow from how its mask was found."""
     reasons = (*result.reasons, *doubts("picture", "alone", confidence=found.confidence, guess=GUESS))
-    assert view.image is not None
     if reasons:
+        assert view.image is not None
         cause = attribute_doubt(view.image, found, _silhouette(result, view, body), view.ignore)
         reasons = (*reasons, *doubts("doubtful picture", "alone", cause=cause))
     return replace(result, status="doubtful", reasons=reasons) if reasons else result

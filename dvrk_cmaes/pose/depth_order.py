@@ -8,7 +8,6 @@ may be interlocked, each in front of the other somewhere: then neither counts as
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -17,9 +16,10 @@ import numpy as np
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.expected_error import jacobian
+from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Place, Result
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette import Body
 
 OPPOSITE: Final[dict[Place, Place]] = {
     "behind": "in front",
@@ -46,7 +46,7 @@ def place_of_other(
     """
     if not all(_is_trusted(result) for result in results):
         return "unclear"
-    first, second = (_PlacedTool.of(result, body) for result, body in zip(results, bodies, strict=True))
+    first, second = (_placed(result, body) for result, body in zip(results, bodies, strict=True))
     shared = (pair for pair in zip(*views, strict=True) if all(view.given for view in pair))
     places = {_place_in_view(first, second, *pair) for pair in shared} - {"apart"}
     if not places:
@@ -61,49 +61,42 @@ def _is_trusted(result: Result) -> bool:
     return result.mode_probability is None or result.mode_probability >= _LEAST_PROBABILITY
 
 
-@dataclass(frozen=True, eq=False)
-class _PlacedTool:
-    """A tool's body, its pose, and the covariance (6 + J, 6 + J) of small changes of that."""
-
-    body: Body
-    at: Posed
-    covariance: Float64
-
-    @staticmethod
-    def of(result: Result, body: Body) -> _PlacedTool:
-        assert result.covariance is not None
-        return _PlacedTool(body, posed(result, body.instrument.joint_names), result.covariance)
-
-    def silhouette(self, view: SeenView) -> Bool:
-        """Return the silhouette (H, W) in a view."""
-        seen = self.at.seen_from(view.view_from_camera)
-        return np.asarray(Renderer(self.body, view.camera, threads=1).masks(seen.pose[None], seen.joints[None])[0])
-
-    def depths(self, view: SeenView, pixels: Float64) -> tuple[Float64, Float64]:
-        """Return the depths (N,) of the surface at pixels (N, 2) of a view, m, infinite beside it, and variances, m^2.
-
-        The variances follow from the covariance of the pose and the joints.
-        """
-        seen = self.at.seen_from(view.view_from_camera)
-        links = self.body.camera_from_links(seen.pose[None], seen.joints[None])[0]
-        directions = np.c_[view.camera.normalise(pixels), np.ones(len(pixels))]
-        depth, owner = self.body.scenes.depths(links, directions)
-        hit = np.isfinite(depth)
-        variance = np.full(len(pixels), np.inf)
-        points, owner = directions[hit] * depth[hit, None], owner[hit]
-        centred = points - links[owner, :3, 3]
-        in_link = np.einsum("nij,ni->nj", links[owner, :3, :3], centred)
-
-        def moved_depth(at: Posed) -> Float64:
-            moved = self.body.camera_from_links(at.pose, at.joints)[:, owner, 2]
-            return np.asarray(np.einsum("cnj,nj->cn", moved[..., :3], in_link) + moved[..., 3])
-
-        slope = jacobian(moved_depth, seen)
-        variance[hit] = np.einsum("ni,ij,nj->n", slope, self.covariance, slope)
-        return depth, variance
+_Tool = tuple[Body, Posed, Float64]
+"""A tool's body, its pose, and the covariance (6 + J, 6 + J) of small changes of that."""
 
 
-def _place_in_view(first: _PlacedTool, second: _PlacedTool, view: SeenView, of_second: SeenView) -> Place:
+def _placed(result: Result, body: Body) -> _Tool:
+    """Return a tool in the pose of its result, which has a covariance."""
+    assert result.covariance is not None
+    return body, posed(result, body.instrument.joint_names), result.covariance
+
+
+def _depths(tool: _Tool, view: SeenView, pixels: Float64) -> tuple[Float64, Float64]:
+    """Return the depths (N,) of a tool's surface at pixels (N, 2) of a view, m, infinite beside it, and variances, m^2.
+
+    The variances follow from the covariance of the pose and the joints.
+    """
+    body, at, covariance = tool
+    seen = at.seen_from(view.view_from_camera)
+    links = body.camera_from_links(seen.pose[None], seen.joints[None])[0]
+    directions = np.c_[view.camera.normalise(pixels), np.ones(len(pixels))]
+    depth, owner = body.scenes.depths(links, directions)
+    hit = np.isfinite(depth)
+    variance = np.full(len(pixels), np.inf)
+    points, owner = directions[hit] * depth[hit, None], owner[hit]
+    centred = points - links[owner, :3, 3]
+    in_link = np.einsum("nij,ni->nj", links[owner, :3, :3], centred)
+
+    def moved_depth(at: Posed) -> Float64:
+        moved = body.camera_from_links(at.pose, at.joints)[:, owner, 2]
+        return np.asarray(np.einsum("cnj,nj->cn", moved[..., :3], in_link) + moved[..., 3])
+
+    slope = jacobian(moved_depth, seen)
+    variance[hit] = np.einsum("ni,ij,nj->n", slope, covariance, slope)
+    return depth, variance
+
+
+def _place_in_view(first: _Tool, second: _Tool, view: SeenView, of_second: SeenView) -> Place:
     """Return where the second tool is, as seen by the first, in one view; ``of_second`` has the mask of the second.
 
     Depths are compared where both silhouettes are, and where the masks meet, there with the nearest pixel of each
@@ -111,7 +104,7 @@ def _place_in_view(first: _PlacedTool, second: _PlacedTool, view: SeenView, of_s
     """
     if view.mask.shape != of_second.mask.shape:
         return "unclear"
-    silhouettes = [tool.silhouette(view) for tool in (first, second)]
+    silhouettes = [silhouette_of(at, view, body) for body, at, _ in (first, second)]
     near = [_grown(seen.mask, _REACH) for seen in (view, of_second)]
     compared = np.argwhere((silhouettes[0] & silhouettes[1]) | (near[0] & near[1]))
     if len(compared) == 0:
@@ -120,7 +113,7 @@ def _place_in_view(first: _PlacedTool, second: _PlacedTool, view: SeenView, of_s
         return "unclear"
     compared = compared[np.linspace(0, len(compared) - 1, min(_MOST, len(compared))).astype(int)]
     pairs = zip((first, second), silhouettes, strict=True)
-    measured = [tool.depths(view, _nearest(silhouette, compared)) for tool, silhouette in pairs]
+    measured = [_depths(tool, view, _nearest(silhouette, compared)) for tool, silhouette in pairs]
     depths, variances = zip(*measured, strict=True)
     seen = np.isfinite(depths[0]) & np.isfinite(depths[1])
     if not seen.any():

@@ -187,6 +187,9 @@ RULES: Final[dict[str, Rule]] = {
     "shaft not found: no two edges in the mask could bound it": Rule(
         "frame", "alone", _ANY, lambda e, least: e.has_shaft < least
     ),
+    "points: {e.error_px:.1f} px rms from where the pose puts them": Rule(
+        "points", "alone", "largest_px", lambda e, most: e.error_px > most
+    ),
     "mask is a guess: confidence {e.confidence:.2f}, expected at least {limit[0]}": Rule(
         "picture", "alone", "guess", lambda e, least: e.confidence < least
     ),

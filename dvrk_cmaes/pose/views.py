@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dvrk_cmaes.camera import View
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
 from dvrk_cmaes.geometry import Bool, Float64, Posed
-from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.silhouette import Body, Renderer
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,3 +47,9 @@ def overlap(views: Sequence[FrameView], drawn: Sequence[Bool]) -> float:
     """Return the mean intersection over union of silhouettes and masks, one a view, without ignored pixels."""
     shares = [view.evidence.overlap_with(seen) for view, seen in zip(views, drawn, strict=True)]
     return float(np.mean(shares))
+
+
+def silhouette_of(at: Posed, view: View, body: Body) -> Bool:
+    """Return the silhouette (H, W) in a view of an instrument that is given in the reference camera."""
+    seen = at.seen_from(view.view_from_camera)
+    return np.asarray(Renderer(body, view.camera, threads=1).masks(seen.pose[None], seen.joints[None])[0])

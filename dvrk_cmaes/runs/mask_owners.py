@@ -25,11 +25,11 @@ from dvrk_cmaes.frames.frame import FrameData, FrameFiles
 from dvrk_cmaes.frames.packed_mask import overlap_of
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession, with_masks_of
 from dvrk_cmaes.runs.recorded import BLOCK, RecordedSolution, predict
 from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown, solving_keyframes
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.image_frames import silhouette_of
 
 _CLEAR: Final = 0.25  # of intersection over union, by which each tool must be expected at the other's mask
 _AGREE: Final = 0.5  # share of the keyframes that agree, below which each other's masks are tried

@@ -47,7 +47,7 @@ _POSSIBLE: Final = 0.2
 _AGREES: Final = 0.85  # overlap of a mask with the silhouette around which it was cut, below which it is less sure
 _UNDECIDED: Final = 0.75  # confidence, at most, of one of several instruments, where readings are of a certain one
 _SHARED: Final = 0.2  # of a mask, that may be in those of instruments that are surer; it is taken from this one
-_SAME: Final = 0.7  # overlap with an instrument, from which on a mask is of the same one: then the surer one is taken
+SAME: Final = 0.7  # overlap with an instrument, from which on a mask is of the same one: then the surer one is taken
 _ELSEWHERE: Final = 0.2  # overlap up to which a mask is not that of an instrument
 _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with a given box
 
@@ -138,7 +138,7 @@ def segment_by_model(
 
     def mask_of(each: Candidate) -> Segmentation | None:
         beside, same = _beside(each, likely, outside.shape), None
-        if other is not None and _overlap(each, other.mask) > _SAME:
+        if other is not None and _overlap(each, other.mask) > SAME:
             same = replace(other, mask=other.mask & ~beside) if beside.any() else other
             if same.confidence > each.confidence:  # its own mask would be no surer than the candidate
                 return same

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from dvrk_cmaes.calibration.session_masks import SessionMasks
-from dvrk_cmaes.camera import Camera, View
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
@@ -22,7 +22,8 @@ from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.doubts import UNSUPPORTED, doubts
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.pose.views import silhouette_of
+from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.histogram_ratio import ColourModel
 from dvrk_cmaes.track.image_masks import SPREAD_OF_FIT, learned_colours, mask_around
 from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame, fit_followed
@@ -182,9 +183,3 @@ def _with_outside(view: SeenView) -> SeenView:
     if outside is None or not outside.any() or outside.shape != view.mask.shape:
         return view
     return view.without(outside)
-
-
-def silhouette_of(at: Posed, view: View, body: Body) -> Bool:
-    """Return the silhouette (H, W) in a view of an instrument that is given in the reference camera."""
-    seen = at.seen_from(view.view_from_camera)
-    return np.asarray(Renderer(body, view.camera, threads=1).masks(seen.pose[None], seen.joints[None])[0])

@@ -17,12 +17,12 @@ from dvrk_cmaes.geometry import Image, Posed
 from dvrk_cmaes.io.arguments import check_type, checked_mask
 from dvrk_cmaes.pose.doubts import UNSUPPORTED, doubts
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import GUESS, Box, Hints
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.colour_edges import EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import silhouette_of
 from dvrk_cmaes.track.image_masks import SPREAD_OF_FIT, learned_colours, mask_around
 from dvrk_cmaes.track.images import ImageCheck, Mask
 from dvrk_cmaes.track.outline_model import OutlineModel

@@ -15,6 +15,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.joint_correction import correction_files
 from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.joints.cables import PARAMETERS, CableModel
 from dvrk_cmaes.joints.play import play_of
 
 FRAMES = solved(("a", "b"))
@@ -38,7 +39,7 @@ def carried_out(formula: str, readings: np.ndarray, joints: tuple[str, ...]) -> 
 def test_the_formula_follows_the_play_as_the_model_does() -> None:
     cables = cables_of(FRAMES)
     offset = np.array([OFFSETS[name] for name in cables.joints])
-    model = cables.model(offset)
+    model = CableModel(cables.joints, offset=offset, **{name: np.array(getattr(cables, name)) for name in PARAMETERS})
     readings = np.cumsum(np.random.default_rng(0).normal(0, 0.1, (50, 4)), axis=0)
     expected = model.errors(readings, play_of(readings, model.width))
     formula = correction_files("session.json", DOCUMENT, NAMES)["PSM1-joint-correction.txt"]

@@ -115,7 +115,7 @@ def test_a_mask_by_other_means_of_both_instruments_is_divided(
     two: tuple[np.ndarray, list[np.ndarray], Segmentation], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     image, masks, _ = two
-    monkeypatch.setattr(model_masks, "_SAME", 0.3)
+    monkeypatch.setattr(model_masks, "SAME", 0.3)
     both = Segmentation(masks[0] | masks[1], confidence=0.99)
     found = segment_by_model(image, BODY, CAMERA, None, Hints(), lambda: both, lambda: both)
     assert found.confidence == 0.99

@@ -20,12 +20,13 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Posed, moved
 from dvrk_cmaes.pose.terms.expected import Expected
+from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import fit_block, silhouette_of
+from dvrk_cmaes.track.image_frames import fit_block
 from dvrk_cmaes.track.image_masks import learned_colours, pooled_colours
 from dvrk_cmaes.track.recorded_frames import PredictedFrame
 from measure.cases import Case, Measurement, grouped
