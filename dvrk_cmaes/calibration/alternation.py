@@ -155,8 +155,13 @@ def _round(
     state.problem.progress(f"round {iteration + 1} of {len(scales)}", len(state.frames))
     expected = state.model.priors(calibration, scale=scale)
     state = _fitted(state, expected, _starts(state, iteration, expected, moved, last=last), last=last)
-    # Fits that do not explain the mask are only excluded once the prior is no longer widened.
-    return _solved_round(state, calibration, keep_all=scale != 1.0)
+    try:
+        # Fits that do not explain the mask are only excluded once the prior is no longer widened.
+        return _solved_round(state, calibration, keep_all=scale != 1.0)
+    except InputError as error:
+        if state.problem.refine_camera and iteration:
+            raise _camera_refused(state, IMPLAUSIBLE) from error
+        raise
 
 
 def _begun_with_few(state: SessionState, scales: Sequence[float]) -> tuple[SessionState, int]:

@@ -112,7 +112,8 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
         state = state.noted(remarks=check.camera.contradictions(config))
     elif check.hint:
         state = state.noted(remarks=[check.hint])
-    state = state.noted(remarks=[] if check.shaft is None else check.shaft.hints())
+    if check.shaft is not None and not (check.camera and check.camera.contradicts):
+        state = state.noted(remarks=check.shaft.hints())
     if change is not None:
         frames = [frame.with_data(partial(with_changed_cameras, change)) for frame in state.frames]
         state = replace(state, stored=tuple(problem.run(gather_task, frames)))

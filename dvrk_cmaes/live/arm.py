@@ -5,7 +5,6 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from functools import partial
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -129,32 +128,32 @@ class LiveArm:
 
     def start(self, frame: LiveFrame, arrays: Decoded) -> None:
         """Begin to follow a frame."""
-        self._began = self._now()
-        self._result = self._run(partial(self._step, frame, arrays))
+        self._began, self._frame, self._arrays = self._now(), frame, arrays
+        self._result = self._run(self._step)
 
     @property
     def runs(self) -> bool:
         """Whether the step that was started goes on elsewhere."""
         return not self._result.done()
 
-    def _step(self, frame: LiveFrame, arrays: Decoded) -> TrackResult:
-        """Follow a frame."""
+    def _step(self) -> TrackResult:
+        """Follow the frame."""
+        arrays = self._arrays
         masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)
-        return self._tracker.step(self._seconds(frame), masks, arrays.images or None, ignored or None)
+        return self._tracker.step(self._seconds, masks, arrays.images or None, ignored or None)
 
-    def _seconds(self, frame: LiveFrame) -> float:
-        """Return the time of a frame for the tracker, s."""
-        return (frame.time - self._origin) / NANOSECONDS
+    @property
+    def _seconds(self) -> float:
+        """The time of the frame for the tracker, s."""
+        return (self._frame.time - self._origin) / NANOSECONDS
 
-    def finish(
-        self, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]
-    ) -> tuple[bool, bool]:
+    def finish(self, age: Callable[[], float], silent: Sequence[str]) -> tuple[bool, bool]:
         """Publish the result of the frame that was started, or say why there is none.
 
         Returns whether it was followed, and whether following is to begin anew, after several that were not.
         """
         try:
-            self._publish(self._result.result(), frame, arrays, age, silent)
+            self._publish(self._result.result(), age, silent)
         except InputError as error:
             self._report(str(error))
             self.leave_out(str(error))
@@ -166,10 +165,8 @@ class LiveArm:
         self._failures = 0
         return True, False
 
-    def _publish(
-        self, result: TrackResult, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: Sequence[str]
-    ) -> None:
-        image = next(iter(arrays.images.values()), None)
+    def _publish(self, result: TrackResult, age: Callable[[], float], silent: Sequence[str]) -> None:
+        frame, image = self._frame, next(iter(self._arrays.images.values()), None)
         overlay = None if self._draw is None or image is None else self._draw(image, result)
         old = age()
         reasons = doubts("age", "live", age=old, oldest=OLD)
@@ -187,7 +184,7 @@ class LiveArm:
         self.ok += result.status == "ok" and not reasons
         self._told, self._ros1 = self._now(), frame.ros1
         self.wait("waiting for images")
-        self._tracker.after_step(self._seconds(frame))
+        self._tracker.after_step(self._seconds)
         self.base_state = self._tracker.state
 
     def _fail(self, error: Exception) -> bool:

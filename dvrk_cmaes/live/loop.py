@@ -196,9 +196,9 @@ class LiveLoop:
             if arm.runs:
                 running.append(arm)
             else:
-                followed |= self._finish(arm, frame, arrays, age, silent)
+                followed |= self._finish(arm, age, silent)
         for arm in running:
-            followed |= self._finish(arm, frame, arrays, age, silent)
+            followed |= self._finish(arm, age, silent)
         self.counts.published = sum(arm.published for arm in self._arms)
         self.counts.followed += followed
         self.counts.refused += not followed
@@ -208,11 +208,9 @@ class LiveLoop:
                 self._report(f"images are {self._latest[-1]:.1f} s old: this computer, or the way here, is too slow")
         return followed
 
-    def _finish(
-        self, arm: LiveArm, frame: LiveFrame, arrays: Decoded, age: Callable[[], float], silent: tuple[str, ...]
-    ) -> bool:
+    def _finish(self, arm: LiveArm, age: Callable[[], float], silent: tuple[str, ...]) -> bool:
         """Publish what an arm that was started has found; returns whether the frame was followed."""
-        followed, anew = arm.finish(frame, arrays, age, silent)
+        followed, anew = arm.finish(age, silent)
         if anew and self._rig is not None:
             arm.begin(self._rig)
             self.counts.restarts += 1
