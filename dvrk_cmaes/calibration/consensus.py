@@ -49,14 +49,13 @@ class Mode:
 class Consensus:
     """A calibration with what N frames say of it, each by its most likely mode.
 
-    ``chosen`` (N,) is the index of that mode, ``misfit`` (N,) its squared Mahalanobis distance from the prediction
-    divided by D. ``cost`` (N,) is twice the negative log-likelihood per degree of freedom, up to a constant, and at
-    most that of an outlier. It includes the determinant of the covariance, since a hypothesis from an uncertain mode
-    has a small misfit in every frame.
+    ``misfit`` (N,) is the squared Mahalanobis distance of that mode from the prediction divided by D. ``cost`` (N,) is
+    twice the negative log-likelihood per degree of freedom, up to a constant, and at most that of an outlier. It
+    includes the determinant of the covariance, since a hypothesis from an uncertain mode has a small misfit in every
+    frame.
     """
 
     calibration: Calibration
-    chosen: Indices
     misfit: Float64
     cost: Float64
 
@@ -215,15 +214,15 @@ class _Hypotheses:
         """Return the sums (H,) of the costs of test frames (V,) by the calibrations from ``sources`` (H, 2)."""
         at_once = max(1, MOST_AT_ONCE // (len(test_frames) * self._covariance.shape[1]))
         parts = (sources[first : first + at_once] for first in range(0, len(sources), at_once))
-        return np.concatenate([self._tested(part, test_frames)[2].sum(axis=1) for part in parts])
+        return np.concatenate([self._tested(part, test_frames)[1].sum(axis=1) for part in parts])
 
     def consensus(self, source: Indices, test_frames: Indices) -> Consensus:
         """Return what test frames (V,) say of the calibration that is made from a frame and one of its modes (2,)."""
         ((base,), (offsets,)), tested = self._calibrations(source[None]), self._tested(source[None], test_frames)
         return Consensus(Calibration(base, offsets, endoscope=self._model.start), *(one[0] for one in tested))
 
-    def _tested(self, sources: Indices, test_frames: Indices) -> tuple[Indices, Float64, Float64]:
-        """Test the calibrations from ``sources`` (H, 2) on test frames (V,): chosen, misfit and cost, (H, V) each."""
+    def _tested(self, sources: Indices, test_frames: Indices) -> tuple[Float64, Float64]:
+        """Test the calibrations from ``sources`` (H, 2) on test frames (V,): misfit and cost, (H, V) each."""
         bases, offsets = self._calibrations(sources)
         frame, k = sources.T
         read = self._read[test_frames]
@@ -253,11 +252,11 @@ class _Hypotheses:
         changes = self._at[test_frames].minus(_for_each_mode(expected)[test_frames])
         return Consensus(calibration, *self._judged(self._of_readings[test_frames], changes, test_frames))
 
-    def _judged(self, predicted: Float64, changes: Float64, test_frames: Indices) -> tuple[Indices, Float64, Float64]:
+    def _judged(self, predicted: Float64, changes: Float64, test_frames: Indices) -> tuple[Float64, Float64]:
         """Judge calibrations by the changes (..., V, M, D) of modes from what they predict.
 
-        ``predicted`` (..., V, D, D) is the covariance of the prediction. Returns the most likely mode of each frame,
-        its misfit and its cost, (..., V) each.
+        ``predicted`` (..., V, D, D) is the covariance of the prediction. Returns misfit and cost of the most likely
+        mode of each frame, (..., V) each.
         """
         dimension = changes.shape[-1]
         total = predicted[..., None, :, :] + self._covariance[test_frames]
@@ -265,6 +264,6 @@ class _Hypotheses:
         outlier_std = np.concatenate([_OUTLIER_STD, np.full(dimension - 6, _OUTLIER_ANGLE)])
         outlier_cost = 2 * np.log(outlier_std).sum() / dimension + 1
         cost = np.minimum(misfit + log_determinant, outlier_cost)
-        chosen = (misfit + log_determinant).argmin(axis=-1)
-        misfit, cost = (np.take_along_axis(one, chosen[..., None], -1)[..., 0] for one in (misfit, cost))
-        return chosen, misfit, cost
+        best = (misfit + log_determinant).argmin(axis=-1)[..., None]
+        misfit, cost = (np.take_along_axis(one, best, -1)[..., 0] for one in (misfit, cost))
+        return misfit, cost
