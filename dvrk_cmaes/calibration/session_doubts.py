@@ -56,7 +56,7 @@ def doubts_of(
         agreeing=agreeing,
         solved=agreeing + disagreeing,
         fits=better_instrument(calibration.instruments, calibration.predicted_iou).removeprefix("these frames fit "),
-        sizes=[] if shaft is None else [text.partition(": ")[0] for text in shaft.contradictions()],
+        sizes=[] if shaft is None else shaft.contradictions(),
         masks=masks,
         margin=0.0 if masks is None else abs(masks.margin_px),
         side="wide" if masks is not None and masks.margin_px > 0 else "narrow",

@@ -17,6 +17,7 @@ from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
+from dvrk_cmaes.pose.doubts import OTHER_SIZES
 from dvrk_cmaes.pose.terms.shared_errors import NEAREST
 from dvrk_cmaes.silhouette import OutlinePoints
 
@@ -42,7 +43,6 @@ _TEXTS: Final = {
     "wrist": ("the length from the wrist's to the jaws' axis is", "longer", "shorter"),
     "jaws": ("the jaws are", "longer", "shorter"),
 }
-_CAUSES = "another instrument (--instrument), or another focal length than the camera file's"
 
 
 class InstrumentSizes(Constant):
@@ -140,7 +140,7 @@ class SessionShaft(Document):
         if self.contradictions():
             return []
         return [
-            f"the instrument may be another one: {text}"
+            f"the instrument may be another one: {text}: {OTHER_SIZES}"
             for text, off, std, least in self._differences()
             if off > max(_HINT * least, _HINT_STD * std)
         ]
@@ -156,6 +156,6 @@ class SessionShaft(Document):
         for (part, least), (scale, std) in zip(_LEAST.items(), found, strict=True):
             what, more, less = _TEXTS[part]
             than = more if scale > 1 else less
-            text = f"{what} {100 * abs(scale - 1):.0f} % (std {100 * std:.0f}) {than} than the instrument's: {_CAUSES}"
+            text = f"{what} {100 * abs(scale - 1):.0f} % (std {100 * std:.0f}) {than} than the instrument's"
             rows.append((text, abs(scale - 1), std, least))
         return rows

@@ -24,6 +24,8 @@ DISAGREES: Final = "disagrees with the session"
 """What the reason begins with for which a frame is left out that does not agree with the others."""
 TIPS_NOT_ACCURATE: Final = "tips not accurate"
 """What the reason begins with for which the expected error of the tips is too large."""
+OTHER_SIZES: Final = "another instrument (--instrument), or another focal length than the camera file's"
+"""Why parts of an instrument may seem to have other sizes."""
 BASE_APART: Final = "base far from the others'"
 """What the reason begins with for which a frame of a folder differs from the others."""
 
@@ -295,7 +297,7 @@ RULES: Final[dict[str, Rule]] = {
         "session", "session", _TRUSTED_SHARE, lambda e, least: e.agreeing < least * e.solved
     ),
     "these frames fit {it}": Rule("session", "session", _ANY, lambda e, least: e.fits),
-    "{it}: another instrument (--instrument), or another focal length than the camera file's": Rule(
+    f"{{it}}: {OTHER_SIZES}": Rule(
         "session", "session", _ANY, lambda e, least: e.sizes, "the shaft is|the length from the wrist|the jaws are"
     ),
     "masks are {e.margin:.1f} px (std {e.masks.std_margin_px:.1f}) too {e.side} all round: more than segmenters err; "
