@@ -8,7 +8,7 @@ from helpers.places import ROOT
 
 import dvrk_cmaes
 from dvrk_cmaes.calibration import document
-from dvrk_cmaes.cli.app import SUMMARIES, app
+from dvrk_cmaes.cli.app import COMMANDS, app
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.results import result
 from dvrk_cmaes.runs import summary
@@ -33,8 +33,8 @@ def test_stable_names_are_those_of_the_package() -> None:
 
 
 def test_stable_commands_are_those_of_the_program() -> None:
-    assert first_paragraph("Commands") == list(SUMMARIES)
-    assert {name for name in app if not name.startswith("-")} == set(SUMMARIES)
+    assert first_paragraph("Commands") == list(COMMANDS)
+    assert {name for name in app if not name.startswith("-")} == set(COMMANDS)
 
 
 def test_schemas_are_those_that_are_written() -> None:

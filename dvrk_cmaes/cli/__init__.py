@@ -5,20 +5,6 @@ Modules that take long to import are imported inside the functions that use them
 
 from __future__ import annotations
 
-import contextlib
-import sys
-from collections.abc import Sequence
+from dvrk_cmaes.cli.app import main
 
 __all__ = ["main"]
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line (``sys.argv`` by default) and return its exit code; no error is raised."""
-    from dvrk_cmaes.cli.overview import print_overview
-
-    with contextlib.suppress(AttributeError, OSError):  # of a closed or full stdout: the app says what is wrong with it
-        if print_overview(sys.argv[1:] if arguments is None else arguments):
-            return 0
-    from dvrk_cmaes.cli.app import main as run
-
-    return run(arguments)

@@ -12,12 +12,39 @@ from typing import Final
 
 from cyclopts import App, CycloptsError, MissingArgumentError
 
-from dvrk_cmaes.cli.layout import HelpFormatter, trimmed_console
-from dvrk_cmaes.cli.overview import ABOUT, SUMMARIES
 from dvrk_cmaes.cli.terminal import INTERRUPTED, discard_stdout, prepare_streams, print_error
 from dvrk_cmaes.errors import DvrkCmaesError, InputError, one_line
 
 _DEBUG = "--debug"
+
+COMMANDS: Final = (
+    "estimate",
+    "segment",
+    "demo",
+    "batch",
+    "calibrate",
+    "track",
+    "live",
+    "export",
+    "golden",
+    "compare",
+    "consistency",
+    "pnp",
+    "synth",
+    "inspect",
+    "import",
+    "help",
+)
+"""The names of the commands, each of which is imported when it is used."""
+
+_ABOUT: Final = """Pose and joint angles of da Vinci Research Kit instruments from one endoscope frame, on a CPU.
+
+Try "dvrk-cmaes demo" first; "dvrk-cmaes help" lists the reference pages.
+
+Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful.
+
+With --debug, any command shows where in the program an error was raised.
+"""
 
 _FUNCTIONS: Final = {"import": "import_recording:import_recording", "help": "help:help_topic"}
 """Module and function of the commands that are not named as these."""
@@ -30,11 +57,9 @@ def _version() -> str:
     return __version__
 
 
-app = App(
-    name="dvrk-cmaes", help=ABOUT, version=_version, suppress_keyboard_interrupt=False, help_formatter=HelpFormatter()
-)
-"""The app with all commands, each imported when it is used."""
-for _name in SUMMARIES:
+app = App(name="dvrk-cmaes", help=_ABOUT, version=_version, suppress_keyboard_interrupt=False, help_format="markdown")
+"""The app with all commands."""
+for _name in COMMANDS:
     app.command(f"dvrk_cmaes.cli.{_FUNCTIONS.get(_name, f'{_name}:{_name}')}", name=_name)
 
 
@@ -45,8 +70,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     debug = _DEBUG in tokens
     if tokens[:1] == ["help"] and len(tokens) == 2 and _is_only_command(tokens[1]):
         tokens = [tokens[1], "--help"]
-    if not tokens or not {"--help", "-h"}.isdisjoint(tokens):
-        app.console = trimmed_console()
+    if not tokens or tokens[0] in ("--help", "-h"):
+        for name in COMMANDS:
+            app[name]  # imports the command, whose first sentence is listed
     with warnings.catch_warnings():
         if not (debug or sys.warnoptions):
             warnings.simplefilter("ignore")  # what a user has to know is said by the commands themselves
@@ -69,7 +95,7 @@ def _is_only_command(name: str) -> bool:
     """Return whether a name is that of a command and not of a reference page."""
     from dvrk_cmaes.cli.help import topic_pages
 
-    return name in SUMMARIES and name not in topic_pages()
+    return name in COMMANDS and name not in topic_pages()
 
 
 def _said(error: BaseException, tokens: Sequence[str]) -> int:

@@ -97,7 +97,7 @@ def batch(
     prompts: PromptOptions = DEFAULT_PROMPTS,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    r"""Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.
+    """Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.
 
     If the command is interrupted or killed, the same command continues with the missing frames. A frame that cannot be
     estimated gets a failed result with its reason, and the command continues with the other frames. Of several arms, a
@@ -122,8 +122,7 @@ def batch(
     On a Dask cluster:
 
     ```
-    dvrk-cmaes batch session --out results \
-      --scheduler tcp://head:8786
+    dvrk-cmaes batch session --out results --scheduler tcp://head:8786
     ```
 
     Parameters

@@ -68,7 +68,7 @@ def calibrate(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    r"""Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
+    """Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
 
     All frames are solved together. It is assumed that the base does not move, that the readings of the outer joints are
     good, and that the errors of the cable-driven joints are mostly one offset in the session. Each frame's pose is
@@ -80,8 +80,7 @@ def calibrate(
     Example:
 
     ```
-    dvrk-cmaes calibrate session \
-      --results session/results --out calibrated
+    dvrk-cmaes calibrate session --results session/results --out calibrated
     ```
 
     Afterwards `dvrk-cmaes estimate ... --session calibrated/session.json` starts new frames from the calibration.

@@ -26,7 +26,7 @@ def consistency(
     picture: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    r"""Measure how well the frames of a session agree, without true poses: the paper's Table I and further measures.
+    """Measure how well the frames of a session agree, without true poses: the paper's Table I and further measures.
 
     While the arm moves about its remote centre of motion (RCM), the shafts' axes should meet in one point x*. Sigma is
     the standard deviation of their distances from x*, in m as in the paper; rms is the root mean square of the
@@ -41,8 +41,7 @@ def consistency(
     Example:
 
     ```
-    dvrk-cmaes consistency out/easy out/medium \
-      --picture axes.png
+    dvrk-cmaes consistency out/easy out/medium --picture axes.png
     ```
 
     Parameters

@@ -12,7 +12,6 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import DEFAULT_METHOD, OUTPUT, Flag, MethodOptions
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, tracked
-from dvrk_cmaes.io.encode import encoded_fields
 
 if TYPE_CHECKING:
     from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance
@@ -41,6 +40,8 @@ class DemoOutcome:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
+        from dvrk_cmaes.io.encode import encoded_fields
+
         quality = self.result.quality
         return {
             **encoded_fields(self.result, "frame", "status", "reasons"),

@@ -68,23 +68,20 @@ def estimate(
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    r"""Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.
+    """Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.
 
     Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful (with reasons).
 
     Example:
 
     ```
-    dvrk-cmaes estimate --mask masks/0026.png \
-      --camera camera.yaml --joints joints.csv \
-      --image images/0026.png --out x
+    dvrk-cmaes estimate --mask 26.png --camera camera.yaml --joints joints.csv
     ```
 
     Without a mask, it is found in the image:
 
     ```
-    dvrk-cmaes estimate --image images/0026.png \
-      --camera camera.yaml --joints joints.csv --out x
+    dvrk-cmaes estimate --image 26.jpg --camera camera.yaml --joints joints.csv
     ```
 
     Parameters

@@ -94,7 +94,7 @@ def export(
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    r"""Write results in the formats of other programs.
+    """Write results in the formats of other programs.
 
     Formats, with the transform and its units (a_from_b maps points of b into a):
 
@@ -107,8 +107,7 @@ def export(
     Example:
 
     ```
-    dvrk-cmaes export results --to dvrk --arm PSM2 \
-      --out calibration
+    dvrk-cmaes export results --to dvrk --arm PSM2 --out calibration
     ```
 
     Parameters

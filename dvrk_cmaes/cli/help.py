@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import ClassVar
 
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError, nearest_first
@@ -70,10 +71,17 @@ def _print_markdown(text: str) -> None:
     if not sys.stdout.isatty():
         print(text, end="")
         return
-    from dvrk_cmaes.cli.layout import trimmed_console
-    from dvrk_cmaes.cli.markdown import fitted_markdown
+    from rich.console import Console, ConsoleOptions, RenderResult
+    from rich.markdown import CodeBlock, Markdown
+    from rich.text import Text
 
-    console = trimmed_console()
-    from rich.markdown import Markdown
+    class Code(CodeBlock):
+        """Code whose lines stay whole, so that a terminal wraps and copies them as one line each."""
 
-    console.print(Markdown(fitted_markdown(_RELATIVE_LINK.sub(r"\1", text), console.width)))
+        def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+            yield Text(str(self.text).rstrip(), no_wrap=True, overflow="ignore")
+
+    class Page(Markdown):
+        elements: ClassVar = {**Markdown.elements, "code_block": Code, "fence": Code}
+
+    Console().print(Page(_RELATIVE_LINK.sub(r"\1", text)), crop=False)

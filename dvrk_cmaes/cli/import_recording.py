@@ -135,7 +135,7 @@ def import_recording(
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    r"""Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session folder.
+    """Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session folder.
 
     Readings are interpolated to the times of the images, and never extrapolated. The session folder has images, but no
     masks.
@@ -147,8 +147,7 @@ def import_recording(
     ```
 
     ```
-    dvrk-cmaes import suturing.mp4 --camera camera.yaml \
-      --joints joints.csv --video-start 12.4 --out session
+    dvrk-cmaes import a.mp4 --camera camera.yaml --joints joints.csv --out session
     ```
 
     ```

@@ -35,7 +35,7 @@ def inspect(
     package_path: Annotated[tuple[str, ...], Parameter(group=INSTRUMENT, negative=(), show_default=False)] = (),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    r"""Print what each file is taken for, what is read from it, and the rules that were applied to ambiguous content.
+    """Print what each file is taken for, what is read from it, and the rules that were applied to ambiguous content.
 
     Files of cameras, joint readings, masks, images, jaw tips, URDFs, meshes, the dVRK's tools, kinematics and
     registrations, and results; folders of sessions and of results; the topics of a ROS recording. A
@@ -45,8 +45,7 @@ def inspect(
     Example:
 
     ```
-    dvrk-cmaes inspect camera.yaml measured_js.yaml \
-      masks/0026.png LARGE_NEEDLE_DRIVER_400006.json
+    dvrk-cmaes inspect camera.yaml measured_js.yaml masks/0026.png
     ```
 
     Parameters

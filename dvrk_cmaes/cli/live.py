@@ -142,7 +142,7 @@ def live(
     overlay: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     seconds: Annotated[float, Parameter(group=OUTPUT)] = math.inf,
 ) -> int:
-    r"""Follow the instruments of a running robot: images and readings from ROS topics, poses to ROS topics.
+    """Follow the instruments of a running robot: images and readings from ROS topics, poses to ROS topics.
 
     The topics are read and written through a rosbridge server (`ros2 launch rosbridge_server
     rosbridge_websocket_launch.xml`), so that no ROS is needed here. Of the images only the newest is followed. A lost
@@ -152,8 +152,7 @@ def live(
     Example:
 
     ```
-    dvrk-cmaes live --rectified --mask-topic /left/mask \
-      --image-topic /left/image_rect_color/compressed
+    dvrk-cmaes live --image-topic /left/image/compressed --mask-topic /left/mask
     ```
 
     Parameters

@@ -38,7 +38,7 @@ def pnp(
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
 ) -> int:
-    r"""Estimate the poses of a session from image points and readings by PnP, as a baseline for comparisons.
+    """Estimate the poses of a session from image points and readings by PnP, as a baseline for comparisons.
 
     Earlier trackers are initialised in this way. The joints are the readings, without correction. Results are written
     to OUT/frames/FRAME.json in the schema of `estimate`, so that they can be compared by the same commands. Exit codes:
@@ -47,8 +47,7 @@ def pnp(
     Example:
 
     ```
-    dvrk-cmaes pnp sessions/hard --out pnp/hard \
-      --solver ransac
+    dvrk-cmaes pnp sessions/hard --out pnp/hard --solver ransac
     ```
 
     Parameters

@@ -79,7 +79,7 @@ def segment(
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    r"""Find the instrument in an image, or in each image of a folder.
+    """Find the instrument in an image, or in each image of a folder.
 
     Writes OUT/masks/FRAME.png, OUT/overlays/FRAME.jpg for inspection and, if the model computes a score of each pixel,
     OUT/scores/FRAME.png (8-bit; 128 and more is instrument). The model classic looks for the instrument's shape,
@@ -98,8 +98,7 @@ def segment(
     Example:
 
     ```
-    dvrk-cmaes segment images/0026.png \
-      --box 250,180,639,380 --out x
+    dvrk-cmaes segment images/0026.png --box 250,180,639,380 --out x
     ```
 
     Parameters

@@ -44,7 +44,7 @@ def synth(
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
 ) -> int:
-    r"""Write a synthetic session with known true poses, in the layout of a session folder.
+    """Write a synthetic session with known true poses, in the layout of a session folder.
 
     With --motion rcm an arm moves the instrument about its remote centre of motion: there are one camera_from_base and
     readings of the outer joints. With --motion free the poses of the frames are independent. Masks have simulated
@@ -80,8 +80,7 @@ def synth(
     Example:
 
     ```
-    dvrk-cmaes synth sessions/hard --level hard \
-      --frames 20 --seed 3
+    dvrk-cmaes synth sessions/hard --level hard --frames 20 --seed 3
     ```
 
     Parameters

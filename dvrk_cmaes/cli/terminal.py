@@ -64,11 +64,10 @@ def note(message: str) -> None:
     if not sys.stderr.isatty():
         print(text, file=sys.stderr)
         return
-    import shutil
+    from rich.console import Console
+    from rich.text import Text
 
-    from dvrk_cmaes.cli.layout import fold
-
-    print("\n".join(fold(text, shutil.get_terminal_size().columns)), file=sys.stderr)
+    Console(stderr=True).print(Text(text))
 
 
 def show(lines: Iterable[Line]) -> None:
@@ -80,12 +79,9 @@ def show(lines: Iterable[Line]) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from dvrk_cmaes.cli.layout import fold
-
     console = Console()
     for line in lines:
-        for part in fold(line.text, console.width):
-            console.print(Text(part, style=line.style), soft_wrap=True)
+        console.print(Text(line.text, style=line.style))
 
 
 def answer(document: Any, lines: Iterable[Line], *, json: bool) -> None:

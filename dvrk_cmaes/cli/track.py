@@ -82,7 +82,7 @@ def track(
     method: MethodOptions = DEFAULT_METHOD,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
-    r"""Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
+    """Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
 
     Keyframes over the whole recording are solved together, as by `calibrate`, those of several arms in one problem;
     every frame is then fitted with what that solution and its neighbours expect. With --causal, and where keyframes
@@ -104,8 +104,7 @@ def track(
     ```
 
     ```
-    dvrk-cmaes track session/video.mp4 \
-      --box 250,180,639,380 --out tracks
+    dvrk-cmaes track session/video.mp4 --box 250,180,639,380 --out tracks
     ```
 
     Parameters
