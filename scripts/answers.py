@@ -32,9 +32,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from measure.answers.cases import CASES, Case, given_recording, given_session
-from measure.answers.compare import accepted, compare, read_answers
-from measure.answers.processors import processors
+from answering.cases import CASES, Case, given_recording, given_session
+from answering.compare import accepted, compare, read_answers
+from answering.processors import processors
 from measure.bench.checkouts import Checkout, two_checkouts
 from measure.places import ROOT, SCANNED
 

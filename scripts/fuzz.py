@@ -1,18 +1,14 @@
 """Damage inputs of every kind and run the commands that read them: each must succeed, or refuse in one line.
 
-    python scripts/fuzz.py --tries 400              # in this process, with the estimates replaced by a stored result
-    python scripts/fuzz.py --tries 40 --processes   # the whole program in a process of its own for each try
-    python scripts/fuzz.py --family mask --only 17  # one try again
-    python scripts/fuzz.py tracker --steps 100000   # a tracker with damaged masks, images, readings and times
-    python scripts/fuzz.py live --tries 300        # the loop of live with faults of times and messages
-    python scripts/fuzz.py kills --tries 200        # commands that are killed, or whose disk is full
-    python scripts/fuzz.py folders                  # commands that are told to write to folders of all kinds
-    python scripts/fuzz.py links                    # links in sessions, which lead out of them
-    python scripts/fuzz.py cases                    # files as other laboratories have them
-    python scripts/fuzz.py earlier --tries 100      # commands that are killed while they replace an earlier result
-    python scripts/fuzz.py together --tries 200     # two commands at once in one folder
+    python scripts/fuzz.py inputs --tries 400              # in this process, estimates replaced by a stored result
+    python scripts/fuzz.py inputs --tries 40 --processes   # the whole program in a process of its own for each try
+    python scripts/fuzz.py inputs --family mask --only 17  # one try again
+    python scripts/fuzz.py kills --tries 200               # commands that are killed, or whose disk is full
+    python scripts/fuzz.py links                           # links in sessions, which lead out of them
+    python scripts/fuzz.py folders                         # commands that write to folders of all kinds
+    python scripts/fuzz.py pairs --tries 200               # two commands at once in one folder
 
-Prints the numbers of tries, refusals and violations by family; the exit code is 1 if there is a violation. Those are: a
+Prints the numbers of tries, refusals and violations; the exit code is 1 if there is a violation. Those of inputs are: a
 traceback or an internal error; anything but one line on stderr, or anything on stdout or written, with exit code 2; a
 wrong exit code; a file accepted that cannot be read at all; more than 30 s of processor time; and for processes more
 than 1.5 GB.
@@ -29,20 +25,16 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from measure.fuzz.damage import ODD_WORDS, damage_place, damaged_bytes, damaged_document, damaged_text
-from measure.fuzz.earlier import EarlierReport, fuzz_earlier
-from measure.fuzz.families import FAMILIES, OPTIONS, Family, write_material
-from measure.fuzz.folders import FolderReport, fuzz_folders
-from measure.fuzz.kills import FAULTS, KillReport, fuzz_kills
-from measure.fuzz.lab_files import LabReport, fuzz_cases
-from measure.fuzz.links import fuzz_links
-from measure.fuzz.live_faults import LiveReport, fuzz_live
-from measure.fuzz.runs import SLOW, Outcome, Runner, in_a_process, in_this_process, stubbed
-from measure.fuzz.together import TogetherReport, fuzz_together
-from measure.fuzz.tracker import TrackerReport, fuzz_tracker
+from fuzzing.damage import ODD_WORDS, damage_place, damaged_bytes, damaged_document, damaged_text
+from fuzzing.families import FAMILIES, OPTIONS, Family, write_material
+from fuzzing.folders import fuzz_folders
+from fuzzing.kills import FAULTS, fuzz_kills
+from fuzzing.links import fuzz_links
+from fuzzing.pairs import fuzz_pairs
+from fuzzing.runs import SLOW, Outcome, Report, Runner, in_a_process, in_this_process, stubbed
 
 LARGE = 1500.0  # MB
 _LONGEST_LINE = 1000
@@ -57,84 +49,63 @@ def main() -> int:
     """Run the tries and print the report; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [family.name for family in FAMILIES]
-    parser.add_argument(
-        "what",
-        nargs="?",
-        choices=("inputs", "tracker", "live", "kills", "folders", "links", "earlier", "together", "cases"),
-        default="inputs",
-    )
+    parser.add_argument("what", choices=("inputs", "kills", "links", "folders", "pairs"))
     parser.add_argument("--tries", type=int, default=200, metavar="N", help="tries a family (default: %(default)s)")
-    parser.add_argument("--between", type=int, default=60, metavar="N", help="of live, good images after each fault")
-    parser.add_argument("--steps", type=int, default=100_000, metavar="N", help="of tracker (default: %(default)s)")
-    parser.add_argument("--family", choices=names, action="append", help="only this family; may be repeated")
-    parser.add_argument("--only", type=int, metavar="K", help="only the try with this number")
+    parser.add_argument("--family", choices=names, action="append", help="of inputs, only this one; may be repeated")
+    parser.add_argument("--only", type=int, metavar="K", help="of inputs, only the try with this number")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the damage (default: %(default)s)")
     parser.add_argument("--processes", action="store_true", help="run the whole program in a process for each try")
     parser.add_argument("--fault", choices=FAULTS, action="append", help="of kills, only this one; may be repeated")
-    arguments = parser.parse_args()
-    if arguments.what != "inputs":
-        report: TrackerReport | LiveReport | KillReport | FolderReport | EarlierReport | TogetherReport | LabReport
-        if arguments.what == "tracker":
-            report = fuzz_tracker(arguments.steps, arguments.seed)
-        elif arguments.what == "live":
-            report = fuzz_live(arguments.tries, arguments.between)
-        elif arguments.what == "cases":
-            report = fuzz_cases(in_this_process)
-        elif arguments.what in ("folders", "links", "earlier", "together"):
-            report = _over_earlier_files(arguments.what, arguments.tries, arguments.seed)
-        else:
-            report = fuzz_kills(arguments.tries, arguments.seed, faults=arguments.fault or FAULTS)
-        print(report)
-        return 1 if report.violations else 0
-    numbers = range(arguments.tries) if arguments.only is None else [arguments.only]
-    chosen = [family for family in FAMILIES if arguments.family is None or family.name in arguments.family]
+    options = parser.parse_args()
     violations = tries = 0
     with tempfile.TemporaryDirectory() as place:
-        material = Path(place, "material")
+        material, copy = Path(place, "material"), Path(place, "try")
         material.mkdir()
         write_material(material)
-        with stubbed(material) if not arguments.processes else contextlib.nullcontext():
-            run = in_a_process if arguments.processes else in_this_process
-            for family in chosen:
-                found = Report(family.name)
-                for number in numbers:
-                    found.add(number, *attempt(family, number, arguments.seed, material, Path(place, "try"), run))
-                print(found, flush=True)
-                violations, tries = violations + len(found.violations), tries + found.tries
+        for report in _reports(options, material, copy):
+            print(report, flush=True)
+            violations, tries = violations + len(report.violations), tries + report.tries.total()
     print(f"{tries} tries, {violations} violations")
     return 1 if violations else 0
 
 
-def _over_earlier_files(what: str, tries: int, seed: int) -> FolderReport | EarlierReport | TogetherReport:
-    """Run commands on folders that have files: in this process, or, where two run or one is killed, in processes."""
-    with tempfile.TemporaryDirectory() as place:
-        material = Path(place, "material")
-        material.mkdir()
-        write_material(material)
-        if what in ("earlier", "together"):
-            fuzz = fuzz_earlier if what == "earlier" else fuzz_together
-            return fuzz(tries, seed, material, Path(place, "try"))
+def _reports(options: argparse.Namespace, material: Path, place: Path) -> Iterator[Report]:
+    """Run what was chosen; yield a report of it, of inputs for each family."""
+    if options.what == "kills":
+        yield fuzz_kills(options.tries, options.seed, material, place, faults=options.fault or FAULTS)
+    elif options.what == "pairs":
+        yield fuzz_pairs(options.tries, options.seed, material, place)
+    elif options.what == "inputs":
+        run = in_a_process if options.processes else in_this_process
+        with contextlib.nullcontext() if options.processes else stubbed(material):
+            for family in FAMILIES:
+                if options.family is None or family.name in options.family:
+                    numbers = range(options.tries) if options.only is None else [options.only]
+                    yield fuzz_inputs(family, numbers, options.seed, material, place, run)
+    else:
         with stubbed(material):
-            return (fuzz_links if what == "links" else fuzz_folders)(material, Path(place, "try"), in_this_process)
+            yield (fuzz_links if options.what == "links" else fuzz_folders)(material, place, in_this_process)
 
 
-class Report:
-    """Counts of a family's tries, and its violations."""
-
-    def __init__(self, name: str) -> None:
-        self.name, self.tries, self.refused = name, 0, 0
-        self.violations: list[str] = []
-
-    def add(self, number: int, command: list[str], outcome: Outcome, violation: str | None) -> None:
-        """Count a try."""
-        self.tries += 1
-        self.refused += outcome.code == 2
+def fuzz_inputs(
+    family: Family,
+    numbers: Sequence[int],
+    seed: int,
+    material: Path,
+    place: Path,
+    run: Runner,
+    quick: int | None = None,
+) -> Report:
+    """Make the tries of a family with these numbers; those from the number ``quick`` on by `inspect`, if that can."""
+    report = Report(family.name)
+    for number in numbers:
+        inspected = quick is not None and number >= quick
+        command, outcome, violation = attempt(family, number, seed, material, place, run, inspected=inspected)
+        report.tries[family.name] += 1
+        report.refused += outcome.code == 2
         if violation is not None:
-            self.violations.append(f"  try {number}: {' '.join(command)[:150]}: {violation}")
-
-    def __str__(self) -> str:
-        head = f"{self.name}: {self.tries} tries, {self.refused} refused, {len(self.violations)} violations"
-        return "\n".join([head, *self.violations])
+            report.violations.append(f"  try {number}: {' '.join(command)[:150]}: {violation}")
+    return report
 
 
 def attempt(

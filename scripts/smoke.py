@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from measure.fuzz.families import QUICK
+from fuzzing.families import QUICK
 
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.io.bundled import bundled_path

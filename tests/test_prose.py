@@ -1,20 +1,17 @@
-"""README and reference pages are plain: short sentences, short pages, and a first screen that says what to type."""
+"""The first screen of reference pages says what to type; their texts and values are those of the program."""
 
 from __future__ import annotations
 
 import re
-import statistics
 from importlib import import_module
-from types import ModuleType
 
 import pytest
-from helpers.places import HELPERS, ROOT, SCRIPTS
+from helpers.places import HELPERS, ROOT
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.io.toml_file import leaves
 
 PAGES = sorted((ROOT / "data" / "reference").glob("*.md"))
-METHOD = [path for path in PAGES if path.stem.startswith("how_")]
 USE = [
     path
     for path in PAGES
@@ -22,39 +19,6 @@ USE = [
     or path.stem in ("uncalibrated", "bench", "results", "exports", "testing", "formats", "settings")
 ]
 FIRST_SCREEN = 40  # lines
-
-
-@pytest.fixture
-def prose(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The script that counts."""
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    return import_module("prose")
-
-
-def test_sentences_are_short(prose: ModuleType) -> None:
-    counted = [number for text in prose.pages().values() for number in prose.lengths(text)]
-    assert len(counted) > 1000
-    assert statistics.median(counted) <= 16
-    assert prose.long_share(counted) <= 0.02
-
-
-def test_pages_are_short_but_those_of_methods(prose: ModuleType) -> None:
-    methods = {path.stem for path in METHOD}
-    lines = {name: prose.lines_of_prose(text) for name, text in prose.pages().items() if name not in methods}
-    assert {name: number for name, number in lines.items() if number > 150 and name != "README"} == {}
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("# A title of many words\n\nTwo words. And three more.\n", [2, 3]),
-        ("- An item\n  of two lines\n- another\n", [5, 1]),
-        ("Give `a b c d` or [this one](x.md) (e.g. here).\n\n    code is not counted\n\n| nor | tables |\n", [7]),
-        ("A value of 0.5 mm, as said.\n<!-- no\ncomments -->\n", [7]),
-    ],
-)
-def test_words_of_sentences_are_counted(prose: ModuleType, text: str, expected: list[int]) -> None:
-    assert prose.lengths(text) == expected
 
 
 @pytest.mark.parametrize("page", USE, ids=lambda page: page.stem)

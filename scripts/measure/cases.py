@@ -32,7 +32,6 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.silhouette.prepare import prepare
-from measure.features import measure_features
 from measure.processes import in_processes
 from measure.recordings import Recording, read_recordings
 
@@ -284,10 +283,7 @@ def _run(
     except Exception as error:  # a defect: counted, so that the other cases are still run
         return failed(f"{_CRASH}{type(error).__name__}: {error}").to_dict(), {}, 0.0
     seconds = time.process_time() - started
-    if len(data.views) > 1:
-        return result.to_dict(), {}, seconds
-    features = measure_features(result, data.mask, data.camera, body, single, ignore=data.ignore)
-    return result.to_dict(), features, seconds
+    return result.to_dict(), {}, seconds
 
 
 def grouped(items: Iterable[Item], name_of: Callable[[Item], str]) -> dict[str, list[Item]]:

@@ -152,7 +152,7 @@ def test_models_with_damaged_bytes_are_refused_in_one_line_or_run(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(SCRIPTS))
-    from measure.fuzz.damage import damaged_bytes
+    from fuzzing.damage import damaged_bytes
 
     write_export(tmp_path, "samexporter")
     messages = []

@@ -9,17 +9,15 @@ from __future__ import annotations
 import hashlib
 import json
 import random
-import shutil
 import subprocess
 import sys
 import time
-from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from dvrk_cmaes.io.output import JOURNAL, RECORD
-from measure.fuzz.written import damaged_files, written
+from fuzzing.runs import DONE, SHOWN, Report, damaged_files, fresh_copy, written
 
 _QUICK: Final = ("--config", "quick.toml")
 _FRAME: Final = ("estimate", "--camera", "session/camera.yaml", "--joints", "session/joints.csv", *_QUICK, "--mask")
@@ -54,40 +52,22 @@ PAIRS: Final[dict[str, Pair]] = {
 }
 """Commands that are started together, by name; each writes to the same folder."""
 
-_DONE: Final = (0, 3)  # exit codes
 _LONGEST: Final = 300.0  # s
-_SHOWN: Final = 300  # characters of a message
 
 
-@dataclass
-class TogetherReport:
-    """Numbers of runs by pair, how many second commands were refused, and violations."""
-
-    tries: Counter[str] = field(default_factory=Counter)
-    refused: int = 0
-    violations: list[str] = field(default_factory=list)
-
-    def __str__(self) -> str:
-        counts = ", ".join(f"{name} {count}" for name, count in self.tries.items())
-        head = f"together: {self.tries.total()} runs, {self.refused} refused, {len(self.violations)} violations"
-        return "\n".join([head, f"  {counts}", *self.violations])
-
-
-def fuzz_together(
-    tries: int, seed: int, material: Path, place: Path, pairs: tuple[str, ...] = tuple(PAIRS)
-) -> TogetherReport:
+def fuzz_pairs(tries: int, seed: int, material: Path, place: Path, pairs: tuple[str, ...] = tuple(PAIRS)) -> Report:
     """Start two commands at once, ``tries`` times; ``place`` is a folder for copies of the material."""
-    report, chance = TogetherReport(), random.Random(seed)
+    report, chance = Report("pairs"), random.Random(seed)
     alone: dict[str, tuple[dict[str, Any], float]] = {}
     each = [name for name in pairs for _ in range(PAIRS[name].times)]
     for number in range(tries):
         name = each[number % len(each)]
         if name not in alone:
-            alone[name] = _one_after_the_other(_copied(material, place), PAIRS[name])
+            alone[name] = _one_after_the_other(fresh_copy(material, place), PAIRS[name])
         wanted, seconds = alone[name]
         wait = chance.choice((0.0, chance.uniform(0, seconds)))
         report.tries[name] += 1
-        refused, found = _at_once(_copied(material, place), PAIRS[name], wanted, wait)
+        refused, found = _at_once(fresh_copy(material, place), PAIRS[name], wanted, wait)
         report.refused += refused
         report.violations += [f"  run {number}, {name}, the second {wait:.2f} s later: {each}" for each in found]
     return report
@@ -98,10 +78,10 @@ def _one_after_the_other(place: Path, pair: Pair) -> tuple[dict[str, Any], float
     began = time.monotonic()
     code, err = _ended(_start(place, pair.first))
     seconds = time.monotonic() - began
-    if code in _DONE and pair.first != pair.second:
+    if code in DONE and pair.first != pair.second:
         code, err = _ended(_start(place, pair.second))
-    if code not in _DONE:
-        raise SystemExit(f"fuzz: {' '.join(pair.first)}: exit code {code}: {err[-_SHOWN:]}")
+    if code not in DONE:
+        raise SystemExit(f"fuzz: {' '.join(pair.first)}: exit code {code}: {err[-SHOWN:]}")
     return written(place / _OUT), seconds
 
 
@@ -112,17 +92,17 @@ def _at_once(place: Path, pair: Pair, wanted: dict[str, Any], wait: float) -> tu
     processes.append(_start(place, pair.second))
     ended = [_ended(process) for process in processes]
     found = []
-    refused = [(code, err) for code, err in ended if code not in _DONE]
+    refused = [(code, err) for code, err in ended if code not in DONE]
     if len(refused) > (not pair.both):
         found.append(f"{len(refused)} were refused")
     for code, err in refused:
         if code not in (1, 2) or len(err.splitlines()) != 1 or not err.startswith("dvrk-cmaes: ") or "internal" in err:
-            found.append(f"exit code {code}: {err.strip()[-_SHOWN:]}")
+            found.append(f"exit code {code}: {err.strip()[-SHOWN:]}")
     made = place / _OUT
     there = written(made)
     different = sorted(name for name in {*wanted, *there} if wanted.get(name) != there.get(name))
     if different:
-        found.append(f"other files than of a run alone: {', '.join(different)[:_SHOWN]}")
+        found.append(f"other files than of a run alone: {', '.join(different)[:SHOWN]}")
     return len(refused), [*found, *damaged_files(made), *list_faults(made), *_left(place)]
 
 
@@ -135,14 +115,14 @@ def list_faults(made: Path) -> list[str]:
     files = [path for path in made.rglob("*") if path.is_file() and not path.name.startswith(".")]
     there = {path.relative_to(made).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
     off = sorted(name for name in {*listed, *there} if listed.get(name) != there.get(name))
-    found = [f"not as the list says: {', '.join(off)[:_SHOWN]}"] if off else []
+    found = [f"not as the list says: {', '.join(off)[:SHOWN]}"] if off else []
     return found + [f"{path.relative_to(made)} is left" for path in made.rglob(JOURNAL)]
 
 
 def _left(place: Path) -> list[str]:
     """Return temporary files and folders that are left."""
     left = sorted(str(path.relative_to(place)) for path in place.rglob("*.tmp"))
-    return [f"left behind: {', '.join(left)[:_SHOWN]}"] if left else []
+    return [f"left behind: {', '.join(left)[:SHOWN]}"] if left else []
 
 
 def _start(place: Path, command: tuple[str, ...]) -> subprocess.Popen[str]:
@@ -160,9 +140,3 @@ def _ended(process: subprocess.Popen[str]) -> tuple[int, str]:
             process.kill()
             return -1, f"not ended after {_LONGEST:.0f} s"
     return process.returncode, err
-
-
-def _copied(material: Path, place: Path) -> Path:
-    """Return a fresh copy of the material, without what its commands wrote."""
-    shutil.rmtree(place, ignore_errors=True)
-    return Path(shutil.copytree(material, place, ignore=shutil.ignore_patterns(_OUT), symlinks=True))

@@ -13,11 +13,10 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from measure.fuzz.runs import Runner
+from fuzzing.runs import DONE, Report, Runner
 
 _QUICK: Final = ("--config", "quick.toml")
 _OUT: Final = "made"
@@ -49,7 +48,7 @@ _APART: Final = "elsewhere"
 def _made_by(*command: str) -> Callable[[Path, Runner], None]:
     def make(out: Path, run: Runner) -> None:
         ended = run([*command, str(out)])
-        if ended.code not in (0, 3):
+        if ended.code not in DONE:
             raise SystemExit(f"fuzz: the folder could not be made: {' '.join(command)}: {ended.err}")
 
     return make
@@ -84,28 +83,15 @@ KINDS: Final[dict[str, Callable[[Path, Runner], None]]] = {
 _MAKERS: Final = {"batch": "batch", "calibration": "calibrate", "tracks": "track", "segment": "segment"}
 
 
-@dataclass
-class FolderReport:
-    """Number of tries, how many were refused, and violations."""
-
-    tries: int = 0
-    refused: int = 0
-    violations: list[str] = field(default_factory=list)
-
-    def __str__(self) -> str:
-        head = f"folders: {self.tries} tries, {self.refused} refused, {len(self.violations)} violations"
-        return "\n".join([head, *self.violations])
-
-
 def fuzz_folders(
     material: Path, place: Path, run: Runner, commands: tuple[str, ...] = tuple(COMMANDS), *, all_three: bool = True
-) -> FolderReport:
+) -> Report:
     """Tell each command to write to each kind of folder, as it is, with a file of the user in it, and with a link.
 
     ``place`` is a folder for a copy of the material; it is the working folder meanwhile. Unless ``all_three`` are
     combined, a third of the tries is made, in which each command meets each kind of folder and each of what is in it.
     """
-    report = FolderReport()
+    report = Report("folders")
     for number, kind in enumerate(KINDS):
         shutil.rmtree(place, ignore_errors=True)
         shutil.copytree(material, place)
@@ -152,7 +138,7 @@ def _copy(place: Path, fresh: Path) -> None:
     shutil.copytree(place / _OUT, fresh / _OUT)
 
 
-def _attempt(report: FolderReport, name: str, kind: str, run: Runner) -> None:
+def _attempt(report: Report, name: str, kind: str, run: Runner) -> None:
     """Run a command in the working folder and add what it violated to the report."""
     own = {_MAKERS.get(kind, kind), f"{_MAKERS.get(kind, kind)} --overwrite"}
     before = _contents()
@@ -164,7 +150,7 @@ def _attempt(report: FolderReport, name: str, kind: str, run: Runner) -> None:
         lost = [path for path in lost if Path(path).parts[0] != _OUT or path.endswith(_NOTES)]
     here = Path.cwd()
     outside = sorted({path for path in touched if _is_foreign(Path(path), here)})
-    report.tries += 1
+    report.tries[name] += 1
     report.refused += ended.code == 2
     what = f"  {name} into a folder of kind {kind}: exit code {ended.code}: "
     if lost:

@@ -1,4 +1,4 @@
-"""Files as other laboratories have them, each written by a function, and what is right to do with them.
+"""Files as other laboratories have them: each is read with the right value, or refused with the remedy.
 
 A case writes files into a folder and returns the command line that reads them there. Right is that it succeeds and says
 something, or refuses in one line that names the remedy; both are given as a regular expression of the output.
@@ -6,23 +6,25 @@ something, or refuses in one line that names the remedy; both are given as a reg
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
-import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
+import pytest
 import yaml
+from helpers.canned_results import canned
+from helpers.commands import run_command
+from helpers.plain_pictures import plain_pictures
 from numpy.typing import NDArray
 
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
-from measure.fuzz.runs import Outcome, Runner
+from dvrk_cmaes.results.result import ExpectedError
 
 Image = NDArray[np.uint8]
 
@@ -52,41 +54,6 @@ class LabCase:
     write: Callable[[Path], Sequence[str]]
     says: str
     codes: tuple[int, ...] = (0, 3)
-
-    def problem(self, folder: Path, run: Runner) -> str | None:
-        """Write the files, run the command there, and say what is not right; None if all is."""
-        command = list(self.write(folder))
-        with contextlib.chdir(folder):
-            outcome: Outcome = run(command)
-        said = outcome.err + outcome.out
-        if "Traceback" in said or "internal error" in said or outcome.code not in self.codes:
-            return f"exit code {outcome.code}: {said.strip()[-300:]}"
-        if outcome.code == REFUSED and len(outcome.err.strip().splitlines()) != 1:
-            return f"refused in more than one line: {outcome.err.strip()[-300:]}"
-        return None if re.search(self.says, said, re.DOTALL) else f"does not say {self.says!r}: {said.strip()[-400:]}"
-
-
-@dataclass
-class LabReport:
-    """Number of cases, and what is not right in some of them."""
-
-    tried: int = 0
-    violations: list[str] = field(default_factory=list)
-
-    def __str__(self) -> str:
-        return "\n".join([f"lab files: {self.tried} cases, {len(self.violations)} violations", *self.violations])
-
-
-def fuzz_cases(run: Runner) -> LabReport:
-    """Run all cases."""
-    report = LabReport()
-    for case in CASES:
-        with tempfile.TemporaryDirectory() as place:
-            problem = case.problem(Path(place), run)
-        report.tried += 1
-        if problem is not None:
-            report.violations.append(f"  {case.name}: {problem}")
-    return report
 
 
 # files
@@ -711,3 +678,36 @@ CASES: Final = (
     LabCase("a part", _video((96, 64), "--crop", "16,8,64,48"), "3 frames of 3 images, 64 x 48"),
     LabCase("fields", _video((64, 48), "--interlaced", "top"), "6 frames of 6 images, 64 x 48"),
 )
+
+
+@pytest.fixture(scope="module")
+def stored_estimates() -> Iterator[None]:
+    """Let each estimate be a stored result: these tests are about what is read."""
+    result = canned(
+        "0000",
+        covariance=np.diag([2e-4] * 3 + [0.01] * 6) ** 2,
+        expected_error=ExpectedError({"mean": 1.1}, {}, 1.1, 0.5),
+    )
+
+    def estimate(*_: Any, frame: str = "", **__: Any) -> Any:
+        return replace(result, frame=frame)
+
+    with pytest.MonkeyPatch.context() as patch, plain_pictures():
+        patch.setattr("dvrk_cmaes.runs.frame.estimate_views", estimate)
+        patch.setattr("dvrk_cmaes.estimation.image_frame.estimate_views", estimate)
+        yield
+
+
+@pytest.mark.usefixtures("stored_estimates")
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_file_is_read_or_refused_with_the_remedy(
+    case: LabCase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = case.write(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    ran = run_command(capsys, *command)
+    said = ran.err + ran.out
+    assert ran.code in case.codes, said
+    assert "internal error" not in said
+    assert ran.code != REFUSED or len(ran.err.strip().splitlines()) == 1
+    assert re.search(case.says, said, re.DOTALL), said

@@ -1,18 +1,21 @@
-"""Runs of command lines for scripts/fuzz.py: in this process, without what is slow, or in a process of its own."""
+"""Runs of command lines for scripts/fuzz.py, in this process or in one of their own; what they wrote; and reports."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -20,8 +23,16 @@ from unittest import mock
 
 from dvrk_cmaes.cli import main as run_command_line
 from dvrk_cmaes.cli.app import app
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.runs.processes import Processes
+
+DONE: Final = (0, 3)
+"""Exit codes of commands that did what they were asked for."""
+
+SHOWN: Final = 300
+"""Characters of a message that a report shows."""
 
 SLOW: Final = 30.0
 """Most seconds of processor time of a command line; after twice that by the clock it is ended."""
@@ -39,6 +50,21 @@ class Outcome:
 
 
 Runner = Callable[[list[str]], Outcome]
+
+
+@dataclass
+class Report:
+    """Numbers of tries by kind, how many were refused, and violations."""
+
+    name: str
+    tries: Counter[str] = field(default_factory=Counter)
+    refused: int = 0
+    violations: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        head = f"{self.name}: {self.tries.total()} tries, {self.refused} refused, {len(self.violations)} violations"
+        counts = "  " + ", ".join(f"{name} {count}" for name, count in sorted(self.tries.items()))
+        return "\n".join([head, *([counts] if len(self.tries) > 1 else []), *self.violations])
 
 
 def in_this_process(command: list[str]) -> Outcome:
@@ -127,3 +153,56 @@ def stubbed(material: Path) -> Iterator[None]:
         mock.patch("dvrk_cmaes.cli.app.app", lambda tokens, **_: parsed(tuple(tokens))()),
     ):
         yield
+
+
+_TIMES: Final = ("seconds", "timing", "run", "frame_seconds")
+_READERS: Final[dict[str, Callable[[Path], Any]]] = {
+    ".json": lambda path: json.loads(path.read_text()),
+    ".jpg": read_image,
+    ".png": read_image,
+}
+
+
+def fresh_copy(material: Path, place: Path) -> Path:
+    """Make ``place`` a copy of the material without what an earlier command wrote to ``made``."""
+    shutil.rmtree(place, ignore_errors=True)
+    return Path(shutil.copytree(material, place, ignore=shutil.ignore_patterns("made"), symlinks=True))
+
+
+def damaged_files(made: Path) -> list[str]:
+    """Return which documents and pictures of a command are not whole; temporary files do not count."""
+    found = []
+    for path in [made] if made.is_file() else sorted(made.rglob("*")):
+        if not path.name.startswith(".") and (read := _READERS.get(path.suffix)) is not None:
+            try:
+                read(path)
+            except (ValueError, InputError) as error:
+                found.append(f"{path.name} is damaged: {error}")
+    return found
+
+
+def written(made: Path) -> dict[str, Any]:
+    """Return the contents of a file or of a folder's files by name, without times; of a page and a video, nothing."""
+    files = [made] if made.is_file() else [path for path in made.rglob("*") if path.is_file()]
+    return {str(path.relative_to(made.parent)): _content(path) for path in files if not path.name.startswith(".")}
+
+
+def _content(path: Path) -> Any:
+    match path.suffix:
+        case ".html" | ".mp4":
+            return None
+        case ".json":
+            return _without_times(json.loads(path.read_text()))
+        case ".jsonl":
+            return [_without_times(json.loads(line)) for line in path.read_text().splitlines()]
+        case ".csv":
+            rows = [line.split(",") for line in path.read_text().splitlines()]
+            skipped = {k for k, name in enumerate(rows[0]) if name == "seconds"}
+            return [[cell for k, cell in enumerate(row) if k not in skipped] for row in rows]
+    return path.read_bytes()
+
+
+def _without_times(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_times(inner) for name, inner in value.items() if name not in _TIMES}
+    return [_without_times(inner) for inner in value] if isinstance(value, list) else value

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Final
 
 import cv2
+from measure.places import SHARED
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.bundled import bundled_path
-from measure.places import SHARED
 
 _FRAMES: Final = (SHARED / "frames").resolve()
 

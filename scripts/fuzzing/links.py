@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from measure.fuzz.folders import FolderReport
-from measure.fuzz.runs import Runner
+from fuzzing.runs import Report, Runner
 
 _QUICK: Final = ("--config", "quick.toml")
 _SESSION, _BESIDE = "session", "beside"
@@ -53,9 +52,9 @@ def fuzz_links(
     run: Runner,
     places: Sequence[str] = PLACES,
     commands: Sequence[Sequence[str]] = COMMANDS,
-) -> FolderReport:
+) -> Report:
     """Run each command with each kind of link in each place; ``place`` is a folder for copies of the material."""
-    report = FolderReport()
+    report = Report("links")
     for name in places:
         for kind in KINDS:
             for command in commands:
@@ -91,11 +90,11 @@ def _put_link(place: Path, name: str, kind: str) -> None:
         os.utime(path, ns=(_OLD, path.stat().st_mtime_ns))
 
 
-def _attempt(report: FolderReport, name: str, kind: str, command: list[str], run: Runner) -> None:
+def _attempt(report: Report, name: str, kind: str, command: list[str], run: Runner) -> None:
     before = _state()
     ended = run(command)
     changed = sorted(str(path) for path in before.items() ^ _state().items())
-    report.tries += 1
+    report.tries[command[0]] += 1
     report.refused += ended.code == 2
     what = f"  {' '.join(command[:2])} with {name} {kind}: exit code {ended.code}: "
     if changed:
