@@ -1,0 +1,33 @@
+"""Worlds with known truth and what commands make of them, made once for all tests of this folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from promises.program import CAMERA, QUICK, Kept
+
+
+@pytest.fixture(scope="session")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Kept:
+    """Commands that run once for all tests, also those of the other workers of pytest-xdist."""
+    base = tmp_path_factory.getbasetemp()
+    base = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "promises"
+    base.mkdir(exist_ok=True)
+    return Kept(base)
+
+
+@pytest.fixture
+def camera_file(tmp_path: Path) -> Path:
+    """The camera of the small worlds."""
+    (tmp_path / "small.yaml").write_text(CAMERA)
+    return tmp_path / "small.yaml"
+
+
+@pytest.fixture
+def quick(tmp_path: Path) -> Path:
+    """Settings of a short search."""
+    (tmp_path / "quick.toml").write_text(QUICK)
+    return tmp_path / "quick.toml"

@@ -1,0 +1,265 @@
+"""Bad input: one line that names the file, the field and what was expected, exit code 2, and nothing written."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dvrk_cmaes import Camera, InputError, Renderer, Tracker, estimate, prepare, read_camera, read_result, read_session
+from promises.program import CAMERA, DEMO, ROOT, content, run
+
+FRAME = {
+    "--mask": DEMO / "masks" / "0001.png",
+    "--camera": DEMO / "camera.yaml",
+    "--joints": DEMO / "joints.csv",
+    "--out": "out",
+}
+READINGS = "frame,wrist_pitch,wrist_yaw,jaw\n0001,0.1,0.2,0.3\n"
+URDF = (ROOT / "data" / "instruments" / "lnd" / "lnd.urdf").read_text()
+
+
+def estimate_with(**options: object) -> list[object]:
+    """Give the words of an estimate of a bundled frame, some options with other values."""
+    given = FRAME | {f"--{name.replace('_', '-')}": value for name, value in options.items()}
+    return ["estimate", *(word for pair in given.items() for word in pair)]
+
+
+def camera(**fields: str) -> str:
+    """Give the text of a camera file, some fields with other values."""
+    text = CAMERA.replace("320", "640").replace("240", "480")
+    for name, value in fields.items():
+        text = re.sub(rf"^{name}: .*$", f"{name}: {value}", text, flags=re.MULTILINE)
+    return text
+
+
+FILES: dict[str, tuple[str | bytes, dict[str, object], str]] = {
+    # what is written to `bad`, the options of estimate, what the line says after the file's name
+    "camera, no YAML": ("a: [1", {"camera": "bad"}, r"bad: .*expected"),
+    "camera, empty": ("", {"camera": "bad"}, r"bad: expected"),
+    "camera, of nothing known": ("a: 1\n", {"camera": "bad"}, r"bad: .*expected.*camera"),
+    "camera, size": (camera(image_width="-3"), {"camera": "bad"}, r"bad: image_width: expected .*-3"),
+    "camera, matrix": (
+        camera(camera_matrix="{rows: 3, cols: 3, data: [1, 2]}"),
+        {"camera": "bad"},
+        r"bad: camera_matrix.*expected 9 .*got 2",
+    ),
+    "camera, not a number": (
+        camera(camera_matrix="{rows: 3, cols: 3, data: [.nan, 0, 1, 0, 5, 1, 0, 0, 1]}"),
+        {"camera": "bad"},
+        r"bad: camera_matrix.*expected",
+    ),
+    "camera, focal length": (
+        camera(camera_matrix="{rows: 3, cols: 3, data: [0, 0, 1, 0, 5, 1, 0, 0, 1]}"),
+        {"camera": "bad"},
+        r"bad: .*(fx|focal|camera_matrix)",
+    ),
+    "camera, lens": (camera(distortion_model="of glass"), {"camera": "bad"}, r"bad: distortion_model: .*'of glass'"),
+    "camera, other aspect": (
+        CAMERA.replace("240", "200"),
+        {"camera": "bad"},
+        r".*0001\.png: mask: expected .*320 x 200",
+    ),
+    "readings, text": (READINGS.replace("0.2", "ten"), {"joints": "bad"}, r"bad.*wrist_yaw: expected .*'ten'"),
+    "readings, degrees": (READINGS.replace("0.2", "30"), {"joints": "bad"}, r"bad.*wrist_yaw: expected radians"),
+    "readings, unknown joint": ("frame,elbow\n0001,0.1\n", {"joints": "bad"}, r"bad: .*expected"),
+    "readings, twice": (READINGS + "0001,0.1,0.2,0.3\n", {"joints": "bad"}, r"bad.*0001"),
+    "readings, other frames": ("frame,jaw\na,0.3\nb,0.3\n", {"joints": "bad"}, r"bad: .*0001"),
+    "readings, ragged": (READINGS + "0002,0.1\n", {"joints": "bad"}, r"bad: .*expected 4"),
+    "mask, no picture": ("text", {"mask": "bad", "frame": "0001"}, r"bad: expected a mask \(PNG or JPEG\)"),
+    "mask, torn": (
+        (DEMO / "masks" / "0001.png").read_bytes()[:300],
+        {"mask": "bad", "frame": "0001"},
+        r"bad: expected a mask .*damaged",
+    ),
+    "ignore, no picture": ("text", {"ignore": "bad"}, r"bad: expected a mask of ignored pixels"),
+    "image, no picture": ("text", {"image": "bad"}, r"bad: expected an image"),
+    "settings, unknown": ("seeed = 3\n", {"config": "bad"}, r"bad: unknown key seeed; the nearest known is seed"),
+    "settings, type": ("seed = 'a'\n", {"config": "bad"}, r"bad: seed: expected .*'?a'?"),
+    "settings, range": ("[search]\nsamples = -1\n", {"config": "bad"}, r"bad: search\.samples: expected .*-1"),
+    "settings, no TOML": ("seed = \n", {"config": "bad"}, r"bad: .*(TOML|line 1)"),
+    "instrument, no XML": ("<robot", {"instrument": "bad.urdf"}, r"bad\.urdf: .*XML"),
+    "instrument, mesh": (
+        URDF.replace('filename="', 'filename="none/'),
+        {"instrument": "bad.urdf"},
+        r"bad\.urdf.*no such file",
+    ),
+    "instrument, root": (URDF, {"instrument": "bad.urdf", "root_link": "elbow"}, r".*elbow"),
+    "session, no JSON": ("{", {"session": "bad"}, r"bad: .*(JSON|expected)"),
+    "session, schema": ('{"schema": 99}', {"session": "bad"}, r"bad: schema: expected .*99"),
+    "session, field": (
+        '{"schema": 1, "camera_from_base": [[1, 2]], "frames": []}',
+        {"session": "bad"},
+        r"bad: .*expected",
+    ),
+    "tool, no JSON": ("{", {"tool": "bad"}, r"bad: .*expected|bad: .*JSON"),
+}
+
+WORDS: dict[str, tuple[list[object], str]] = {
+    "no such command": (["guess"], r".*guess"),
+    "no such option": (estimate_with(jont="a"), r".*--jont.*[Dd]id you mean --joints\?"),
+    "option without value": (["estimate", "--mask"], r".*--mask requires an argument"),
+    "required option": (["estimate", "--mask", "a.png"], r"--joints: missing; it is required"),
+    "required argument": (["export", "--to", "tf"], r"RESULTS: missing; it is required"),
+    "no such file": (estimate_with(mask="nothere.png"), r"nothere\.png: no such file"),
+    "no such session": (["batch", "nothere"], r"nothere: no such"),
+    "no such frame": (["batch", DEMO, "--out", "out", "--frames", "0009"], r".*0009"),
+    "file as a session": (["batch", DEMO / "joints.csv", "--out", "out"], r".*joints\.csv: .*expected"),
+    "folder as a mask": (estimate_with(mask=DEMO), r".*demo: expected .*folder|.*demo: .*"),
+    "choice": (estimate_with(arm="old"), r".*old.*classic.*si|.*classic.*si.*old"),
+    "number": (estimate_with(seed="many"), r".*--seed.*many"),
+    "range": (estimate_with(seed="-1"), r"--seed.*-1"),
+    "threads": (estimate_with(threads="0"), r"--threads.*0"),
+    "unknown joint": (estimate_with(joints="elbow=1"), r".*joints: .*elbow"),
+    "degrees": (estimate_with(joints="wrist_yaw=40"), r".*joints: .*wrist_yaw: expected radians .*degrees"),
+    "keypoints": (estimate_with(keypoints="1,2,3"), r".*keypoints: expected four numbers"),
+    "time": (estimate_with(time="noon"), r"--time: .*expected a finite number of seconds, got 'noon'"),
+    "label": (estimate_with(label="9"), r".*0001\.png: .*label 9|.*label.*9"),
+    "package path": (estimate_with(package_path="a"), r"--package-path: expected NAME=DIR"),
+    "no results": (["export", DEMO / "masks", "--to", "csv", "--out", "out"], r".*masks: expected"),
+    "inspect": (["inspect", "nothere"], r"nothere: no such"),
+    "import": (["import", "nothere.bag", "--out", "out"], r"nothere\.bag: no such file; expected a ROS recording"),
+    "synth": (["synth", "out", "--frames", "0"], r"--frames: .*1 to 100000|.*frames.*0"),
+    "track": (["track", DEMO, "--out", "out", "--lag", "soon"], r"--lag: .*'?soon"),
+    "calibrate": (["calibrate", DEMO, "--out", "out", "--every", "0"], r"--every.*0"),
+    "live": (["live", "--seconds", "-1"], r".*seconds.*-1"),
+    "help": (["help", "cooking"], r".*cooking"),
+    "compare": (["compare", "nothere", DEMO / "golden.json"], r"nothere: no such"),
+    "segment": (["segment", "nothere.png", "--out", "out"], r"nothere\.png: no such"),
+    "pnp": (["pnp", DEMO, "--out", "out"], r".*(markers\.csv|keypoints\.csv)"),
+}
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_file_is_refused_by_its_name_and_field(tmp_path: Path, kind: str) -> None:
+    written, options, expected = FILES[kind]
+    name = (
+        next(str(value) for value in options.values() if str(value).startswith("bad")) if "bad" in str(options) else ""
+    )
+    (tmp_path / (name or "bad")).write_bytes(written if isinstance(written, bytes) else written.encode())
+    before = content(tmp_path)
+    refusal = run(*estimate_with(**options), folder=tmp_path).refusal
+    assert re.match(expected, refusal), refusal
+    assert len(refusal) < 600
+    assert content(tmp_path) == before
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", WORDS)
+def test_command_line_is_refused_by_what_is_wrong_with_it(tmp_path: Path, kind: str) -> None:
+    words, expected = WORDS[kind]
+    refusal = run(*words, folder=tmp_path).refusal
+    assert re.match(expected, refusal), refusal
+    assert list(tmp_path.iterdir()) == []
+
+
+def _other_frames(session: Path) -> None:
+    text = (session / "joints.csv").read_text()
+    (session / "joints.csv").write_text(text.replace("\n0", "\nx"))
+
+
+def _without_camera(session: Path) -> None:
+    (session / "camera.yaml").unlink()
+
+
+def _without_masks(session: Path) -> None:
+    shutil.rmtree(session / "masks")
+    shutil.rmtree(session / "images")
+
+
+def _bad_truth(session: Path) -> None:
+    (session / "golden.json").write_text('{"frames": {"0001": {"T_camera_roll_link": [1]}}}')
+
+
+def _bad_toml(session: Path) -> None:
+    (session / "session.toml").write_text('[[tool]]\narm = "PSM1"\nlable = 3\n')
+
+
+def _link_outside(session: Path) -> None:
+    (session / "images" / "0001.jpg").unlink()
+    (session / "images" / "0001.jpg").symlink_to(DEMO / "images" / "0002.jpg")
+
+
+SESSIONS: dict[str, tuple[Callable[[Path], None], str]] = {
+    "rows of other frames": (_other_frames, r".*joints\.csv: .*frame"),
+    "no camera": (_without_camera, r".*camera"),
+    "no masks": (_without_masks, r".*(masks|images)"),
+    "truth": (_bad_truth, r".*golden\.json: .*T_camera_roll_link"),
+    "session.toml": (_bad_toml, r".*session\.toml: .*lable.*label"),
+    "link that leads out": (_link_outside, r".*0001\.jpg.*link|.*link.*0001\.jpg"),
+}
+
+
+@pytest.mark.parametrize("command", ["batch", "track"])
+@pytest.mark.parametrize("kind", SESSIONS)
+def test_session_is_refused_by_what_is_wrong_in_it(tmp_path: Path, kind: str, command: str) -> None:
+    session = tmp_path / "session"
+    shutil.copytree(DEMO, session)
+    change, expected = SESSIONS[kind]
+    change(session)
+    before = content(session)
+    refusal = run(command, session, "--out", tmp_path / "out").refusal
+    assert re.match(expected, refusal), refusal
+    assert content(session) == before
+    assert not (tmp_path / "out").exists()
+
+
+MASK = np.zeros((240, 320), np.bool_)
+SMALL = Camera(320, 240, 521.3, 519.0, 163.0, 117.5)
+CALLS: dict[str, Callable[[], object]] = {
+    "mask": lambda: estimate(MASK[:10], SMALL, {}),
+    "camera": lambda: estimate(MASK, np.eye(3), {}),  # type: ignore[arg-type]
+    "joints": lambda: estimate(MASK, SMALL, {"jaw": 40.0}),
+    "ignore": lambda: estimate(MASK, SMALL, {}, ignore=MASK[:10]),
+    "keypoints": lambda: estimate(MASK, SMALL, {}, keypoints=[1, 2, 3]),  # type: ignore[arg-type,list-item]
+    "instrument": lambda: prepare(3),  # type: ignore[arg-type]
+    "time": lambda: Tracker(SMALL, "lnd").step("now", MASK),  # type: ignore[arg-type]
+    "readings": lambda: Tracker(SMALL, "lnd").add_readings(0.0, {"jaw": 40.0}),
+    "width": lambda: Camera("wide", 240, 500, 500, 160, 120),  # type: ignore[arg-type]
+    "camera_from_root": lambda: Renderer(prepare("lnd"), SMALL).masks(np.eye(4)[0], np.zeros((1, 3))),
+    "path": lambda: read_result(3),  # type: ignore[arg-type]
+    "folder": lambda: read_session(None),  # type: ignore[arg-type]
+}
+
+
+@pytest.mark.parametrize("argument", CALLS)
+def test_call_is_refused_by_the_name_of_its_argument(argument: str) -> None:
+    with pytest.raises(InputError, match=rf"^{argument}: ") as caught:
+        CALLS[argument]()
+    assert "\n" not in str(caught.value)
+
+
+def test_readers_in_python_refuse_with_the_same_line_as_commands(tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(camera(image_width="-3"))
+    with pytest.raises(InputError) as caught:
+        read_camera(tmp_path / "camera.yaml")
+    assert run(*estimate_with(camera=tmp_path / "camera.yaml"), folder=tmp_path).refusal == str(caught.value)
+
+
+def test_inspect_names_what_it_cannot_read_and_reads_the_rest(tmp_path: Path) -> None:
+    (tmp_path / "bad.json").write_text("{")
+    ran = run("inspect", tmp_path / "bad.json", DEMO / "camera.yaml", "--json")
+    bad, good = ran.document
+    assert ran.code == 2
+    assert bad["error"] in ran.err
+    assert good["kind"] == "camera"
+
+
+def test_image_of_many_pixels_is_refused_unread(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "huge.png"), np.zeros((6001, 6000), np.uint8))
+    refusal = run(*estimate_with(mask=tmp_path / "huge.png", frame="0001"), folder=tmp_path).refusal
+    assert "expected at most 36 megapixels, got 6000 x 6001" in refusal
+
+
+def test_document_of_many_digits_or_levels_is_refused(tmp_path: Path) -> None:
+    for text in ("[" * 100_000, '{"schema": ' + "9" * 5000 + "}", json.dumps({"schema": 1e308})):
+        (tmp_path / "session.json").write_text(text)
+        refusal = run(*estimate_with(session=tmp_path / "session.json"), folder=tmp_path).refusal
+        assert refusal.startswith(f"{tmp_path / 'session.json'}: ")
+        assert len(refusal) < 600
