@@ -16,7 +16,7 @@ from helpers.commands import Ran, run_command
 from dvrk_cmaes.calibration.calibrate import find_lag
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lasting_errors import LastingSize
-from dvrk_cmaes.camera.files import read_camera_file
+from dvrk_cmaes.camera.files import read_camera_file, read_intrinsics
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData
@@ -200,3 +200,16 @@ def test_lag_beyond_the_range_is_not_told(reports: Path, later: float) -> None:
     assert lag is None
     assert "not told in the range searched, -3 to +3 s" in why
     assert "beyond" in why
+
+
+def test_lens_of_a_camera_file_is_read_under_its_usual_names(reports: Path) -> None:
+    lenses = [
+        read_intrinsics(path).distortion
+        for folder in ("camera-distortion-dropped", "camera-documented-json-refused")
+        for path in sorted((reports / folder).glob("*.[jy]*"))
+    ]
+    assert len(lenses) == 8
+    assert {lens[:2] for lens in lenses} == {(-0.32, 0.11)}
+    for path in (reports / "camera-k1-number").glob("*.json"):
+        with pytest.raises(InputError, match=r"expected a camera file: .* got the fields "):
+            read_camera_file(path)

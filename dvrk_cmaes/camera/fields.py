@@ -6,19 +6,20 @@ The reader of each format converts a document of plain values to `Intrinsics`; a
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from dvrk_cmaes.camera.critical import remarks_on
 from dvrk_cmaes.camera.model import Camera
-from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import shown
 
 Side = Literal["left", "right"]
 Size = tuple[int, int]
-Distortion = tuple[str, tuple[float, ...]]
+Lens = tuple[str, tuple[float, ...]]
+"""Model and coefficients."""
 
 ONE_CAMERA = "the file holds one camera: it is taken for the right one"
 
@@ -128,9 +129,12 @@ def as_number(value: Any) -> float | None:
         return None
 
 
-def take_matrix(where: str, name: str, entry: Any, *, columns: int = 3) -> tuple[float, float, float, float]:
+def take_matrix(where: str, name: str, entry: Any) -> tuple[float, float, float, float]:
     """Read fx, fy, cx, cy from an intrinsic matrix (3, 3) or a projection matrix (3, 4), in row-major order."""
-    matrix = take_numbers(where, name, entry, count=3 * columns)
+    matrix = take_numbers(where, name, entry)
+    if len(matrix) not in (9, 12):
+        raise InputError(f"{where}: {name}: expected 9 numbers, got {len(matrix)}")
+    columns = len(matrix) // 3
     fx, skew, cx = matrix[:3]
     below, fy, cy = matrix[columns : columns + 3]
     if fx <= 0 or fy <= 0:
@@ -140,7 +144,7 @@ def take_matrix(where: str, name: str, entry: Any, *, columns: int = 3) -> tuple
     return fx, fy, cx, cy
 
 
-def opencv_distortion(where: str, name: str, entry: Any) -> Distortion:
+def opencv_distortion(where: str, name: str, entry: Any) -> Lens:
     """Read a vector of distortion coefficients in OpenCV's order; their number determines the model.
 
     0, 4 or 5 coefficients are k1 k2 p1 p2 [k3]; 8 coefficients continue with k4 k5 k6; the thin prism and tilt
@@ -157,28 +161,6 @@ def opencv_distortion(where: str, name: str, entry: Any) -> Distortion:
     return ("rational_polynomial" if len(coefficients) > 5 else "plumb_bob"), tuple(coefficients[:8])
 
 
-def known_lens(where: str, given: object, models: Collection[str]) -> str:
-    """Return the name of a distortion model if it is one of some; InputError, which lists these, otherwise."""
-    if isinstance(given, str) and given in models:
-        return given
-    names = ", ".join(nearest_first(given[:60], models) if isinstance(given, str) else models)
-    raise InputError(f"{where}: distortion_model: expected one of {names}, got {shown(given)}")
-
-
-def lens_of(where: str, kind: str, distortion: Distortion, *, rectified: bool) -> Distortion:
-    """Return the distortion of raw images, and none for rectified ones, of a file without projection matrix.
-
-    Its camera is that of rectified images only if its distortion is zero; InputError otherwise.
-    """
-    model, coefficients = distortion
-    if rectified and (model == "equidistant" or any(coefficients)):
-        raise InputError(
-            f"{where}: --rectified: expected a projection matrix (ROS camera_info, or OpenCV with P1 and P2), "
-            f"got none in this {kind} file"
-        )
-    return ("plumb_bob", ()) if rectified else distortion
-
-
 def one_camera(where: str, side: Side, name: object = None, *, right: bool = False) -> tuple[str, ...]:
     """Return the notes on using a file of one camera for a side; InputError for the left one where right is asked.
 
@@ -189,13 +171,3 @@ def one_camera(where: str, side: Side, name: object = None, *, right: bool = Fal
     if isinstance(name, str) and "left" in name.lower() and "right" not in name.lower():
         raise InputError(f"{where}: --side right: expected the right camera, got {shown(name)}")
     return (ONE_CAMERA,)
-
-
-def unknown_layout(where: str, document: Mapping[str, Any]) -> InputError:
-    """Return the error for a file of unknown format."""
-    return InputError(
-        f"{where}: expected a camera file: ROS camera_info (camera_matrix and projection_matrix, K and P, or k and p), "
-        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0), plain (intrinsic), or fx, fy, cx, cy "
-        "(BOP), EndoVis' and MATLAB's; "
-        f"got the fields {listed(document) or '(none)'}"
-    )

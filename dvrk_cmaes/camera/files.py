@@ -1,31 +1,21 @@
 """Read camera files as calibration tools write them; the format is recognised by the content.
 
-The formats are ROS camera_info, OpenCV FileStorage, kalibr camchain and plain YAML, with one module each; those of
-further tools are converted to OpenCV's. A camera may be nested under a single key.
+A camera may be nested under a single key. The names of fields are those of `document`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.camera.fields import Intrinsics, Side, Size, unknown_layout
-from dvrk_cmaes.camera.kalibr import is_camchain, read_camchain
-from dvrk_cmaes.camera.opencv import is_storage, read_storage, read_storage_xml
-from dvrk_cmaes.camera.other_formats import (
-    MAPPINGS,
-    MAT_FILE,
-    colmap_document,
-    endovis_document,
-    is_colmap,
-    is_endovis,
-    matlab_document,
-)
-from dvrk_cmaes.camera.plain import is_plain, read_plain
-from dvrk_cmaes.camera.ros import is_camera_info, read_camera_info
+from dvrk_cmaes.camera.document import read_fields, unwrapped
+from dvrk_cmaes.camera.endovis import endovis_document, is_endovis
+from dvrk_cmaes.camera.fields import Intrinsics, Side, Size
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.plain_xml import parse_xml
@@ -36,12 +26,9 @@ __all__ = ["CameraFile", "Side", "Size", "read_camera", "read_camera_file", "rea
 _EXPECTED = "a camera file (YAML or XML)"
 _LARGEST = 1_000_000  # bytes
 
-_KINDS = (
-    (is_camchain, read_camchain),
-    (is_storage, read_storage),
-    (is_plain, read_plain),
-    (is_camera_info, read_camera_info),
-)
+_MATLAB = b"MATLAB "
+_COLMAP = re.compile(r"^\s*\d+\s+[A-Z][A-Z_]+\s+\d+\s+\d+\s+[-+.\deE \t]+$", re.MULTILINE)
+_NO_LONGER = "not read: write fx, fy, cx, cy, width, height, k1, k2, p1, p2 to a YAML file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,47 +110,32 @@ def read_camera_file(
 
 def read_intrinsics(path: str | Path, *, rectified: bool = False, side: Side = "left") -> Intrinsics:
     """Read the intrinsics that a camera file states, with or without a size; errors as in ``read_camera_file``."""
-    where, document = str(path), read_document(path)
-    if _is_pair(document):
-        where, document, side = f"{path}: {side}", _unwrapped(document[side], f"{path}: {side}"), "left"
-    for is_kind, read_kind in _KINDS:
-        if is_kind(document):
-            return read_kind(where, document, rectified=rectified, side=side)
-    raise unknown_layout(where, document)
+    return read_fields(str(path), read_document(path), rectified=rectified, side=side)
 
 
 def read_document(path: str | Path) -> dict[str, Any]:
-    """Read the fields of a camera file as plain values; those of further tools in the layout of OpenCV's."""
+    """Read the fields of a camera file as plain values; those of EndoVis' with the names of OpenCV's."""
     data = read_bytes(path, expected=_EXPECTED, largest=_LARGEST)
-    if data.startswith(MAT_FILE):
-        return matlab_document(str(path), data)
     text = data.decode("utf-8", errors="replace")
     if is_endovis(text):
         return endovis_document(str(path), text)
-    if is_colmap(text):
-        return colmap_document(str(path), text)
+    if data.startswith(_MATLAB) or _COLMAP.search(text):
+        tool = "MATLAB's .mat is" if data.startswith(_MATLAB) else "COLMAP's cameras.txt is"
+        raise InputError(f"{path}: expected {_EXPECTED}: {tool} {_NO_LONGER}")
     if data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        return read_storage_xml(str(path), parse_xml(Path(path), data))
-    return _unwrapped(read_yaml_mapping(path, expected=_EXPECTED), str(path))
+        return _storage_xml(str(path), parse_xml(Path(path), data))
+    return unwrapped(read_yaml_mapping(path, expected=_EXPECTED))
 
 
-def is_camera(document: Mapping[str, Any]) -> bool:
-    """Whether a document has the fields of a camera of any format."""
-    return any(is_kind(document) for is_kind, _ in (*MAPPINGS, *_KINDS))
-
-
-def _unwrapped(document: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return the camera in a document that is nested under a single key; those of `MAPPINGS` are converted."""
-    for is_kind, converted in MAPPINGS:
-        if is_kind(document):
-            return converted(where, document)
-    if any(is_kind(document) for is_kind, _ in _KINDS) or _is_pair(document):
-        return document
-    inside = [value for value in document.values() if isinstance(value, dict)]
-    found = _unwrapped(inside[0], where) if len(inside) == 1 else document
-    return found if is_camera(found) or _is_pair(found) else document
-
-
-def _is_pair(document: Mapping[str, Any]) -> bool:
-    """Whether a document has a mapping for each camera of a pair."""
-    return all(isinstance(document.get(name), dict) for name in ("left", "right"))
+def _storage_xml(where: str, root: ElementTree.Element) -> dict[str, Any]:
+    """Convert OpenCV's XML to a document of plain values: ``{name: {"dt", "data"} or text}``."""
+    if root.tag != "opencv_storage":
+        raise InputError(f"{where}: expected OpenCV's XML, whose root element is <opencv_storage>, got <{root.tag}>")
+    document: dict[str, Any] = {}
+    for element in root:
+        if element.get("type_id") in ("opencv-matrix", "opencv-nd-matrix"):
+            matrix: dict[str, Any] = {child.tag: (child.text or "").strip() for child in element}
+            document[element.tag] = {**matrix, "data": (element.findtext("data") or "").split()}
+        else:
+            document[element.tag] = (element.text or "").strip()
+    return document

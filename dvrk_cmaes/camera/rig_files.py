@@ -6,13 +6,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from dvrk_cmaes.camera.fields import ONE_CAMERA
+from dvrk_cmaes.camera.document import is_camchain, is_stereo
+from dvrk_cmaes.camera.fields import ONE_CAMERA, has_field
 from dvrk_cmaes.camera.files import CameraFile, Size, read_camera_file, read_document
-from dvrk_cmaes.camera.kalibr import is_camchain
-from dvrk_cmaes.camera.opencv import is_stereo_storage
-from dvrk_cmaes.camera.plain import is_plain
 from dvrk_cmaes.camera.rig import Rig
-from dvrk_cmaes.camera.ros import is_camera_info
 from dvrk_cmaes.camera.stereo import StereoPose, pose_of_camchain, pose_of_camera_infos, pose_of_plain, pose_of_storage
 from dvrk_cmaes.errors import InputError
 
@@ -59,7 +56,7 @@ def _pose_of_one(path: Path, rectified: bool) -> StereoPose:
     document = read_document(path)
     if is_camchain(document):
         return pose_of_camchain(str(path), document)
-    if is_stereo_storage(document):
+    if is_stereo(document):
         return pose_of_storage(str(path), document, rectified=rectified)
     raise InputError(f"{path}: expected both eyes (OpenCV's stereo, kalibr's camchain), got the file of one camera")
 
@@ -67,13 +64,8 @@ def _pose_of_one(path: Path, rectified: bool) -> StereoPose:
 def _pose_of_two(left: Path, right: Path, rectified: bool) -> StereoPose:
     """Return the pose between the cameras of two files."""
     documents: tuple[Mapping[str, Any], Mapping[str, Any]] = (read_document(left), read_document(right))
-    if is_stereo_storage(documents[1]):
+    if is_stereo(documents[1]):
         raise InputError(f"{right}: expected the file of one camera, got a pair's: give it as the only file")
-    if is_plain(documents[1]):
-        return pose_of_plain(str(right), documents[1])
-    if all(is_camera_info(document) for document in documents):
+    if has_field(documents[1], ("projection_matrix", "P", "p")):
         return pose_of_camera_infos((str(left), str(right)), *documents, rectified=rectified)
-    raise InputError(
-        f"{right}: expected ROS camera_info of both eyes, or plain YAML with right_from_left, to tell the pose "
-        "between them, got neither"
-    )
+    return pose_of_plain(str(right), documents[1])

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from dvrk_cmaes.camera.document import chosen_camera, kalibr_cameras, plain_names
 from dvrk_cmaes.camera.fields import has_field, take_field, take_numbers
-from dvrk_cmaes.camera.kalibr import chosen_camera, kalibr_cameras
-from dvrk_cmaes.camera.opencv import plain_names
 from dvrk_cmaes.camera.rig import BASELINE
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, inverse, transform

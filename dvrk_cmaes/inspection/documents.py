@@ -9,7 +9,7 @@ from typing import Any
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera.files import is_camera
+from dvrk_cmaes.camera.document import is_camera, unwrapped
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.markers import read_marker_table
 from dvrk_cmaes.frames.truth import read_golden
@@ -56,7 +56,8 @@ def inspect_json(path: Path, options: Options) -> Finding:
     document = read_json_object(path, expected="a JSON document", comments=True)
     if is_description(document):
         return inspect_kinematics(path) if is_arm(document) else inspect_tool(path)
-    if is_camera(document) or any(isinstance(value, dict) and "type_id" in value for value in document.values()):
+    storage = any(isinstance(value, dict) and "type_id" in value for value in document.values())
+    if storage or is_camera(unwrapped(document)):
         return inspect_camera(path, options)
     if document and all(isinstance(value, dict) and "position_m" in value for value in document.values()):
         return _markers(path)

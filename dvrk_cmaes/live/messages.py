@@ -15,8 +15,8 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera.document import read_fields
 from dvrk_cmaes.camera.fields import Side
-from dvrk_cmaes.camera.ros import read_camera_info
 from dvrk_cmaes.camera.stereo import pose_of_camera_infos
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import decode_image
@@ -110,8 +110,9 @@ def read_rig(infos: Mapping[str, Mapping[str, Any]], *, rectified: bool = False)
     """Read the CameraInfo of one eye, or those of the left and the right one, by topic."""
     cameras: list[Camera] = []
     for side, (where, fields) in zip(get_args(Side), infos.items(), strict=False):
-        found = read_camera_info(where, fields, rectified=rectified, side=side)
-        assert found.size is not None
+        found = read_fields(where, fields, rectified=rectified, side=side)
+        if found.size is None:
+            raise InputError(f"{where}: width: missing")
         cameras.append(found.camera(where, found.size))
     if len(cameras) == 1:
         return Rig.of_camera(cameras[0])

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from dvrk_cmaes.camera.document import read_fields
 from dvrk_cmaes.camera.files import read_camera_file
-from dvrk_cmaes.camera.ros import read_camera_info
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.files import read_bytes
 from dvrk_cmaes.io.yaml_file import yaml_text
@@ -53,7 +53,7 @@ def camera_file(message: Any, name: str, where: str) -> bytes:
     fields: dict[str, Any] = {letter: numbers(letter) for letter in "KDRP"}
     size = {"width": int(message.width), "height": int(message.height)}
     model = str(message.distortion_model)
-    read_camera_info(where, {**size, **fields, "distortion_model": model, "roi": region}, rectified=False, side="left")
+    read_fields(where, {**size, **fields, "distortion_model": model, "roi": region}, rectified=False, side="left")
     matrices = (
         ("distortion_coefficients", "D", 1, len(fields["D"])),
         ("camera_matrix", "K", 3, 3),

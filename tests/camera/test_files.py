@@ -152,10 +152,15 @@ K = "[800.5, 0, 320.25, 0, 810, 240, 0, 0, 1]"
         ("image_width: 640", "image_width: 0", "image_width: expected a positive whole number of pixels, got 0"),
         ("image_width: 640", "image_width: true", "image_width: expected a positive whole number of pixels, got True"),
         ("image_width: 640", "image_width: .inf", "image_width: expected a positive whole number of pixels, got inf"),
-        ("camera_matrix:", "other:", "camera_matrix: missing (expected camera_matrix or K or k)"),
-        (K, "[800.5, 0, 320.25, 0]", "camera_matrix.data: expected 9 numbers, got 4"),
-        (K, "none", "camera_matrix.data: expected 9 numbers, got 'none'"),
-        (f"data: {K}", "size: 9", "camera_matrix.data: expected 9 numbers, got nothing"),
+        (
+            "camera_matrix:",
+            "other:",
+            "other: unknown field of a camera file (nearest known: distortion_model), "
+            "which may state the lens: rename it, or leave it out",
+        ),
+        (K, "[800.5, 0, 320.25, 0]", "camera_matrix: expected 9 numbers, got 4"),
+        (K, "none", "camera_matrix.data: expected a list of numbers, got 'none'"),
+        (f"data: {K}", "size: 9", "camera_matrix.data: expected a list of numbers, got nothing"),
         (K, K.replace("800.5", ".nan"), "camera_matrix.data: expected finite numbers, got nan"),
         (K, K.replace("800.5", "eight"), "camera_matrix.data: expected finite numbers, got 'eight'"),
         (K, K.replace("800.5", "[1]"), "camera_matrix.data: expected finite numbers, got [1]"),
@@ -179,7 +184,8 @@ K = "[800.5, 0, 320.25, 0, 810, 240, 0, 0, 1]"
         (
             "distortion_coefficients:",
             "other:",
-            "distortion_coefficients: missing (expected distortion_coefficients or D or d)",
+            "other: unknown field of a camera file (nearest known: distortion_model), "
+            "which may state the lens: rename it, or leave it out",
         ),
         (", -3.0e-3, 0]", "]", "distortion: expected 0 or 4 or 5 coefficients for plumb_bob, got 3"),
         ("-0.25", ".nan", "distortion_coefficients.data: expected finite numbers, got nan"),
@@ -190,13 +196,8 @@ K = "[800.5, 0, 320.25, 0, 810, 240, 0, 0, 1]"
         ),
         (
             "plumb_bob",
-            "plumbbob",
-            "distortion_model: expected one of plumb_bob, rational_polynomial, equidistant, fisheye, got 'plumbbob'",
-        ),
-        (
-            "distortion_model: plumb_bob\n",
-            "",
-            "distortion_model: expected one of plumb_bob, rational_polynomial, equidistant, fisheye, got nothing",
+            "plum",
+            "distortion_model: expected one of plumb_bob, rational_polynomial, equidistant, none, got 'plum'",
         ),
     ],
 )
@@ -210,24 +211,21 @@ def test_rectified_camera_requires_projection_matrix(tmp_path: Path) -> None:
     assert message(written(tmp_path, text), rectified=True) == (
         "projection_matrix: expected positive focal lengths in pixels, got fx 0, fy 0"
     )
-    text = CALIBRATION.replace("projection_matrix", "projection")
-    assert message(written(tmp_path, text), rectified=True) == (
-        "projection_matrix: missing (expected projection_matrix or P or p)"
-    )
+    text = CALIBRATION.split("projection_matrix")[0]
+    assert message(written(tmp_path, text), rectified=True).startswith("--rectified: expected a projection matrix")
 
 
 def test_region_of_interest_is_refused(tmp_path: Path) -> None:
     text = ROS_1.replace("x_offset: 0", "x_offset: 16")
-    assert message(written(tmp_path, text)) == "roi.x_offset: expected images of the whole sensor, got 16"
+    assert message(written(tmp_path, text)).startswith(
+        "roi.x_offset: expected images of the whole sensor, got 16: for "
+    )
 
 
 def test_unknown_layout_is_refused_with_its_fields(tmp_path: Path) -> None:
-    assert message(written(tmp_path, "lens:\n  intrinsics: [1, 2, 3, 4]\n")) == (
-        "expected a camera file: ROS camera_info (camera_matrix and projection_matrix, K and P, or k and p), "
-        "OpenCV (camera_matrix, K1 and K2, or Left_Camera_Matrix), kalibr (cam0), plain (intrinsic), "
-        "or fx, fy, cx, cy (BOP), EndoVis' and MATLAB's; "
-        "got the fields lens"
-    )
+    found = message(written(tmp_path, "lens:\n  values: [1, 2, 3, 4]\n"))
+    assert found.startswith("expected a camera file: camera_matrix or K with distortion_coefficients or D (ROS ")
+    assert found.endswith("got the fields lens")
 
 
 @pytest.mark.parametrize(

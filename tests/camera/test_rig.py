@@ -182,7 +182,7 @@ def test_right_eye_on_the_left_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("document", "text"),
     [
-        (storage(names=("K1", "D1", "K2", "D2", "x", "y")), "R, T: expected rotation and translation"),
+        (storage(names=("K1", "D1", "K2", "D2", "note", "date")), "R, T: expected rotation and translation"),
         (storage(2 * POSE), "R and T: expected a rotation matrix"),
         (storage(unit=1e-6), "expected 0.0005 to 0.5 m between the cameras"),
         (ros(LEFT), "expected both eyes"),

@@ -121,7 +121,7 @@ def test_other_folder_is_refused(tmp_path: Path) -> None:
     ("damaged", "text", "expected"),
     [
         ("joints.csv", "frame,wrist_pich\n", "unknown joint 'wrist_pich'"),
-        ("camera.yaml", "image_width: 3\n", "expected a camera file: ROS camera_info"),
+        ("camera.yaml", "image_width: 3\n", "expected a camera file: camera_matrix"),
         ("keypoints.csv", "frame,u,v\n", "header: expected frame,tip_1_u"),
         ("keypoints.csv", "frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\n0000,1,2,3\n", "line 2: expected 5 cells as in"),
         ("keypoints.csv", "frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\n0000,1,2,3,x\n", "line 2: keypoints: expected four"),

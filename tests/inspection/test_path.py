@@ -164,7 +164,7 @@ def test_instrument_is_summarised() -> None:
 def test_small_files_are_recognised_by_content(tmp_path: Path, name: str, text: str, kind: str | None) -> None:
     path = written(tmp_path, name, text)
     if kind is None:
-        assert message(path) == f"{path}: K1: expected 9 numbers, got '1 0 0 0 1 0 0 0 1'"
+        assert message(path) == f"{path}: K1: expected a list of numbers, got '1 0 0 0 1 0 0 0 1'"
         return
     found = inspect_path(path)
     assert found.kind == kind
@@ -197,7 +197,7 @@ def test_unknown_files_are_refused(tmp_path: Path) -> None:
         written(tmp_path, "x.json", '{"a": 1}')
     )
     assert "expected a camera file, joint readings, a mask" in message(written(tmp_path, "x.bin", b"\x01\x00\x02"))
-    assert "expected a camera file: ROS camera_info" in message(written(tmp_path, "x.yaml", "a: 1\n"))
+    assert "expected a camera file: camera_matrix" in message(written(tmp_path, "x.yaml", "a: 1\n"))
     assert "got an empty file" in message(written(tmp_path, "empty.yaml", ""))
     assert "cut off or damaged" in message(written(tmp_path, "x.png", cv2.imencode(".png", MASK)[1].tobytes()[:-20]))
 
