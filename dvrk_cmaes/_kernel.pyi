@@ -43,14 +43,14 @@ class Mesh:
         lines_per_pixel: int,
         to_pixel: bool,
         threads: int,
-        decide: Callable[..., NDArray[numpy.bool_]] | None,
+        trace: Callable[..., NDArray[numpy.bool_]] | None,
     ) -> NDArray[numpy.float64]: ...
     def masks(
         self,
         camera: Camera,
         camera_from_link: NDArray[numpy.float64],
         threads: int,
-        decide: Callable[..., NDArray[numpy.bool_]] | None,
+        trace: Callable[..., NDArray[numpy.bool_]] | None,
     ) -> NDArray[numpy.bool_]: ...
     def coverage(
         self,
@@ -58,7 +58,7 @@ class Mesh:
         camera_from_link: NDArray[numpy.float64],
         lines_per_pixel: int,
         threads: int,
-        decide: Callable[..., NDArray[numpy.bool_]] | None,
+        trace: Callable[..., NDArray[numpy.bool_]] | None,
     ) -> NDArray[numpy.float32]: ...
     def outlines(
         self,
@@ -66,7 +66,7 @@ class Mesh:
         camera_from_link: NDArray[numpy.float64],
         lines_per_pixel: int,
         threads: int,
-        decide: Callable[..., NDArray[numpy.bool_]] | None,
+        trace: Callable[..., NDArray[numpy.bool_]] | None,
     ) -> tuple[
         NDArray[numpy.int64],
         NDArray[numpy.int64],
@@ -85,7 +85,7 @@ class Mesh:
         lines_per_pixel: int,
         cauchy: Sequence[float],
         threads: int,
-        decide: Callable[..., NDArray[numpy.bool_]] | None,
+        trace: Callable[..., NDArray[numpy.bool_]] | None,
     ) -> list[Comparison]: ...
     def contours(
         self,
@@ -98,7 +98,7 @@ class Mesh:
         camera_from_link: NDArray[numpy.float64],
         errors: ContourErrors,
         threads: int,
-        decide: Callable[..., NDArray[numpy.bool_]] | None,
+        trace: Callable[..., NDArray[numpy.bool_]] | None,
     ) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64]]: ...
 
 def move_points(

@@ -108,16 +108,17 @@ class SearchConfig:
 
 @dataclass(frozen=True)
 class SilhouetteConfig:
-    """Settings of the silhouettes in search, refinement and tracking.
+    """Settings of the silhouettes in the search of a frame.
 
     Attributes
     ----------
     method
         How it is decided what the instrument covers between neighbouring crossings of an image line with outline edges:
-        ``count`` counts the layers of faces along the line, ``rays`` traces one ray through the middle.
+        ``rays`` traces one ray through the middle, ``count`` counts the layers of faces along the line. Refinement,
+        sessions and tracking always count.
     """
 
-    method: str = "count"
+    method: str = "rays"
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.judge import exchanged_readings
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.silhouette.prepare import body_by, prepare
+from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.silhouette.threads import map_threaded, single_blas_thread
 
 T = TypeVar("T")
@@ -107,7 +107,7 @@ def calibrate_session(
     """
     settings = EstimateConfig() if config is None else config
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
-    run = run or partial(in_threads, body_by(body, settings.silhouette.method), settings)
+    run = run or partial(in_threads, body, settings)
     problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera)
     return solved_alone(solving_arm(frames, problem))[0]
 

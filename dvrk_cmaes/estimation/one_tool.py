@@ -30,7 +30,7 @@ from dvrk_cmaes.pose.search.modes import PoseCandidate
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import Result, Source, modes_of
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.silhouette.prepare import body_by, decimated_body, prepare
+from dvrk_cmaes.silhouette.prepare import decimated_body, prepare
 from dvrk_cmaes.silhouette.threads import single_blas_thread
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def estimate_views(
         _check_session(session, prepare(instrument).instrument.name, None if arm == "classic" else arm)
     if start is not None:
         check_type("start", start, Result, "a Result")
-    body = body_by(prepare(instrument), settings.silhouette.method)
+    body = prepare(instrument)
     decimated = decimated_body(body, settings.search.detail_m)
     started = perf_counter()
     model, given = body.instrument, {} if joints is None else joints

@@ -22,11 +22,26 @@ struct Camera {
   Lens lens;
   double bend = 0.0;  // px, by which the image of a straight line of four pixels is off its chord at most: `largest_bend`
 
+  static constexpr int kIterations = 8;
+
   bool is_pinhole() const { return lens.model == Lens::Model::none; }
 
   Vector2 pixel(Vector2 undistorted) const {
     const Vector2 seen = lens.distort(undistorted);
     return {fx * seen[0] + cx, fy * seen[1] + cy};
+  }
+
+  // The place of a pixel before distortion, by Newton's iterations.
+  Vector2 undistorted(Vector2 pixel) const {
+    const Vector2 seen = {(pixel[0] - cx) / fx, (pixel[1] - cy) / fy};
+    Vector2 found = seen;
+    for (int k = 0; k < (is_pinhole() ? 0 : kIterations); ++k) {
+      const Lens::Linear at = lens.linear(found);
+      const auto& [xx, xy, yx, yy] = at.jacobian;
+      const double ex = seen[0] - at.value[0], ey = seen[1] - at.value[1], determinant = xx * yy - xy * yx;
+      found = {found[0] + (yy * ex - xy * ey) / determinant, found[1] + (xx * ey - yx * ex) / determinant};
+    }
+    return found;
   }
 
   // Length, px, up to which the image of a straight line is off its chord by at most `allowed`, px, anywhere in the
@@ -39,15 +54,7 @@ struct Camera {
     const double step = 0.39269908169872415;  // rad, an eighth of half a turn
     for (int row = 0; row <= 16; ++row) {
       for (int column = 0; column <= 16; ++column) {
-        // the place of a pixel before distortion, by fixed-point iterations that need not be accurate
-        const Vector2 seen = {(-0.5 + width * column / 16.0 - cx) / fx, (-0.5 + height * row / 16.0 - cy) / fy};
-        Vector2 middle = seen;
-        for (int k = 0; k < 8; ++k) {
-          const Lens::Linear at = lens.linear(middle);
-          const auto& [xx, xy, yx, yy] = at.jacobian;
-          const double ex = seen[0] - at.value[0], ey = seen[1] - at.value[1], determinant = xx * yy - xy * yx;
-          middle = {middle[0] + (yy * ex - xy * ey) / determinant, middle[1] + (xx * ey - yx * ex) / determinant};
-        }
+        const Vector2 middle = undistorted({-0.5 + width * column / 16.0, -0.5 + height * row / 16.0});
         const Vector2 there = pixel(middle);
         for (int turn = 0; turn < 8; ++turn) {
           const Vector2 half = {2.0 * std::cos(turn * step) / fx, 2.0 * std::sin(turn * step) / fy};

@@ -31,6 +31,7 @@
 #include "moving.hpp"
 #include "nearest.hpp"
 #include "outline.hpp"
+#include "rays.hpp"
 #include "rotation.hpp"
 #include "shared.hpp"
 #include "silhouette.hpp"
@@ -99,9 +100,14 @@ Made<T> copied(const std::vector<T>& values) {
   return out;
 }
 
-struct Workspace {
+// The outline of a pose, and where it crosses image lines.
+struct Drawn {
   Outline outline;
   Lines rows, columns;
+};
+
+struct Workspace {
+  Drawn drawn;
   std::vector<std::int32_t> change;
   Blurred image;
 };
@@ -235,9 +241,9 @@ Forward forward(const Chain& chain, const Given<double>& values, const std::vect
   return {std::move(poses), std::move(by_joint)};
 }
 
-// Decides what is covered between crossings: called with the number of the pose, whether the lines are columns, and the
-// line and the place along it, px, of each crossing in order; returns whether the line is covered from each to the next.
-using Decision = std::optional<nb::callable>;
+// Traces rays against a link: called with its number, origins (N, 3) and directions (N, 3) in its frame; returns which
+// rays hit it, (N,). Without, layers are counted.
+using Trace = std::optional<nb::callable>;
 
 // What is drawn of each pose, and how.
 struct Drawing {
@@ -246,10 +252,13 @@ struct Drawing {
   const Given<double>& links;
   int lines_per_pixel;
   std::size_t threads;
-  const Decision& decide;
-  double bend;  // px, by which a piece of the outline may be off the image of a straight line
+  const Trace& trace;
+  double bend;            // px, by which a piece of the outline may be off the image of a straight line
+  bool columns = false;   // whether the columns are crossed as well as the rows, as `find_points` needs it
+  bool to_pixel = false;  // whether only the pixels' centres matter
 
   std::size_t poses() const { return links.shape(0); }
+  const double* links_of(std::size_t pose) const { return links.data() + 16 * mesh.link_count() * pose; }
 
   void check() const {
     check_shape("camera_from_link", links, {kAny, mesh.link_count(), 4, 4});
@@ -260,63 +269,79 @@ struct Drawing {
     }
   }
 
-  // Call `use(workspace, pose)` with the outline and the rows of each pose, without the interpreter's lock; after `check`.
+  // Call `use(workspace, drawn, pose)` with what is drawn of each pose, without the interpreter's lock; after `check`.
   template <class Use>
   void each(const Use& use) const {
-    const double straight = camera.is_pinhole() ? 0.0 : camera.straight_length(bend);
-    const auto draw = [&](Workspace& at, std::size_t pose) {
-      at.outline.find(mesh, camera, links.data() + 16 * mesh.link_count() * pose, straight);
-      find_lines(at.rows, at.outline, Grid::rows(camera, lines_per_pixel), pose);
-      use(at, pose);
-    };
-    if (decide) {
-      each_pose(poses(), 1, draw);
+    const std::size_t most = poses() * mesh.edges.size() < kFewEdges ? 1 : threads;
+    std::optional<nb::gil_scoped_release> released(std::in_place);
+    if (!trace) {
+      each_pose(poses(), most, [&](Workspace& at, std::size_t pose) {
+        find(at.drawn, pose);
+        at.drawn.rows.count_layers();
+        if (columns) at.drawn.columns.count_layers();
+        use(at, at.drawn, pose);
+      });
       return;
     }
-    nb::gil_scoped_release released;
-    each_pose(poses(), poses() * mesh.edges.size() < kFewEdges ? 1 : threads, draw);
+    thread_local std::vector<Drawn> drawn;
+    std::vector<Drawn>& all = drawn;
+    if (all.size() < poses()) all.resize(poses());
+    each_pose(poses(), most, [&](Workspace&, std::size_t pose) { find(all[pose], pose); });
+    SpanRays rays;
+    for (std::size_t pose = 0; pose < poses(); ++pose) {
+      rays.add(all[pose].rows, all[pose].outline, camera, links_of(pose), to_pixel);
+      if (columns) rays.add(all[pose].columns, all[pose].outline, camera, links_of(pose), to_pixel);
+    }
+    released.reset();
+    for (int link = 0; link < mesh.link_count(); ++link) trace_link(rays, link);
+    released.emplace();
+    rays.finish();
+    each_pose(poses(), most, [&](Workspace& at, std::size_t pose) { use(at, all[pose], pose); });
   }
 
   // Find the points where the outline crosses rows and columns, sorted by link.
-  void find_points(Workspace& at, std::size_t pose, std::vector<OutlinePoint>& points) const {
-    find_lines(at.columns, at.outline, Grid::columns(camera), pose);
+  void find_points(const Drawn& at, std::vector<OutlinePoint>& points) const {
     add_points(at.rows, at.outline, camera, points);
     add_points(at.columns, at.outline, camera, points);
     std::stable_sort(points.begin(), points.end(), [](const auto& a, const auto& b) { return a.link < b.link; });
   }
 
-  void find_lines(Lines& lines, const Outline& outline, const Grid& grid, std::size_t pose) const {
-    lines.find(outline.pieces, grid);
-    if (!decide) {
-      lines.count_layers();
-      return;
-    }
-    Made<Index> line = zeros<Index>({lines.crossings.size()});
-    Made<double> along = zeros<double>({lines.crossings.size()});
-    for (int i = 0; i < grid.count(); ++i) {
-      std::fill(line.data() + lines.begin[i], line.data() + lines.begin[i + 1], i);
-    }
-    for (std::size_t i = 0; i < lines.crossings.size(); ++i) along.data()[i] = lines.crossings[i].along;
-    const auto covered = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(
-        (*decide)(pose, grid.vertical, std::move(line), std::move(along)));
-    check_shape("covered", covered, {static_cast<long>(lines.crossings.size())});
-    for (std::size_t i = 0; i < lines.crossings.size(); ++i) lines.crossings[i].covered = covered.data()[i];
-  }
-
  private:
   static constexpr std::size_t kFewEdges = 30000;  // of all poses; starting a thread takes as long as these
+
+  void find(Drawn& at, std::size_t pose) const {
+    at.outline.find(mesh, camera, links_of(pose), camera.is_pinhole() ? 0.0 : camera.straight_length(bend));
+    at.rows.find(at.outline.pieces, Grid::rows(camera, lines_per_pixel));
+    if (columns) at.columns.find(at.outline.pieces, Grid::columns(camera));
+  }
+
+  // Trace the rays of all poses against a link together.
+  void trace_link(SpanRays& rays, int link) const {
+    const std::vector<std::size_t>& chosen = rays.towards(link);
+    if (chosen.empty()) return;
+    Made<float> origins = zeros<float>({chosen.size(), 3}), directions = zeros<float>({chosen.size(), 3});
+    for (std::size_t i = 0; i < chosen.size(); ++i) {
+      rays.write(chosen[i], link, origins.data() + 3 * i, directions.data() + 3 * i);
+    }
+    const auto hit = nb::cast<nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(
+        (*trace)(link, std::move(origins), std::move(directions)));
+    check_shape("hit", hit, {static_cast<long>(chosen.size())});
+    for (std::size_t i = 0; i < chosen.size(); ++i) {
+      if (hit.data()[i]) rays.mark(chosen[i]);
+    }
+  }
 };
 
 constexpr double kBend = 0.004, kExactBend = 0.0005;  // px; the latter where whole pixels are asked for
 
 Made<double> sums(const Mesh& mesh, const Camera& camera, const Given<double>& links, const Given<double>& table,
-                  int lines_per_pixel, bool to_pixel, std::size_t threads, const Decision& decide) {
+                  int lines_per_pixel, bool to_pixel, std::size_t threads, const Trace& trace) {
   check_shape("table", table, {camera.height, camera.width + 1, kAny});
-  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, decide, to_pixel ? kExactBend : kBend};
+  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, trace, to_pixel ? kExactBend : kBend, false, to_pixel};
   drawing.check();
   const std::size_t images = table.shape(2);
   Made<double> out = zeros<double>({drawing.poses(), images});
-  drawing.each([&](Workspace& at, std::size_t pose) {
+  drawing.each([&](Workspace&, const Drawn& at, std::size_t pose) {
     double* sum = out.data() + images * pose;
     add_sums(at.rows, table.data(), static_cast<int>(images), to_pixel, sum);
     for (std::size_t k = 0; k < images; ++k) sum[k] /= lines_per_pixel;
@@ -325,34 +350,36 @@ Made<double> sums(const Mesh& mesh, const Camera& camera, const Given<double>& l
 }
 
 Made<bool> masks(const Mesh& mesh, const Camera& camera, const Given<double>& links, std::size_t threads,
-                 const Decision& decide) {
-  const Drawing drawing{mesh, camera, links, 1, threads, decide, kExactBend};
+                 const Trace& trace) {
+  const Drawing drawing{mesh, camera, links, 1, threads, trace, kExactBend, false, true};
   drawing.check();
   const std::size_t pixels = std::size_t(camera.width) * camera.height;
   Made<bool> out = zeros<bool>({drawing.poses(), std::size_t(camera.height), std::size_t(camera.width)});
-  drawing.each([&](Workspace& at, std::size_t pose) { fill_mask(at.rows, out.data() + pixels * pose); });
+  drawing.each([&](Workspace&, const Drawn& at, std::size_t pose) { fill_mask(at.rows, out.data() + pixels * pose); });
   return out;
 }
 
 Made<float> coverage(const Mesh& mesh, const Camera& camera, const Given<double>& links, int lines_per_pixel,
-                     std::size_t threads, const Decision& decide) {
-  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, decide, kBend};
+                     std::size_t threads, const Trace& trace) {
+  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, trace, kBend};
   drawing.check();
   const std::size_t pixels = std::size_t(camera.width) * camera.height;
   Made<float> out = zeros<float>({drawing.poses(), std::size_t(camera.height), std::size_t(camera.width)});
-  drawing.each([&](Workspace& at, std::size_t pose) { fill_coverage(at.rows, out.data() + pixels * pose, at.change); });
+  drawing.each([&](Workspace& at, const Drawn& drawn, std::size_t pose) {
+    fill_coverage(drawn.rows, out.data() + pixels * pose, at.change);
+  });
   return out;
 }
 
 using Outlines = std::tuple<Made<std::int64_t>, Made<std::int64_t>, Made<double>, Made<double>, Made<double>>;
 
 Outlines outlines(const Mesh& mesh, const Camera& camera, const Given<double>& links, int lines_per_pixel,
-                  std::size_t threads, const Decision& decide) {
-  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, decide, kBend};
+                  std::size_t threads, const Trace& trace) {
+  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, trace, kBend, true};
   drawing.check();
   const std::size_t poses = drawing.poses();
   std::vector<std::vector<OutlinePoint>> of_poses(poses);
-  drawing.each([&](Workspace& at, std::size_t pose) { drawing.find_points(at, pose, of_poses[pose]); });
+  drawing.each([&](Workspace&, const Drawn& at, std::size_t pose) { drawing.find_points(at, of_poses[pose]); });
   Made<std::int64_t> begin = zeros<std::int64_t>({poses + 1});
   for (std::size_t i = 0; i < poses; ++i) begin.data()[i + 1] = begin.data()[i] + std::int64_t(of_poses[i].size());
   const std::size_t count = begin.data()[poses];
@@ -459,8 +486,8 @@ using Compared = std::vector<std::shared_ptr<Comparison>>;
 Compared compare(const Mesh& mesh, const Camera& camera, const Target& target, const Given<double>& camera_from_root,
                  const Given<double>& root_from_link, const std::optional<Given<double>>& by_joint,
                  const Given<double>& camera_from_link, int lines_per_pixel, const std::vector<double>& cauchy,
-                 std::size_t threads, const Decision& decide) {
-  const Drawing drawing{mesh, camera, camera_from_link, lines_per_pixel, threads, decide, kBend};
+                 std::size_t threads, const Trace& trace) {
+  const Drawing drawing{mesh, camera, camera_from_link, lines_per_pixel, threads, trace, kBend, by_joint.has_value()};
   drawing.check();
   const long c = static_cast<long>(drawing.poses()), l = mesh.link_count();
   check_shape("camera_from_root", camera_from_root, {c, 4, 4});
@@ -474,16 +501,16 @@ Compared compare(const Mesh& mesh, const Camera& camera, const Target& target, c
   }
   const int joints = by_joint ? int(by_joint->shape(1)) : 0;
   Compared found(c);
-  drawing.each([&](Workspace& at, std::size_t pose) {
+  drawing.each([&](Workspace& at, const Drawn& drawn, std::size_t pose) {
     found[pose] = std::make_shared<Comparison>();
     Comparison& one = *found[pose];
     at.image.begin(camera.width, camera.height, target.taps);
-    at.image.cover(at.rows);
+    at.image.cover(drawn.rows);
     at.image.blur();
     for (double width : cauchy) one.losses.push_back(cauchy_loss(at.image, target, width));
     one.runs = at.image.runs, one.first = at.image.first;
     if (!by_joint) return;
-    drawing.find_points(at, pose, one.points);
+    drawing.find_points(drawn, one.points);
     const Placed placed{camera_from_root.data() + 16 * pose, root_from_link.data() + 16 * l * pose,
                         by_joint->data() + 16 * l * joints * pose, int(l), joints};
     add_samples(at.image, target, camera, placed, one);
@@ -507,8 +534,8 @@ using Quadratics = std::tuple<Made<double>, Made<double>>;
 std::tuple<Made<double>, Made<double>, Made<double>> contours(
     const Mesh& mesh, const Camera& camera, const Given<bool>& mask, const Given<float>& weight,
     const Given<double>& camera_from_root, const Given<double>& root_from_link, const Given<double>& by_joint,
-    const Given<double>& camera_from_link, const ContourErrors& errors, std::size_t threads, const Decision& decide) {
-  const Drawing drawing{mesh, camera, camera_from_link, 1, threads, decide, kBend};
+    const Given<double>& camera_from_link, const ContourErrors& errors, std::size_t threads, const Trace& trace) {
+  const Drawing drawing{mesh, camera, camera_from_link, 1, threads, trace, kBend, true};
   drawing.check();
   const long c = static_cast<long>(drawing.poses()), l = mesh.link_count();
   check_shape("camera_from_root", camera_from_root, {c, 4, 4});
@@ -518,9 +545,9 @@ std::tuple<Made<double>, Made<double>, Made<double>> contours(
   const ContourMask seen{mask.data(), weight.data(), camera.width, camera.height};
   Made<double> information = zeros<double>({std::size_t(c), D, D}), slope = zeros<double>({std::size_t(c), D});
   Made<double> cost = zeros<double>({std::size_t(c)});
-  drawing.each([&](Workspace& at, std::size_t pose) {
+  drawing.each([&](Workspace&, const Drawn& at, std::size_t pose) {
     std::vector<OutlinePoint> points;
-    drawing.find_points(at, pose, points);
+    drawing.find_points(at, points);
     const Placed placed{camera_from_root.data() + 16 * pose, root_from_link.data() + 16 * l * pose,
                         by_joint.data() + 16 * l * joints * pose, int(l), int(joints)};
     cost.data()[pose] = contour_equations(seen, points, jacobian_of(camera, placed, points), D, errors,
@@ -926,20 +953,20 @@ NB_MODULE(_kernel, module) {
            "links"_a, "Take vertices (V, 3), m, and faces (F, 3) of each link.")
       .def_prop_ro("edges", [](const Mesh& mesh) { return mesh.edges.size(); }, "Number of edges.")
       .def("sums", &sums, "camera"_a, "camera_from_link"_a, "table"_a, "lines_per_pixel"_a, "to_pixel"_a, "threads"_a,
-           "decide"_a.none(), "Sum K images, by their prefix sums (H, W + 1, K), over C silhouettes: (C, K).")
-      .def("masks", &masks, "camera"_a, "camera_from_link"_a, "threads"_a, "decide"_a.none(),
+           "trace"_a.none(), "Sum K images, by their prefix sums (H, W + 1, K), over C silhouettes: (C, K).")
+      .def("masks", &masks, "camera"_a, "camera_from_link"_a, "threads"_a, "trace"_a.none(),
            "Find the pixels whose centres are covered in C poses: (C, H, W).")
       .def("coverage", &coverage, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "threads"_a,
-           "decide"_a.none(), "Compute the covered fraction of each pixel in C poses: (C, H, W).")
+           "trace"_a.none(), "Compute the covered fraction of each pixel in C poses: (C, H, W).")
       .def("outlines", &outlines, "camera"_a, "camera_from_link"_a, "lines_per_pixel"_a, "threads"_a,
-           "decide"_a.none(),
+           "trace"_a.none(),
            "Find N points on the outlines of C poses: offsets (C + 1,) of the poses' points, links (N,), pixels (N, 2), "
            "normals (N, 2), points (N, 3) in the links' frames.")
       .def("compare", &compare, "camera"_a, "target"_a, "camera_from_root"_a, "root_from_link"_a, "by_joint"_a.none(),
-           "camera_from_link"_a, "lines_per_pixel"_a, "cauchy"_a, "threads"_a, "decide"_a.none(),
+           "camera_from_link"_a, "lines_per_pixel"_a, "cauchy"_a, "threads"_a, "trace"_a.none(),
            "Compare C silhouettes with a target: losses by widths, and outlines if derivatives by joints are given.")
       .def("contours", &contours, "camera"_a, "mask"_a, "weight"_a, "camera_from_root"_a, "root_from_link"_a, "by_joint"_a,
-           "camera_from_link"_a, "errors"_a, "threads"_a, "decide"_a.none(),
+           "camera_from_link"_a, "errors"_a, "threads"_a, "trace"_a.none(),
            "Compare the outlines of C poses with the contour of a mask: information (C, D, D) and slope (C, D) of half the "
            "sums of squares (C,). All are zero where too few points have a contour within reach.");
 

@@ -37,12 +37,22 @@ class Outline {
   // to be straight.
   void find(const Mesh& mesh, const Camera& camera, const double* links, double straight) {
     mesh_ = &mesh, camera_ = &camera, straight_ = straight;
-    pieces.clear(), shares_.clear(), cuts_.clear();
+    pieces.clear(), shares_.clear(), cuts_.clear(), begin_.clear();
     front_.resize(mesh.faces.size());
     outline_.resize(mesh.edges.size());
     seen_.resize(mesh.vertices.size());
     known_.assign(mesh.vertices.size(), 0);
-    for (int link = 0; link < mesh.link_count(); ++link) find_link(link, Pose{links + 16 * link});
+    for (int link = 0; link < mesh.link_count(); ++link) {
+      begin_.push_back(pieces.size());
+      find_link(link, Pose{links + 16 * link});
+    }
+  }
+
+  // The link of a piece.
+  int link_of(std::size_t piece) const {
+    int link = static_cast<int>(begin_.size()) - 1;
+    while (begin_[link] > piece) --link;
+    return link;
   }
 
   // Whether a piece lies in the near plane, where it cuts a face.
@@ -261,6 +271,7 @@ class Outline {
   std::vector<double> depth_;
   std::vector<Index> outline_;
   std::vector<Cut> cuts_;
+  std::vector<std::size_t> begin_;  // number of the first piece of each link
   std::vector<Vector2> shares_;  // of the undistorted chord at the ends of each piece, where the lens bends lines
 };
 

@@ -24,6 +24,7 @@ from dvrk_cmaes.pose.search.modes import PoseCandidate, is_twin
 from dvrk_cmaes.pose.views import FrameView, clearest_view
 from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, ViewCheck
 from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette.prepare import body_by
 
 _AGAIN = 1_000_003  # added to the seed for the second search
 
@@ -119,7 +120,8 @@ def _searched(
 ) -> tuple[list[PoseCandidate], list[Renderer]]:
     """Search the clearest view; returns candidates in the reference camera, and the renderers used."""
     view = clearest_view(views)
-    coarse = Renderer(decimated, view.evidence.camera, threads=config.threads)
+    body = body_by(decimated, config.silhouette.method)
+    coarse = Renderer(body, view.evidence.camera, threads=config.threads)
     found, drawing = find_candidates(coarse, view.evidence, readings, config)
     camera_from_view = inverse(view.view_from_camera)
     return [PoseCandidate(each.at.seen_from(camera_from_view), each.score) for each in found], drawing

@@ -72,6 +72,5 @@ def _call(
     key: str, config: EstimateConfig, function: Callable[[Body, EstimateConfig, Any], Any], numbered: tuple[int, Any]
 ) -> Any:
     from dvrk_cmaes.runs.worker import prepared_body
-    from dvrk_cmaes.silhouette.prepare import body_by
 
-    return function(body_by(prepared_body(key), config.silhouette.method), config, numbered[1])
+    return function(prepared_body(key), config, numbered[1])

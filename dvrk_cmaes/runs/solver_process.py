@@ -19,7 +19,6 @@ from dvrk_cmaes.runs.digests import instrument_digest
 from dvrk_cmaes.runs.live_session import give_back_memory
 from dvrk_cmaes.runs.processes import WorkerConnection
 from dvrk_cmaes.runs.worker_process import ProcessDiedError
-from dvrk_cmaes.silhouette.prepare import body_by
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 
 R = TypeVar("R")
@@ -168,13 +167,13 @@ def _estimate(key: str, task: KeyframeTask, threads: int) -> Result:
     """Estimate a keyframe by itself with the instrument whose digest is ``key``."""
     from dvrk_cmaes.runs.worker import prepared_body
 
-    return task.estimate(body_by(prepared_body(key), task.config.silhouette.method), threads)
+    return task.estimate(prepared_body(key), threads)
 
 
 def _solve(key: str, problem: KeyframeProblem, threads: int) -> Solution:
     """Solve a problem with the instrument whose digest is ``key``."""
     from dvrk_cmaes.runs.worker import prepared_body
 
-    solution = problem.solve(body_by(prepared_body(key), problem.config.silhouette.method), threads)
+    solution = problem.solve(prepared_body(key), threads)
     give_back_memory()
     return solution

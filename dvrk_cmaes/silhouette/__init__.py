@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dvrk_cmaes.silhouette.outline import OutlinePoints
-from dvrk_cmaes.silhouette.renderer import NEAR, Body, PixelSums, Renderer
-from dvrk_cmaes.silhouette.span_rays import METHODS
+from dvrk_cmaes.silhouette.renderer import METHODS, NEAR, Body, PixelSums, Renderer
 
 __all__ = ["METHODS", "NEAR", "Body", "OutlinePoints", "PixelSums", "Renderer"]

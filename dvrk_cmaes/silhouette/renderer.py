@@ -25,12 +25,17 @@ from dvrk_cmaes.silhouette.decimate import decimate
 from dvrk_cmaes.silhouette.outline import OutlinePoints
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
 from dvrk_cmaes.silhouette.sliced_call import worked
-from dvrk_cmaes.silhouette.span_rays import SpanRays
 
 T = TypeVar("T")
 S = TypeVar("S", bound=np.generic)
 Joints = Float64 | Mapping[str, ArrayLike]
 """Joint values (C, J), rad, in the order of the instrument's joints, or by name, each a number or (C,)."""
+
+METHODS = ("count", "rays")
+"""Ways to decide what is covered between crossings of an image line with outline edges.
+
+They are the number of layers of faces along the line, or one ray through the middle, traced together for many poses.
+"""
 
 _DRAWN, _SUMMED = 16, 64
 """Largest number of poses that are drawn, and of those of which only sums are computed, in a slice of a long call."""
@@ -213,8 +218,7 @@ class Renderer:
         camera, mesh = kernel_camera(self.camera), self.body.mesh
 
         def add(links: Float64) -> Float64:
-            decide = self._rays(links, lines_per_pixel, to_pixel=to_pixel)
-            return mesh.sums(camera, links, images.table, lines_per_pixel, to_pixel, self.threads, decide)
+            return mesh.sums(camera, links, images.table, lines_per_pixel, to_pixel, self.threads, self._trace)
 
         return _joined(self._in_batches(camera_from_root, joints, add, _SUMMED))
 
@@ -233,7 +237,7 @@ class Renderer:
         camera, mesh = kernel_camera(self.camera), self.body.mesh
 
         def draw(links: Float64) -> Float32:
-            return mesh.coverage(camera, links, lines_per_pixel, self.threads, self._rays(links, lines_per_pixel))
+            return mesh.coverage(camera, links, lines_per_pixel, self.threads, self._trace)
 
         poses, values = self._arrays(camera_from_root, joints)
         return _like(camera_from_root, _joined(self._in_batches(poses, values, draw, _DRAWN)))
@@ -253,8 +257,8 @@ class Renderer:
         camera, mesh = kernel_camera(self.camera), self.body.mesh
 
         def draw(links: Float64) -> list[OutlinePoints]:
-            decide = self._rays(links, lines_per_pixel)
-            begin, link, pixels, normals, points = mesh.outlines(camera, links, lines_per_pixel, self.threads, decide)
+            drawn = mesh.outlines(camera, links, lines_per_pixel, self.threads, self._trace)
+            begin, link, pixels, normals, points = drawn
             parts = [slice(*ends) for ends in pairwise(begin.tolist())]
             return [OutlinePoints(link[part], pixels[part], normals[part], points[part]) for part in parts]
 
@@ -303,7 +307,7 @@ class Renderer:
                 lines_per_pixel,
                 cauchy,
                 self.threads,
-                self._rays(links[part], lines_per_pixel),
+                self._trace,
             )
             worked(len(links[part]) * self.camera.height)
         self._count(poses=len(links))
@@ -341,7 +345,7 @@ class Renderer:
             links,
             errors,
             self.threads,
-            self._rays(links, 1),
+            self._trace,
         )
         worked(len(links) * self.camera.height)
         self._count(poses=len(links))
@@ -360,7 +364,7 @@ class Renderer:
         camera, mesh = kernel_camera(self.camera), self.body.mesh
 
         def draw(links: Float64) -> Bool:
-            return mesh.masks(camera, links, self.threads, self._rays(links, 1, to_pixel=True))
+            return mesh.masks(camera, links, self.threads, self._trace)
 
         poses, values = self._arrays(camera_from_root, joints)
         return _like(camera_from_root, _joined(self._in_batches(poses, values, draw, _DRAWN)))
@@ -418,11 +422,15 @@ class Renderer:
         self._count(poses=len(links))
         return drawn
 
-    def _rays(self, links: Float64, lines_per_pixel: int, *, to_pixel: bool = False) -> SpanRays | None:
-        """Return what decides by rays what is covered, if the body asks for that."""
-        if self.body.method != "rays":
-            return None
-        return SpanRays(self.body.scenes, self.camera, links, lines_per_pixel, to_pixel=to_pixel, count=self._count)
+    @property
+    def _trace(self) -> Callable[[int, Float32, Float32], Bool] | None:
+        """What traces the rays that decide what is covered, if the body asks for that."""
+        return self._hit if self.body.method == "rays" else None
+
+    def _hit(self, link: int, origins: Float32, directions: Float32) -> Bool:
+        """Return which rays (N, 3) in a link's frame hit it, (N,)."""
+        self._count(rays=len(origins))
+        return self.body.scenes.hit(link, origins, directions)
 
     def _count(self, *, rays: int = 0, poses: int = 0) -> None:
         with self._counting:

@@ -24,7 +24,7 @@ from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, doubted
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.silhouette.prepare import body_by, prepare
+from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.known_base import CalibratedFollower
@@ -101,7 +101,7 @@ class Tracker:
             lag = checked_number("lag", lag, "a number of seconds")
             settings = replace(settings, track=replace(settings.track, lag_std=_GIVEN_LAG_STD))
             calibration = None if calibration is None else replace(calibration, lag=None, lag_curve=None)
-        self._body = body_by(prepare(instrument), settings.silhouette.method)
+        self._body = prepare(instrument)
         if calibration is not None:
             check_made_for("calibration", calibration, self._body.instrument.name, None if arm == "classic" else arm)
         used_arm: Arm = arm if calibration is None else calibration.arm

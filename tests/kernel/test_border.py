@@ -52,7 +52,7 @@ def comparison(**changed: Any) -> _kernel.Comparison:
         "lines_per_pixel": 2,
         "cauchy": [1.0],
         "threads": 1,
-        "decide": None,
+        "trace": None,
     }
     return plate().compare(CAMERA, **(given | changed))[0]
 
@@ -93,7 +93,7 @@ def contour(**changed: Any) -> Any:
         "root_from_link": np.eye(4)[None, None],
     }
     given |= {"by_joint": np.zeros((1, 3, 1, 4, 4)), "camera_from_link": LINKS, "errors": contour_errors()}
-    return plate().contours(CAMERA, **(given | {"threads": 1, "decide": None} | changed))
+    return plate().contours(CAMERA, **(given | {"threads": 1, "trace": None} | changed))
 
 
 def minimum(**changed: Any) -> np.ndarray:
@@ -156,9 +156,9 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "no lines": (lambda: mesh().coverage(CAMERA, LINKS, 0, 1, None), "lines_per_pixel: expected a positive number"),
     "too many lines": (lambda: mesh().coverage(CAMERA, LINKS, 20_000, 1, None), "lines_per_pixel: expected fewer"),
-    "a decision of other crossings": (
-        lambda: mesh().masks(CAMERA, LINKS, 1, lambda *_: np.zeros(1, dtype=np.bool_)),
-        "covered: expected an array",
+    "hits of other rays": (
+        lambda: mesh().coverage(CAMERA, LINKS, 1, 1, lambda *_: np.zeros(99, dtype=np.bool_)),
+        "hit: expected an array",
     ),
     "an image without pixels": (
         lambda: _kernel.Camera(0, 6, 10.0, 10.0, 3.5, 2.5, "plumb_bob", (), np.inf),
@@ -366,26 +366,30 @@ def test_arrays_of_other_numbers_or_layouts_are_copied(array: np.ndarray) -> Non
     np.testing.assert_array_equal(mesh().masks(CAMERA, array, 1, None), mesh().masks(CAMERA, LINKS, 1, None))
 
 
-def test_the_decision_between_crossings_is_taken() -> None:
+def test_rays_of_all_poses_are_traced_together_and_decide() -> None:
     asked = []
 
-    def decide(pose: int, columns: bool, line: np.ndarray, along: np.ndarray) -> np.ndarray:
-        asked.append((pose, columns, len(line)))
-        return np.arange(len(line)) % 2 == 0
+    def trace(link: int, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        asked.append((link, origins.shape, directions.shape))
+        return np.ones(len(origins), dtype=np.bool_)
 
     far = _kernel.Mesh([(10 * VERTICES - [0.05, 0.05, 0], FACES)])
-    links = np.concatenate([LINKS, LINKS])
-    np.testing.assert_array_equal(far.masks(CAMERA, links, 2, decide), far.masks(CAMERA, links, 2, None))
-    assert [(pose, columns) for pose, columns, _ in asked] == [(0, False), (1, False)]
-    assert asked[0][2] > 0
+    one, two = far.masks(CAMERA, LINKS, 2, trace), far.masks(CAMERA, np.concatenate([LINKS, LINKS]), 2, trace)
+    np.testing.assert_array_equal(one, far.masks(CAMERA, LINKS, 2, None))
+    np.testing.assert_array_equal(two, np.concatenate([one, one]))
+    (first, rays, _), (second, *both) = asked
+    assert first == second == 0
+    assert rays[0] > 0
+    assert both == [(2 * rays[0], 3)] * 2
+    np.testing.assert_array_equal(far.masks(CAMERA, LINKS, 2, lambda _, rays, __: np.zeros(len(rays), np.bool_)), 0)
 
 
-def test_an_exception_of_the_decision_is_raised() -> None:
-    def decide(*_: Any) -> np.ndarray:
+def test_an_exception_of_tracing_is_raised() -> None:
+    def trace(*_: Any) -> np.ndarray:
         raise KeyError("no")
 
     with pytest.raises(KeyError, match="no"):
-        mesh().coverage(CAMERA, LINKS, 2, 1, decide)
+        mesh().coverage(CAMERA, LINKS, 2, 1, trace)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e300, 1e18])
