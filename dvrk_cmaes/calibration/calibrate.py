@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -71,6 +71,7 @@ def calibrate_session(
     series: ReadingSeries | None = None,
     arm: Arm = "classic",
     refine_camera: bool = False,
+    lag: Lag | Literal["auto"] | None = None,
     config: EstimateConfig | None = None,
     run: Run[Any, Any] | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
@@ -92,6 +93,9 @@ def calibrate_session(
     refine_camera
         Whether to estimate focal length and principal point beside the base, and to solve the session with them. Their
         prior is wide, 30 % and 300 px. By default they are only compared with those of the frames' camera.
+    lag
+        The lag of the images behind the readings that is taken out, zero for none. By default it is looked for in
+        readings that have times or move smoothly from row to row, with ``auto`` in those of postures, too.
     config
         All settings; those of the calibration are in ``config.session``.
     run
@@ -108,7 +112,7 @@ def calibrate_session(
     settings = EstimateConfig() if config is None else config
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
     run = run or partial(in_threads, body, settings)
-    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera)
+    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera, lag=lag)
     return solved_alone(solving_arm(frames, problem))[0]
 
 
@@ -211,14 +215,19 @@ def solving_arm(
         config={**settings.as_dict(), "instrument": instrument.describe_limits(problem.arm)},
         **described,
     )
-    without_lag = lag.undetermined if lag.nowhere else ""
+    without_lag, pixel_scale = (
+        lag.undetermined if lag.nowhere else "",
+        state.stored[0].views[0].evidence.camera.pixel_scale,
+    )
     tried = tuple(CandidateFit.of(*one, calibration.leave_one_out) for one in (others or {}).items())
     if text := undetermined_instrument(tried, calibration.instrument):
         calibration = replace(calibration, untold=(*calibration.untold, text))
     unusual = unusual_insertion(calibration, settings.session)
     remarks = (*calibration.remarks, *([unusual] if unusual else []))
     calibration = replace(calibration, instruments=tried, remarks=remarks)
-    calibration = replace(calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag))
+    calibration = replace(
+        calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag, pixel_scale=pixel_scale)
+    )
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     predicted = {name: report.leave_one_out for name, report in by_name.items()}
     evidence = {frame.name: one.views[0].evidence for frame, one in zip(state.frames, state.stored, strict=True)}
@@ -250,7 +259,7 @@ def find_lag(
     if series is None:
         series = _series_of(usable)
     run = partial(in_threads, body, settings)
-    state = SessionState.of(SessionProblem(series, body.instrument, arm, settings, run), usable)
+    state = SessionState.of(SessionProblem(series, body.instrument, arm, settings, run, lag="auto"), usable)
     lag = with_pieces_if_lost(with_lag_of_modes(with_readings(state))).lag
     return lag.lag, lag.undetermined
 

@@ -39,8 +39,9 @@ class Clock:
 
     ``times`` (N,) are those of the frames' images on the clock of the ``series``, ``middle`` is the middle of the times
     of all frames. ``interpolable`` tells whether the readings may be interpolated, because the rows follow each other
-    closely in time. ``step`` is that of the search for the lag, in the unit of the series; for readings that cannot be
-    interpolated it is the time between their rows, None if that is not constant.
+    closely in time; ``postures`` that the rows have no times and jump, so that they are no recording. ``step`` is that
+    of the search for the lag, in the unit of the series; for readings that cannot be interpolated it is the time
+    between their rows, None if that is not constant.
     """
 
     series: ReadingSeries
@@ -48,16 +49,18 @@ class Clock:
     middle: float
     interpolable: bool
     step: float | None
+    postures: bool = False
 
     @classmethod
     def of(cls, series: ReadingSeries, names: Sequence[str], outer_std: Float64) -> Clock:
         """Create the clock of frames in the order of their model; ``outer_std`` (4,) are of the outer readings."""
         low, high = RANGE[series.unit]
-        interpolable = series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
+        postures = series.unit == "frames" and series.jumps(OUTER_JOINTS, _ROUGH * outer_std)
+        interpolable = not postures and series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
         fine = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
         step = fine if interpolable else series.spacing(OUTER_JOINTS[0])
         times = np.array([series.frames[name] for name in names])
-        return cls(series, times, float(times.min() + times.max()) / 2, interpolable, step)
+        return cls(series, times, float(times.min() + times.max()) / 2, interpolable, step, postures)
 
     @property
     def _unit_seconds(self) -> float:

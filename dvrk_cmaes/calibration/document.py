@@ -195,6 +195,12 @@ class SessionCalibration:
         return float(np.mean(overlaps)) if overlaps else 1.0
 
     @property
+    def predicted_px(self) -> float:
+        """Median distance, px, of the frames' contours from what the other frames predict; 0 if none was predicted."""
+        distances = [px for _, px in self.leave_one_out.values()]
+        return float(np.median(distances)) if distances else 0.0
+
+    @property
     def applied_lag(self) -> Lag | None:
         """The lag that was taken out of the readings; None if none was."""
         return self.lag if self.lag is not None and self.lag.applied else None

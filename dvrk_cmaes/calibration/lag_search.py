@@ -26,7 +26,8 @@ LEAST_AT_LAG = 4  # frames that must have readings at a lag
 _LEAST_SHARE = 0.5  # of the frames that must have readings at a lag
 _HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus of the search
 _TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
-_UNLIKELY = 1.5  # ratio to the least misfit, from which on a lag is unlikely
+UNLIKELY: Final = 1.5
+"""Ratio to the least misfit, from which on a lag is unlikely."""
 _FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly tells a lag
 _OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
 _DISAGREE = 2.0  # mean misfit, of at most 4, from which on the frames agree hardly, and a lag is looked for far away
@@ -66,7 +67,27 @@ class LagCurve(Document):
         """Whether the frames disagree much more without a lag than at the lag at which they agree best."""
         if len(self.lags) < 3:
             return False
-        return bool(self.misfit[np.argmin(np.abs(self.lags))] > _UNLIKELY * self.misfit.min())
+        return bool(self.misfit[np.argmin(np.abs(self.lags))] > UNLIKELY * self.misfit.min())
+
+    @property
+    def best(self) -> float:
+        """The lag at which the frames agree best, in the curve's unit."""
+        return float(self.lags[self.misfit.argmin()])
+
+    @property
+    def rivals(self) -> list[float]:
+        """The other minima of about the same height, beyond lags that are unlikely, by increasing misfit.
+
+        Motions that repeat themselves have them, a period apart from the lag.
+        """
+        misfit, found = self.misfit, [int(self.misfit.argmin())]
+        inner = range(1, len(misfit) - 1)
+        minima = [k for k in inner if misfit[k] <= min(misfit[k - 1], misfit[k + 1], UNLIKELY * misfit.min())]
+        for k in sorted(minima, key=lambda k: float(misfit[k])):
+            between = [misfit[min(k, other) : max(k, other) + 1].max() for other in found]
+            if all(barrier > UNLIKELY * misfit[k] for barrier in between):
+                found.append(k)
+        return [float(self.lags[k]) for k in found[1:]]
 
     def root_mean_square(self, frames: int, unknown: float, about: float = 0.0) -> float:
         """Return the root mean square of how far the lags that the curve allows are from one, in its unit.
@@ -155,7 +176,7 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
     if clock.interpolable and not costs.min() <= _DISAGREE:
         low, high = -FARTHEST[unit], FARTHEST[unit]
         coarse, _, far = searched(low, high, _COARSE * step)
-        if far.min() < costs.min() / _UNLIKELY:
+        if far.min() < costs.min() / UNLIKELY:
             about, ends = float(coarse[far.argmin()]), (low, high)
             lags, agreed, costs = searched(max(low, about - _COARSE * step), min(high, about + _COARSE * step), step)
     curve, best = LagCurve.of(unit, lags[np.isfinite(costs)], costs[np.isfinite(costs)]), int(np.argmin(costs))

@@ -9,8 +9,9 @@ import numpy as np
 
 from dvrk_cmaes.calibration.instrument_test import better_instrument
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE
+from dvrk_cmaes.calibration.session_lag import UNREAD
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.pose.doubts import DISAGREES, doubts
+from dvrk_cmaes.pose.doubts import DISAGREES, LARGEST_LOSS, LARGEST_PREDICTED_PX, PREDICTS_BADLY, doubts
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult
 
@@ -32,7 +33,11 @@ _CAUSES_OF_INSERTION = (
 
 
 def doubts_of(
-    calibration: SessionCalibration, config: SessionConfig | None = None, *, without_lag: str = ""
+    calibration: SessionCalibration,
+    config: SessionConfig | None = None,
+    *,
+    without_lag: str = "",
+    pixel_scale: float = 1.0,
 ) -> tuple[str, ...]:
     """List what is wrong with a session as a whole and was not put right; empty where nothing is.
 
@@ -44,17 +49,28 @@ def doubts_of(
         Settings with which it was made; the defaults if they are not known.
     without_lag
         Why the frames agree at no lag between images and readings; empty if they agree at one, or none was searched.
+    pixel_scale
+        That of the frames' camera, on limits in pixels.
     """
     settings = SessionConfig() if config is None else config
     camera, shaft, masks = calibration.camera, calibration.shaft, calibration.masks
     agreeing, of_file = len(calibration.frames), camera is None or not camera.applied
-    disagreeing = sum(reason.startswith(DISAGREES) for reason in calibration.left_out.values())
+    disagreeing, unread = (
+        sum(reason.startswith(start) for reason in calibration.left_out.values()) for start in (DISAGREES, UNREAD)
+    )
     contradictions = camera.contradictions(settings) if camera is not None and of_file else []
-    judged = doubts(
+    found = doubts(
         "session",
         "session",
+        iou=calibration.iou,
+        predicted_iou=calibration.predicted_iou,
+        predicted_px=calibration.predicted_px,
+        largest_loss=LARGEST_LOSS,
+        largest_px=LARGEST_PREDICTED_PX * pixel_scale,
         agreeing=agreeing,
         solved=agreeing + disagreeing,
+        unread=unread,
+        frames=agreeing + disagreeing + unread,
         fits=better_instrument(calibration.instruments, calibration.predicted_iou).removeprefix("these frames fit "),
         sizes=[] if shaft is None else shaft.contradictions(),
         masks=masks,
@@ -68,7 +84,7 @@ def doubts_of(
         offsets=_offsets_of_cables(calibration),
         without_lag="" if calibration.lag else without_lag,
     )
-    return (*doubts("predictions", "session", calibration), *judged)
+    return tuple(found)
 
 
 def _offsets_of_cables(calibration: SessionCalibration) -> list[tuple[str, float, float, str]]:
@@ -106,15 +122,15 @@ def resting_on(result: R, calibration: SessionCalibration | None) -> R:
 def bad_predictions(calibration: SessionCalibration) -> str:
     """Say by how much a calibration predicts frames badly; empty if it does not.
 
-    The silhouettes that the other frames predict overlap the masks far less than those of the frames' own fits,
-    whatever the stated standard deviations.
+    The silhouettes that the other frames predict overlap the masks far less than those of the frames' own fits, or are
+    far from their contours, whatever the stated standard deviations.
 
     Parameters
     ----------
     calibration
         The calibration.
     """
-    return "".join(doubts("predictions", "session", calibration))
+    return next((doubt for doubt in calibration.doubts if doubt.startswith(PREDICTS_BADLY)), "")
 
 
 def unusual_insertion(calibration: SessionCalibration, config: SessionConfig) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.lag_search import LEAST_AT_LAG, MOVE, LagCurve, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, Problem, Solved, alternate, solve
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.play import Play
@@ -37,6 +38,13 @@ _LEAST_LAG = 0.3  # frames, below which a lag, or its change in half of the sess
 _LARGEST_STD = 1.0  # frames, above which the lag is not determined
 _UNDETERMINED = 2.0  # frames, least standard deviation of a lag that is not determined, and ...
 _UNKNOWN = 3.0  # ... largest
+UNREAD: Final = "no readings once the lag is taken out"
+"""Why a frame is left out."""
+POSTURES: Final = (
+    "the rows have no times, and readings jump from row to row, as those of postures: none is looked for unless --lag "
+    "auto asks for it; give times of a recording"
+)
+"""Why no lag is looked for."""
 _AGREE = 3.0  # standard deviations of each lag, within which those of several arms are taken for one
 
 
@@ -138,6 +146,7 @@ class LagEstimate:
     ``clock`` has the readings of the frames at any lag, None where they have no order. ``lag`` is None where it is not
     determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the frames as a function of the
     lag. ``nowhere`` tells that they agree at none. ``shared`` tells that other arms' frames tell the lag, too.
+    ``fixed`` tells that the lag was given, or is not looked for: neither is it searched nor refined.
     """
 
     clock: Clock | None
@@ -146,16 +155,50 @@ class LagEstimate:
     nowhere: bool = False
     curve: LagCurve | None = None
     shared: bool = False
+    fixed: bool = False
 
     @classmethod
-    def of(cls, series: ReadingSeries | None, names: Sequence[str], outer_std: Float64) -> LagEstimate:
+    def of(
+        cls,
+        series: ReadingSeries | None,
+        names: Sequence[str],
+        outer_std: Float64,
+        given: Lag | Literal["auto"] | None = None,
+    ) -> LagEstimate:
         """Return what is known before anything is estimated.
 
-        ``series`` are the readings as functions of time, with the frames' times; None if there are none. ``names`` are
-        those of the frames in the order of their model, ``outer_std`` (4,) are of the readings of the outer joints.
+        Parameters
+        ----------
+        series
+            The readings as functions of time, with the frames' times; None if there are none.
+        names
+            Those of the frames in the order of their model.
+        outer_std
+            (4,), of the readings of the outer joints.
+        given
+            The lag that is taken out, and neither searched nor refined; ``auto`` to look for it in readings without
+            times that jump from row to row, too, which are those of postures and no recording.
+
+        Raises
+        ------
+        InputError
+            The given lag is not known in the unit of the series, or there are no readings to take it out of.
         """
         if series is not None and all(name in series.frames for name in names):
-            return cls(Clock.of(series, names, outer_std))
+            clock = Clock.of(series, names, outer_std)
+            if isinstance(given, Lag):
+                value = given.in_unit(series.unit)
+                lag = Lag.of(value, 0.0, series.unit, series.interval, applied=value != 0)
+                return cls(clock, lag, fixed=True)
+            if clock.postures and given is None:
+                return cls(clock, undetermined=POSTURES, fixed=True)
+            return cls(clock)
+        if isinstance(given, Lag):
+            if given.frames or given.seconds:
+                raise InputError(
+                    "lag: expected readings of numbered frames, or times of images and readings, got neither"
+                )
+            return cls(None, Lag.of(0.0, 0.0, "frames", 1.0, applied=False), fixed=True)
         return cls(
             None,
             undetermined="the frames have no order: name them by numbers, or give the times of images (images.csv) and "
@@ -165,7 +208,20 @@ class LagEstimate:
     @property
     def can_be_tried(self) -> bool:
         """Whether no lag is told, and the readings follow each other closely enough that one can be taken out."""
-        return self.lag is None and self.clock is not None and self.clock.interpolable
+        return self.lag is None and not self.fixed and self.clock is not None and self.clock.interpolable
+
+    @property
+    def rivals(self) -> list[float]:
+        """The lags at which frames agree about as well as at the one that the search has found, in the clock's unit."""
+        return [] if self.curve is None or self.lag is None or self.fixed else self.curve.rivals
+
+    def with_rivals(self) -> LagEstimate:
+        """Return the estimate without the lag that the search has found, which is one of several alike."""
+        assert self.curve is not None
+        unit = self.curve.unit
+        lags = ", ".join(f"{lag:.3g}" for lag in sorted((self.curve.best, *self.rivals)))
+        text = f"frames agree about as well at {lags} {unit}, and at none they predict left-out frames clearly better"
+        return replace(self, lag=None, undetermined=text)
 
     def with_trial(self, value: float) -> LagEstimate:
         """Return the estimate with a lag to be tried, in the unit of the readings' times; `refined` finds its std."""
@@ -192,7 +248,7 @@ class LagEstimate:
         prior
             As in `solve`.
         """
-        if self.clock is None:
+        if self.clock is None or self.fixed:
             return self
         found = search_lag(self.clock, model, modes, offset_std)
         told = replace(self, curve=found.curve, undetermined=found.undetermined, nowhere=found.nowhere)
@@ -210,7 +266,7 @@ class LagEstimate:
 
         A lag at which a frame would have no readings is not taken.
         """
-        if self.applied is None or self.clock is None or self.shared:
+        if self.applied is None or self.clock is None or self.shared or self.fixed:
             return self
         found = self._by(FramesOfLag(self.clock, model, fits, calibration, prior), self._value(self.clock))
         return found if found.all_have_readings else replace(found, lag=self.lag)
@@ -242,7 +298,7 @@ class LagEstimate:
         session without a lag expects, so that fits hardly tell others.
         """
         clock = self.clock
-        if self.lag is not None or clock is None:
+        if self.lag is not None or clock is None or self.fixed:
             return self, None
         found = refine_lag(FramesOfLag(clock, model, fits, calibration, prior), np.zeros(3))
         lag = None if found is None else describe_lag(clock, *found)
@@ -260,7 +316,7 @@ class LagEstimate:
         clocks of their own.
         """
         clock = self.clock
-        if clock is None or not clock.interpolable or (self.lag is not None and self._told is None):
+        if clock is None or not clock.interpolable or self.fixed or (self.lag is not None and self._told is None):
             return self
         same = [one for one in others if one.clock is not None and one.clock.series.unit == clock.series.unit]
         told = [each for one in (self, *same) if (each := one._told) is not None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.doubts import DISAGREES, doubts
 
@@ -35,7 +36,10 @@ LEAST_FRAMES = 3
 """Smallest number of frames from which a session can be calibrated."""
 
 _MOST_NAMED = 4
-_TO_TRY = "try another --instrument, --tool or --arm, other readings, or the lag of all rows of the recording"
+_TO_TRY = (
+    "try another --instrument, --tool or --arm, other readings, the lag of all rows of the recording, or --lag auto for "
+    "postures whose rows have no times"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +52,8 @@ class SessionProblem:
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
     frames' camera is a guess, of which there is no file. ``endoscope_prior`` (M, M) is the information beforehand about
     the unknowns of an endoscope that moves. ``may_cut`` is whether the session may be cut into pieces between which the
-    base moved. ``gathered`` keeps the frames' evidence by name, for all solutions.
+    base moved. ``lag`` is the one that is taken out of the readings, ``auto`` to look for it in those of postures, too,
+    as of `LagEstimate.of`. ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
     series: ReadingSeries | None
@@ -61,6 +66,7 @@ class SessionProblem:
     guessed_camera: bool = False
     endoscope_prior: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
     may_cut: bool = True
+    lag: Lag | Literal["auto"] | None = None
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
 
     @property
@@ -197,7 +203,7 @@ class SessionState:
             tuple(frames),
             tuple(Mode.all_of(frame.result, names) for frame in frames),
             model,
-            LagEstimate.of(problem.series, [frame.name for frame in frames], model.deviations.outer),
+            LagEstimate.of(problem.series, [frame.name for frame in frames], model.deviations.outer, problem.lag),
             Imaging(np.zeros(3) if problem.refine_camera else None, rig=rig),
         )
 

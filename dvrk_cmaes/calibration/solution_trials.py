@@ -23,7 +23,7 @@ from dvrk_cmaes.calibration.alternation import (
 )
 from dvrk_cmaes.calibration.endoscope import Pieces, Place
 from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, with_pieces, with_readings
-from dvrk_cmaes.calibration.lag_search import LagCurve
+from dvrk_cmaes.calibration.lag_search import UNLIKELY, LagCurve
 from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.masks_again import (
     FoundAgain,
@@ -37,7 +37,6 @@ from dvrk_cmaes.errors import InputError
 MOST_LAGS: Final = 3
 """Largest number of lags at which a session is solved, beside none."""
 
-_LIKELY = 1.5  # largest ratio of the misfit at a lag that is tried to the least one
 _CLEAR = 2.0  # standard deviations of a mean difference, and ...
 _LEAST_GAIN = 0.005  # ... of overlap, by which a lag must predict better than none
 _MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
@@ -79,9 +78,13 @@ def _solved_at_its_lag(start: SessionState, places: Sequence[Place]) -> SessionS
     These are the lags that the modes allow and the one that the fits without a lag tell. A solution at such a lag is
     taken where it predicts frames that are left out clearly better than that without; else the fits may tell that there
     is no lag. Where the frames' own modes agree at no lag, such a solution must also predict well: the best of wrong
-    ones predicts better than the others by chance.
+    ones predicts better than the others by chance. Where they agree about as well at several lags, as those of motions
+    that repeat themselves, the one must predict clearly better than none and than the others, or none is taken out.
     """
     start = with_pieces_if_lost(with_lag_of_modes(with_readings(start, places)))
+    several = bool(start.lag.rivals)
+    if several:
+        start = replace(start, lag=start.lag.with_rivals())
     lags = lags_to_try(start.lag.curve) if start.lag.can_be_tried else []
     try:
         session = solved(initialised(start))
@@ -93,7 +96,7 @@ def _solved_at_its_lag(start: SessionState, places: Sequence[Place]) -> SessionS
         return trials[int(np.argmax([np.mean(list(each.values())) for each in overlaps]))]
     if not session.lag.can_be_tried:
         return session
-    session, by_fits = with_lag_of_fits(session)
+    session, by_fits = (session, None) if several else with_lag_of_fits(session)
     without_lag = _left_out_overlaps(session)
     if by_fits is None and session.lag.lag is not None and _predicts_well(session, without_lag):
         return session
@@ -102,7 +105,19 @@ def _solved_at_its_lag(start: SessionState, places: Sequence[Place]) -> SessionS
     best = best_predicting(without_lag, overlaps)
     if best is None or (session.lag.nowhere and not _predicts_well(trials[best], overlaps[best])):
         return session
+    if several and any(
+        _apart(trials[best], trial) and best_predicting(others, [overlaps[best]]) is None
+        for trial, others in zip(trials, overlaps, strict=True)
+    ):
+        return session
     return trials[best]
+
+
+def _apart(one: SessionState, other: SessionState) -> bool:
+    """Whether the lags of two solutions differ by more than a frame."""
+    lags = [state.lag.applied for state in (one, other)]
+    first, second = (0.0 if lag is None or lag.frames is None else lag.frames for lag in lags)
+    return abs(first - second) > 1.0
 
 
 def with_pieces_if_lost(start: SessionState) -> SessionState:
@@ -134,7 +149,7 @@ def lags_to_try(curve: LagCurve | None) -> list[float]:
     minima = inner[(misfit[inner] <= misfit[inner - 1]) & (misfit[inner] <= misfit[inner + 1])]
     step = float(np.diff(curve.lags).min())
     order = minima[np.argsort(misfit[minima], kind="stable")]
-    likely = [k for k in order if misfit[k] <= _LIKELY * misfit.min()]
+    likely = [k for k in order if misfit[k] <= UNLIKELY * misfit.min()]
     return [float(curve.lags[k]) for k in likely if abs(curve.lags[k]) > 0.5 * step][:MOST_LAGS]
 
 

@@ -19,6 +19,8 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.arguments import checked_array, checked_number
 
+_WIDTH_OF_LIMITS = 640  # px, of the images on which limits in pixels were set
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -91,6 +93,14 @@ class Camera:
     def matrix(self) -> Float64:
         """The intrinsic matrix K, (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def pixel_scale(self) -> float:
+        """Factor on limits in pixels, which are those of images 640 px wide: they grow with wider images.
+
+        What an instrument that differs from its model, or a segmenter, is off by in an image grows with its width.
+        """
+        return max(1.0, self.width / _WIDTH_OF_LIMITS)
 
     @property
     def is_pinhole(self) -> bool:

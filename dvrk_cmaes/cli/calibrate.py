@@ -6,11 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
+    AUTO,
     DEFAULT_GUESSED_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.endoscope import Place
     from dvrk_cmaes.calibration.together import Solving
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
     Predictions = Mapping[str, tuple[float, float]]
@@ -58,6 +60,7 @@ def calibrate(
     frames: Annotated[str | None, Parameter(group=FOLDER)] = None,
     every: Annotated[int, Parameter(group=FOLDER)] = 1,
     keyframes: Annotated[int | None, Parameter(group=FOLDER)] = None,
+    lag: Annotated[str | None, Parameter(group=FOLDER, allow_leading_hyphen=True)] = None,
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
     instrument_candidates: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
@@ -105,6 +108,10 @@ def calibrate(
         Calibrate only every N-th of these frames of a recording; the lag is found with all rows of readings.
     keyframes
         Calibrate at most N frames of a recording: those well in view, far from each other in time and pose.
+    lag
+        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames; 0 for none. By default it
+        is looked for in recordings: readings with times, or that move smoothly from row to row. With auto also in
+        others.
     refine_camera
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
         written to OUT/camera.yaml; of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at
@@ -149,7 +156,7 @@ def calibrate(
 
             settings = solved_with(settings)
         setup = read_setup_joints(session / SETUP)
-        asked = _Asked(settings, workers, refine_camera)
+        asked = _Asked(settings, workers, refine_camera, _lag(lag))
         arms: dict[str, ArmInSession] = {}
         for name, tool in session_tools(session, instrument, only, follow_links=follow_links).items():
             arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), frames, every, keyframes)
@@ -222,6 +229,13 @@ def _share(arm: ArmInSession, frames: str | None, every: int, keyframes: int | N
     return arm if every == 1 else replace(arm, session=replace(arm.session, frames=arm.session.frames[::every]))
 
 
+def _lag(text: str | None) -> Lag | Literal["auto"] | None:
+    """Return the lag that an option gives."""
+    from dvrk_cmaes.joints.lag import Lag
+
+    return "auto" if text == AUTO else None if text is None else Lag.parse("--lag", text)
+
+
 def _candidates(folder: Path | None) -> list[Path]:
     """Return the URDFs of a folder; InputError if it has none."""
     if folder is None:
@@ -234,11 +248,12 @@ def _candidates(folder: Path | None) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Asked:
-    """How sessions are solved: the settings, the number of worker processes, and whether the camera is refined."""
+    """How sessions are solved: settings, number of worker processes, whether the camera is refined, and the lag."""
 
     settings: EstimateConfig
     workers: int | None
     refine_camera: bool
+    lag: Lag | Literal["auto"] | None = None
 
 
 def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
@@ -331,6 +346,7 @@ def _solving_arm(
                 processes,
                 alone=results,
                 refine_camera=asked.refine_camera,
+                lag=asked.lag,
                 config=settings,
                 segment=segment,
                 opened=own,

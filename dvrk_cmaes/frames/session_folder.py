@@ -118,7 +118,7 @@ class Session:
     def with_lag(self, lag: Lag) -> Session:
         """Return the session with each frame's readings of the time of its image less the lag.
 
-        A frame without readings at that time has none, and a note that says so.
+        A frame without readings at that time has none, and a note that says so. With a lag of zero, nothing changes.
 
         Parameters
         ----------
@@ -131,6 +131,8 @@ class Session:
             Readings and images have no common clock, the lag is not known in its unit, or a cell of the readings is
             wrong.
         """
+        if not (lag.frames or lag.seconds):
+            return self
         series = ReadingSeries.of_files(self.joint_files, self.image_times)
         if series is None:
             raise InputError(

@@ -88,6 +88,8 @@ class Lag:
             value = float(match[1])
         except ValueError:
             raise InputError(f"{option}: expected {expected}, got {shown(text)}") from None
+        if value == 0:
+            return cls(0.0, seconds=0.0)
         in_frames = (match[2] or "s").startswith("frame")
         most = LARGEST_FRAMES if in_frames else LARGEST_SECONDS
         if not math.isfinite(value) or abs(value) > most:

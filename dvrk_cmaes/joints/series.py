@@ -14,6 +14,7 @@ from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.rows import JointFile, number_of
 
 _LEAST_GAP = 0.1  # s, of the gaps that are not interpolated
+_LARGEST_JUMPS = 0.25  # sum of deviations from the neighbours' means over that of changes: moves take two rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +98,29 @@ class ReadingSeries:
             if deviation > max(most, change / 3):
                 return False
         return True
+
+    def jumps(self, names: Sequence[str], tolerance: Float64) -> bool:
+        """Whether the readings of one of J joints jump from row to row, as those of postures, which are no recording.
+
+        A joint that moves steadily, and stands still between moves that take two rows, is at the limit; one that scans
+        the rows of a board and jumps back is beyond it, however long the rows are.
+
+        Parameters
+        ----------
+        names
+            Names of the J joints.
+        tolerance
+            (J,), rad (insertion: m), of the mean deviation of a row from the mean of its neighbours.
+        """
+        for name, most in zip(names, tolerance, strict=True):
+            values = self.values.get(name, np.zeros(0))
+            if len(values) < 3:
+                continue
+            deviations = np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2)
+            changes = np.abs(values[2:] - values[:-2])
+            if deviations.mean() > most and deviations.sum() > _LARGEST_JUMPS * changes.sum():
+                return True
+        return False
 
     def spacing(self, name: str) -> float | None:
         """Return the time between consecutive readings of a joint; None if it varies by more than a thousandth.

@@ -26,6 +26,8 @@ TIPS_NOT_ACCURATE: Final = "tips not accurate"
 """What the reason begins with for which the expected error of the tips is too large."""
 OTHER_SIZES: Final = "another instrument (--instrument), or another focal length than the camera file's"
 """Why parts of an instrument may seem to have other sizes."""
+PREDICTS_BADLY: Final = "this calibration predicts frames badly that it has not seen"
+"""What the reason begins with for which a calibration is not used for other frames."""
 BASE_APART: Final = "base far from the others'"
 """What the reason begins with for which a frame of a folder differs from the others."""
 
@@ -52,8 +54,11 @@ CONFIRMING: Final = 5
 RELIED_ON: Final = 8
 """Keyframes of a solution, from which on its stated errors held; chosen on twelve recordings."""
 _SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
-_LARGEST_LOSS = 0.15  # of the overlap, from the frames' own fits to their predictions by the others
-_TRUSTED_SHARE = 0.5  # of the frames that were solved together; if fewer agree, these few may be the wrong ones
+LARGEST_LOSS: Final = 0.15
+"""Of the overlap, from the frames' own fits to their predictions by the others."""
+_TRUSTED_SHARE = 0.5  # of the frames that were solved together; if no more agree, these few may be the wrong ones
+LARGEST_PREDICTED_PX: Final = 2.5
+"""Median distance of the contours of frames from what the other frames of their session predict, at 640 px of width."""
 _LARGEST_MARGIN_PX = 2.0  # of all masks of a session
 _LARGEST_SIDE_PX = 1.5
 """Standard deviation of the errors of a side of the shaft that last from frame to frame.
@@ -289,14 +294,20 @@ RULES: Final[dict[str, Rule]] = {
     ),
     "the image is {e.age:.1f} s old": Rule("age", "live", "oldest", lambda e, most: e.age > most),
     # a session as a whole
-    "this calibration predicts frames badly that it has not seen: IoU {e.predicted_iou:.2f} by the other frames, "
-    "{e.iou:.2f} by their own fits; its lag, camera file, instrument or readings may be wrong": Rule(
-        "predictions", "session", _LARGEST_LOSS, lambda e, most: e.predicted_iou < e.iou - most
+    f"{PREDICTS_BADLY}: IoU {{e.predicted_iou:.2f}} by the other frames, {{e.iou:.2f}} by their own fits, contour "
+    "{e.predicted_px:.1f} px off, expected at most {limit[1]:.1f} px; its lag, camera file, instrument or readings may "
+    "be wrong": Rule(
+        "session",
+        "session",
+        "largest_loss largest_px",
+        lambda e, loss, px: e.predicted_iou < e.iou - loss or e.predicted_px > px,
     ),
     "only {e.agreeing} of {e.solved} frames agree on where the arm's base is: the others' masks or the readings are "
     "wrong, or these few are": Rule(
-        "session", "session", _TRUSTED_SHARE, lambda e, least: e.agreeing < least * e.solved
+        "session", "session", _TRUSTED_SHARE, lambda e, least: e.agreeing <= least * e.solved
     ),
+    "the lag leaves {e.unread} of {e.frames} frames without readings: it is wrong, or rows of readings are "
+    "missing": Rule("session", "session", _TRUSTED_SHARE, lambda e, least: e.frames - e.unread <= least * e.frames),
     "these frames fit {it}": Rule("session", "session", _ANY, lambda e, least: e.fits),
     f"{{it}}: {OTHER_SIZES}": Rule(
         "session", "session", _ANY, lambda e, least: e.sizes, "the shaft is|the length from the wrist|the jaws are"

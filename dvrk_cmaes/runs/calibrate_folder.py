@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import encoded_image, write_json
 from dvrk_cmaes.io.output import Output, changed_files, whole_folder, write_bytes
+from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.results.folder import ALONE, SESSION
 from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.paths import (
@@ -66,6 +68,7 @@ def solving_folder(
     *,
     alone: Path | None = None,
     refine_camera: bool = False,
+    lag: Lag | Literal["auto"] | None = None,
     config: EstimateConfig,
     segment: SegmentSettings | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
@@ -107,7 +110,7 @@ def solving_folder(
         frames.append(SessionFrame(name, reader, result, own.keypoints, find_masks=finders.get(name)))
     run = functools.partial(run_with_body, processes, instrument_digest(instrument), config)
     series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
-    problem = SessionProblem(series, instrument, arm.kinematics, config, run, progress, *refined)
+    problem = SessionProblem(series, instrument, arm.kinematics, config, run, progress, *refined, lag=lag)
     solved, evidence = yield from solving_arm(frames, problem, others, places)
     progress("drawing", len(solved.leave_one_out))
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:

@@ -66,7 +66,8 @@ def following_recorded(run: TrackRun) -> Solving[tuple[list[TrackResult], Sessio
     with instrument_processes(body.instrument, settings.workers or usable_cores(), frames) as processes:
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         in_groups = partial(_in_groups, by_body, run.stop)
-        work = SessionProblem(series, body.instrument, settings.arm, config, in_groups, run.notice_stage)
+        lag = None if settings.lag is None else Lag(0.0, seconds=0.0)  # that is taken out already
+        work = SessionProblem(series, body.instrument, settings.arm, config, in_groups, run.notice_stage, lag=lag)
         try:
             solved = yield from _solving(run, frames, series, work)
             if isinstance(solved, str):

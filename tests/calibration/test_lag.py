@@ -12,8 +12,9 @@ from dvrk_cmaes.calibration.clock import Clock
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
 from dvrk_cmaes.calibration.lag_search import LagCurve, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.session_lag import FramesOfLag, LagEstimate, describe_lag, refine_lag
+from dvrk_cmaes.calibration.session_lag import POSTURES, FramesOfLag, LagEstimate, describe_lag, refine_lag
 from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.typed_document import convert_document
@@ -331,6 +332,53 @@ def test_lag_of_a_flat_curve_has_a_least_standard_deviation() -> None:
     assert flat.least_std(8, 0.1, 0.0, applied=False) == pytest.approx(0.07, rel=0.2)
     assert flat.least_std(8, 0.1, -0.15, applied=True) > 0.08  # an accidental minimum, far from what is likely
     assert LagCurve.of("s", lags[:1], lags[:1]).least_std(8, 0.1, 0.0, applied=True) == 0
+
+
+def shuffled(clock: Clock) -> ReadingSeries:
+    """The rows of a series, and with them its frames, in another order."""
+    order = np.random.default_rng(0).permutation(ROWS)
+    place = np.argsort(order)
+    frames = {name: float(place[int(time)]) for name, time in clock.series.frames.items()}
+    values = {name: own[order] for name, own in clock.series.values.items()}
+    return replace(clock.series, values=values, frames=frames)
+
+
+def test_lag_is_found_in_rows_that_move_smoothly_and_not_in_shuffled_ones() -> None:
+    world, clock, modes = moving_world(4.0, seed=1)
+    names, outer_std = list(clock.series.frames), world.model.deviations.outer
+    smooth = LagEstimate.of(clock.series, names, outer_std).searched(world.model, modes, EXPECTED_OFFSETS, PRIOR)
+    assert smooth.lag is not None
+    assert smooth.lag.frames == pytest.approx(4.0, abs=0.3)
+    estimate = LagEstimate.of(shuffled(clock), names, outer_std)
+    found = estimate.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR)
+    assert (found.lag, found.applied, found.undetermined) == (None, None, POSTURES)
+    asked = LagEstimate.of(shuffled(clock), names, outer_std, "auto")
+    assert asked.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR).curve is not None
+
+
+@pytest.mark.parametrize(("columns", "times", "postures"), [(5, 1, True), (30, 1, True), (5, 8, False), (30, 8, False)])
+def test_rows_of_a_board_are_postures_unless_the_arm_is_recorded_between_them(
+    columns: int, times: int, postures: bool
+) -> None:
+    column, row = np.tile(np.arange(columns), 4), np.repeat(np.arange(4), columns)
+    at = np.linspace(0, len(column) - 1, times * (len(column) - 1) + 1)
+    yaw, pitch = (np.interp(at, np.arange(len(column)), 0.04 * each) for each in (column, row))
+    rows = np.arange(len(at), dtype=float)
+    series = ReadingSeries("frames", {"yaw": rows, "pitch": rows}, {"yaw": yaw, "pitch": pitch}, {}, 1.0)
+    assert series.jumps(("yaw", "pitch"), np.full(2, 1e-3)) == postures
+
+
+def test_given_lag_is_neither_searched_nor_refined() -> None:
+    world, clock, modes = moving_world(4.0, seed=1)
+    names, outer_std = list(clock.series.frames), world.model.deviations.outer
+    for text, frames in (("0", 0.0), ("3.5frames", 3.5)):
+        given = LagEstimate.of(clock.series, names, outer_std, Lag.parse("--lag", text))
+        found = given.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR)
+        assert found.refined(world.model, fits_of(modes), world.truth, PRIOR) == found == given
+        assert found.lag == Lag(frames, 0.0, applied=frames != 0)
+    assert LagEstimate.of(None, names, outer_std, Lag.parse("--lag", "0")).applied is None
+    with pytest.raises(InputError, match="expected readings of numbered frames"):
+        LagEstimate.of(None, names, outer_std, Lag(2.0))
 
 
 def test_counted_frames_whose_readings_jump_have_no_known_times() -> None:

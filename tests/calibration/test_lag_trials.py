@@ -31,6 +31,13 @@ def test_lags_at_which_the_modes_disagree_far_more_than_at_the_best_are_not_trie
     np.testing.assert_allclose(lags_to_try(curve(3.0, 2.6, 2.8, 2.4, 0.9, 2.2, 1.8, 2.0)), [2 * STEP])
 
 
+def test_motion_that_repeats_itself_has_rivals_of_its_lag() -> None:
+    periodic = curve(4.0, 3.0, 1.5, 3.5, 4.0, 3.0, 1.55, 3.0, 4.0, 1.43, 3.0, 4.0)
+    np.testing.assert_allclose(periodic.rivals, [0.0, 4 * STEP], atol=1e-9)
+    assert curve(4.0, 3.0, 1.5, 1.6, 1.55, 1.43, 3.0, 4.0).rivals == []  # one wide minimum
+    assert curve(4.0, 3.0, 1.5, 3.5, 4.0, 3.0, 0.9, 3.0).rivals == []
+
+
 def test_few_lags_are_tried() -> None:
     assert len(lags_to_try(curve(*[2.0, 1.0] * 8, 2.0))) == MOST_LAGS
 

@@ -17,6 +17,7 @@ from dvrk_cmaes.calibration.session_doubts import (
     resting_on,
     unusual_insertion,
 )
+from dvrk_cmaes.calibration.session_lag import UNREAD
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.config import SessionConfig
@@ -55,8 +56,22 @@ def test_frame_without_readings_is_no_doubt_about_the_session() -> None:
 def test_bad_predictions_are_a_doubt() -> None:
     bad = session(leave_one_out=BADLY)
     (text,) = doubts_of(bad)
-    assert text == bad_predictions(bad)
+    assert text == bad_predictions(replace(bad, doubts=(text,)))
     assert text.startswith(PREDICTS)
+
+
+def test_contours_far_from_predictions_are_a_doubt_in_pixels_that_grow_with_the_image() -> None:
+    far = session(leave_one_out=dict.fromkeys(FRAMES, (0.9, 7.9)))
+    (text,) = doubts_of(far, pixel_scale=3.0)
+    assert text.startswith("this calibration predicts frames badly that it has not seen: IoU 0.90 by the other frames")
+    assert "contour 7.9 px off, expected at most 7.5 px" in text
+    assert doubts_of(session(leave_one_out=dict.fromkeys(FRAMES, (0.9, 4.0))), pixel_scale=3.0) == ()
+
+
+def test_lag_that_leaves_half_of_the_frames_without_readings_is_a_doubt() -> None:
+    (text,) = doubts_of(session(left_out={f"01{k:02d}": UNREAD for k in range(3)}))
+    assert text.startswith("the lag leaves 3 of 6 frames without readings")
+    assert doubts_of(session(left_out={"0100": UNREAD, "0101": UNREAD})) == ()
 
 
 def test_few_frames_that_agree_are_a_doubt() -> None:
