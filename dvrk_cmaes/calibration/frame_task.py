@@ -245,7 +245,7 @@ def _result_of_fit(
     """Return the result of a frame that agrees with the session; ``qualities`` are those of its fit in each view."""
     own_result, fit, main = task.result, task.fit, views[0]
     quality = pooled_quality(qualities)
-    covariance = rough_covariance(task.covariance, main.noise_at(fit.at), quality)
+    covariance = rough_covariance(task.covariance, main.noise_at(fit.at), quality, main.evidence.camera.pixel_scale)
     error = expected_error(body.instrument, fit.at, covariance)
     tips, tips_px = locate_tips(body.instrument, task.stored.camera, fit.at)
     doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust, "solved")

@@ -288,10 +288,10 @@ def fit_session_pose(
     deviation = fit.at.minus(expected.mean)
     misfit = float(deviation @ expected.information @ deviation) / len(deviation)
     usual = session.iou, session.contour_px_95
-    if doubts := doubts_of_agreement("solved", misfit, config.session, quality, usual):
+    camera = views[0].evidence.camera
+    if doubts := doubts_of_agreement("solved", misfit, config.session, quality, usual, camera.pixel_scale):
         return f"session: {'; '.join(doubts)}: searched anew"
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
-    camera = views[0].evidence.camera
     assert fit.by_masks is not None
     by_masks = fitted @ fit.by_masks
     by_calibration = fitted @ expected.information @ predicted.jacobian[0]

@@ -66,6 +66,7 @@ def doubts_of(
         predicted_iou=calibration.predicted_iou,
         predicted_px=calibration.predicted_px,
         largest_loss=LARGEST_LOSS,
+        pixel_scale=pixel_scale,
         largest_px=LARGEST_PREDICTED_PX * pixel_scale,
         agreeing=agreeing,
         solved=agreeing + disagreeing,

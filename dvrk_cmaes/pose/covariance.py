@@ -20,27 +20,29 @@ _NEAR = np.deg2rad(60.0)  # rotation between modes that are covered by one covar
 _DISTAL_PX = 2.2  # distance of the contour at wrist and jaws, beyond which the standard deviations grow with it
 
 
-def _occlusion_factor(quality: Quality) -> float:
+def _occlusion_factor(quality: Quality, pixel_scale: float) -> float:
     """Return the factor on a covariance for contour that is far off at wrist and jaws."""
-    return max(1.0, quality.distal_px / _DISTAL_PX) ** 2
+    return max(1.0, quality.distal_px / (_DISTAL_PX * pixel_scale)) ** 2
 
 
-def rough_covariance(covariance: Float64, noise: OutlineNoise, quality: Quality) -> Float64:
+def rough_covariance(covariance: Float64, noise: OutlineNoise, quality: Quality, pixel_scale: float) -> Float64:
     """Widen the covariance (6 + J, 6 + J) of a frame that was fitted with its session by what a rough contour adds.
 
-    ``covariance`` is that of a Gauss-Newton fit, which holds for errors that are small and normal.
+    ``covariance`` is that of a Gauss-Newton fit, which holds for errors that are small and normal; ``pixel_scale`` is
+    that of the camera.
     """
-    return covariance * noise.inflation * _occlusion_factor(quality)
+    return covariance * noise.inflation(pixel_scale) * _occlusion_factor(quality, pixel_scale)
 
 
-def pose_covariance(modes: Sequence[Fit], quality: Quality) -> Float64:
+def pose_covariance(modes: Sequence[Fit], quality: Quality, pixel_scale: float) -> Float64:
     """Return the covariance (6 + J, 6 + J) of small changes of the first mode, whose ``quality`` is given.
 
+    ``pixel_scale`` is that of the camera.
     It includes the other modes within 60 degrees, each with its share of the probability. Modes farther away, such as
     the mirror twin, are not a small change of the pose; they are told by the mode's probability.
     """
     best, weights = modes[0], mode_weights(modes)
-    covariance = np.linalg.inv(best.information) * _occlusion_factor(quality)
+    covariance = np.linalg.inv(best.information) * _occlusion_factor(quality, pixel_scale)
     for mode, weight in zip(modes[1:], weights[1:], strict=True):
         if rotation_angle(best.at.pose, mode.at.pose) < _NEAR:
             apart = mode.at.minus(best.at)

@@ -84,7 +84,7 @@ class FrameLimits:
     what : what the frame belongs to, and what of it tells its pose, in words. factor : on the limits of contour, bend
     and missing overlap. outside : the jaw tips outside the image that make it doubtful, one of them or all, in words.
     overlap_loss : below the session's median intersection over union. largest_px, contour_factor : 95 % of the contour
-    are within the larger one of the first, px, and of the second times the session's median.
+    are within the larger one of the first, px in an image 640 px wide, and of the second times the session's median.
     """
 
     what: str
@@ -142,8 +142,8 @@ RULES: Final[dict[str, Rule]] = {
     "silhouette; another instrument, another tool or tissue may be there": Rule(
         "view",
         "alone solved followed",
-        "trust.largest_distal_px",
-        lambda e, most: e.quality.distal_px > e.limits.factor * most,
+        "largest_distal_px",
+        lambda e, most: e.quality.distal_px > most,
     ),
     "mask cut straight: along a straight line that ends it, the silhouette bends by {e.quality.bend_px:.1f} px": Rule(
         "view", "alone solved followed", "largest_bend_px", lambda e, most: e.quality.bend_px > most
@@ -314,11 +314,14 @@ RULES: Final[dict[str, Rule]] = {
     ),
     "masks are {e.margin:.1f} px (std {e.masks.std_margin_px:.1f}) too {e.side} all round: more than segmenters err; "
     "another instrument, another focal length or masks that were widened have this effect": Rule(
-        "session", "session", _LARGEST_MARGIN_PX, lambda e, most: e.margin > most
+        "session", "session", _LARGEST_MARGIN_PX, lambda e, most: e.margin > most * e.pixel_scale
     ),
     "masks err by {e.masks.side_px:.1f} px (std {e.masks.std_side_px:.1f}) on a side of the shaft, alike from frame to "
     "frame: base and depths may be off by more than is stated": Rule(
-        "session", "session", _LARGEST_SIDE_PX, lambda e, most: e.masks is not None and (e.masks.side_px or 0) > most
+        "session",
+        "session",
+        _LARGEST_SIDE_PX,
+        lambda e, most: e.masks is not None and (e.masks.side_px or 0) > most * e.pixel_scale,
     ),
     "{it}": Rule(
         "session", "alone session", _ANY, lambda e, least: known_mistakes(e.remarks), WRONG.removesuffix(": ")

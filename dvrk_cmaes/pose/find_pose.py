@@ -74,6 +74,7 @@ def find_pose(
     instrument = decimated.instrument
     local = LocalSearch(views, decimated, readings, config)
     candidates, evaluations, rays = list(start), 0, 0
+    pixel_scale = views[0].evidence.camera.pixel_scale
     for again in (False, True):
         if not start:
             seeded = replace(config, seed=(config.seed + _AGAIN) % SEEDS) if again else config
@@ -87,10 +88,10 @@ def find_pose(
         of_views, others, confirming = measure_modes(views, readings, at, config)
         pooled = pooled_quality(of_views)
         rays += confirming
-        covariance = pose_covariance(modes, pooled)
+        covariance = pose_covariance(modes, pooled, pixel_scale)
         expected = expected_error(instrument, best.at, covariance)
         probability = mode_probability(modes, expected.of_tips_mm)
-        if start or not _lacks_fit(of_views, probability, config.trust):
+        if start or not _lacks_fit(of_views, probability, config.trust, pixel_scale):
             break
         candidates = list(modes)
     of_rig = [(np.zeros(3), np.zeros((3, 3))), *rotations]  # the first view is the reference
@@ -127,10 +128,11 @@ def _searched(
     return [PoseCandidate(each.at.seen_from(camera_from_view), each.score) for each in found], drawing
 
 
-def _lacks_fit(qualities: Sequence[Quality], of_mode: float, trust: TrustConfig) -> bool:
+def _lacks_fit(qualities: Sequence[Quality], of_mode: float, trust: TrustConfig, pixel_scale: float) -> bool:
     """Return whether the mode is in doubt and no view is explained, so that another search may find a better pose."""
     return of_mode < trust.least_probability and all(
-        quality.iou < trust.least_iou or quality.distal_px > trust.largest_distal_px for quality in qualities
+        quality.iou < trust.least_iou or quality.distal_px > trust.largest_distal_px * pixel_scale
+        for quality in qualities
     )
 
 

@@ -133,7 +133,8 @@ def doubts_in_view(
     outside = outside_image(tips, camera) if instrument.jaw_tips else np.zeros(1, dtype=np.bool_)
     is_out = outside.any() if limits.outside == "a jaw tip lies" else outside.all()
     width = None if quality is None else shaft_width(instrument, camera, seen.pose)
-    largest_bend = max(trust.largest_bend_px, np.inf if width is None else trust.largest_bend_share * width)
+    bend_px = trust.largest_bend_px * camera.pixel_scale
+    largest_bend = max(bend_px, np.inf if width is None else trust.largest_bend_share * width)
     return doubts(
         "view",
         kind,
@@ -145,6 +146,7 @@ def doubts_in_view(
         is_outside=is_out,
         least_iou=1 - limits.factor * (1 - trust.least_iou),
         largest_bend_px=limits.factor * largest_bend,
+        largest_distal_px=limits.factor * trust.largest_distal_px * camera.pixel_scale,
     )
 
 
@@ -154,11 +156,12 @@ def doubts_of_agreement(
     config: SessionConfig,
     quality: Quality | None = None,
     usual: tuple[float, float] = (0.0, 0.0),
+    pixel_scale: float = 1.0,
 ) -> list[str]:
     """List the reasons, in words, for which a pose is not what its session expects.
 
     ``misfit`` is the squared distance from what is expected, by the covariance, per parameter; ``quality`` that of the
-    pose, and ``usual`` the session's medians of ``iou`` and ``contour_px_95``.
+    pose, ``usual`` the session's medians of ``iou`` and ``contour_px_95``, and ``pixel_scale`` that of the camera.
     """
     limits, (iou, px) = LIMITS[kind], usual
     return doubts(
@@ -170,7 +173,7 @@ def doubts_of_agreement(
         limits=limits,
         quality=quality,
         least_iou=iou - limits.overlap_loss,
-        largest_px=max(limits.largest_px, limits.contour_factor * px),
+        largest_px=max(limits.largest_px * pixel_scale, limits.contour_factor * px),
     )
 
 

@@ -166,7 +166,7 @@ def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[Trac
         at, spread = predicted.at[i], predicted.spread[i]
         told = FitEvidence.of(None, at, spread, holds=False)
         if fitted is not None:
-            inflation, holds = fitted.stored.own.noises[0].inflation, fitted.fit.explains_mask
+            inflation, holds = fitted.stored.own.noises[0].inflation(camera.pixel_scale), fitted.fit.explains_mask
             told = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=holds)
         images.append(WindowImage(float(recorded.times[i]), at, predicted.prior[i], predicted.jacobian[i], told))
     found = solve_window(images, session, camera)
@@ -177,7 +177,7 @@ def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[Trac
     results = []
     for i, (name, fitted, image) in enumerate(zip(names, fits, images, strict=True)):
         quality = None if fitted is None else next(judged)
-        status, reasons = status_of(quality, image.told.misfit, session, config, source)
+        status, reasons = status_of(quality, image.told.misfit, session, config, camera.pixel_scale, source)
         reasons += () if fitted is None else fitted.doubts
         if solution.colours is not None:
             reasons += far_joints(found[i][0], image.at, predicted.spread[i], joint_names)

@@ -247,13 +247,14 @@ class Following:
             return _nothing(at, spread, seen)
         expected = Expected.of(at, spread)
         fit, own = fit_near(views, given.config, expected, before, self.calibration.masks, self._lengths)
-        told = FitEvidence.of(fit, at, spread, inflation=own.noises[0].inflation, holds=fit.explains_mask)
+        pixel_scale = views[0].evidence.camera.pixel_scale
+        told = FitEvidence.of(fit, at, spread, inflation=own.noises[0].inflation(pixel_scale), holds=fit.explains_mask)
         if fit.explains_mask:
             self._lengths |= {view.name: length for view, length in zip(views, own.lengths, strict=True)}
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:
             quality = judged(views, *found, given.body, given.config)
-            status, reasons = status_of(quality, told.misfit, self.calibration, given.config)
+            status, reasons = status_of(quality, told.misfit, self.calibration, given.config, pixel_scale)
             explained = quality.quality.iou >= self.calibration.iou - FOLLOWED.overlap_loss
             return _Judged(status, reasons, quality.error, quality.residual_px, explained)
 

@@ -227,7 +227,7 @@ class UnknownBase:
         self._search, found, began = None, search.call.value(), search.images[0]
         if found is None or found.camera_from_root is None or found.covariance is None:
             return
-        if search.first or _explains(found, self.given.config.trust):
+        if search.first or _explains(found, self.given.config.trust, self.given.rig.views[0].camera.pixel_scale):
             self.start(began.time, found, began.seen, widened=_OWN_ERROR)
             self._late = deque(search.images)
 
@@ -313,14 +313,14 @@ def _solved(
         return None
 
 
-def _explains(result: Result, trust: TrustConfig) -> bool:
+def _explains(result: Result, trust: TrustConfig, pixel_scale: float) -> bool:
     """Whether the pose of a single frame explains its mask, whatever the readings say."""
     quality = result.quality
     return (
         quality is not None
         and quality.iou >= trust.least_iou
-        and quality.distal_px <= trust.largest_distal_px
-        and quality.bend_px <= trust.largest_bend_px
+        and quality.distal_px <= trust.largest_distal_px * pixel_scale
+        and quality.bend_px <= trust.largest_bend_px * pixel_scale
     )
 
 

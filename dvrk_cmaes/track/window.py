@@ -120,14 +120,19 @@ def status_of(
     misfit: float,
     calibration: SessionCalibration,
     config: EstimateConfig,
+    pixel_scale: float,
     source: str = "mask",
 ) -> tuple[TrackStatus, list[str]]:
-    """Return the status of an image by its mask alone, and the reasons; ``source`` names the evidence."""
+    """Return the status of an image by its mask alone, and the reasons; ``source`` names the evidence.
+
+    ``pixel_scale`` is that of the camera.
+    """
     lost = doubts("support", "followed", source=source, iou=None if judged is None else judged.quality.iou)
     if judged is None or lost:
         return "lost", lost
     usual = calibration.iou, calibration.contour_px_95
-    reasons = [*judged.reasons, *doubts_of_agreement("followed", misfit, config.session, judged.quality, usual)]
+    agreement = doubts_of_agreement("followed", misfit, config.session, judged.quality, usual, pixel_scale)
+    reasons = [*judged.reasons, *agreement]
     return "doubtful" if reasons else "ok", reasons
 
 

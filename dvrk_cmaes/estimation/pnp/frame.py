@@ -133,7 +133,7 @@ def _result(
     tips: tuple[Float64, ...] = ()
     tips_px: tuple[Float64, ...] = ()
     if isinstance(answer, PointPose):
-        reasons = doubts("points", "alone", error_px=answer.error_px, largest_px=LARGEST_ERROR_PX)
+        reasons = doubts("points", "alone", error_px=answer.error_px, largest_px=LARGEST_ERROR_PX * camera.pixel_scale)
         base = find_camera_from_base(answer.camera_from_root, files.readings, arm, roll_offset=instrument.roll_offset)
         joints = np.array([files.readings[name] for name in instrument.joint_names])
         tips, tips_px = locate_tips(instrument, camera, Posed(answer.camera_from_root, joints))
