@@ -37,8 +37,8 @@ LEAST_FRAMES = 3
 
 _MOST_NAMED = 4
 _TO_TRY = (
-    "try another --instrument, --tool or --arm, other readings, the lag of all rows of the recording, or --lag auto for "
-    "postures whose rows have no times"
+    "try another --instrument, --tool or --arm, other readings, the lag of all rows of the recording, or --lag auto "
+    "for postures whose rows have no times"
 )
 
 
