@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
 
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import sliced_call
 from dvrk_cmaes.synth.images import draw_image
@@ -127,3 +128,28 @@ def test_tracker_that_is_dropped_during_a_search_ends_its_thread(world: MovingWo
     for thread in waiting:
         thread.join(60)
         assert not thread.is_alive()
+
+
+def test_two_threads_may_step_one_tracker(world: MovingWorld) -> None:
+    tracker = Tracker(world.camera, world.body, sliced=True, lag=0.0)
+    together = threading.Barrier(2)
+    found: list[TrackResult] = []
+    refused: list[str] = []
+
+    def steps(later: float) -> None:
+        for k in range(12):
+            together.wait(timeout=60)
+            try:
+                found.append(tracker.step(world.time(k) + later, world.masks[k]))
+            except InputError as error:
+                refused.append(str(error))
+
+    threads = [threading.Thread(target=steps, args=(later,), daemon=True) for later in (0.0, 1e-3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=60)
+    assert not any(thread.is_alive() for thread in threads)
+    assert len(found) + len(refused) == 24
+    assert all("later than" in text for text in refused)
+    assert any(result.camera_from_root is not None for result in found)
