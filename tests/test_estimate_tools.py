@@ -12,7 +12,6 @@ from helpers.crossing_tools import APART, ARMS, CAMERA, FAR, NEAR, CrossingTools
 
 from dvrk_cmaes import EstimateConfig, Result, Rig, ToolInFrame, estimate, estimate_tools
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import better_of
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import with_tool
 from dvrk_cmaes.geometry import transform
@@ -54,37 +53,20 @@ def together(crossing: CrossingTools) -> dict[str, Result]:
     return estimate_tools(of_one_view(crossing), CAMERA, config=QUICK, frame="0007", time=1.5)
 
 
-def test_tool_in_front_has_the_other_as_background(crossing: CrossingTools, together: dict[str, Result]) -> None:
-    front = together["PSM1"]
-    assert front.other_tools == {"PSM2": "behind"}
-    assert (front.frame, front.time, front.status) == ("0007", 1.5, "ok")
-    by_itself = alone(crossing, 0, ignore=with_tool(None, crossing.masks[1]))
-    assert tip_mm(crossing, 0, front) < max(0.3, tip_mm(crossing, 0, by_itself))
-    assert front.covariance is not None
-    assert by_itself.covariance is not None
-    assert np.linalg.det(front.covariance) < np.linalg.det(by_itself.covariance)  # more evidence
-    assert front.evaluations > by_itself.evaluations
-    # the same evidence, searched, has the same optimum
-    searched = alone(crossing, 0)
-    assert np.abs(np.subtract(front.tips, searched.tips)).max() < 2e-4
-
-
-def test_tool_behind_is_estimated_without_the_pixels_of_the_other(
+def test_tools_that_cross_are_estimated_without_the_pixels_of_each_other(
     crossing: CrossingTools, together: dict[str, Result]
 ) -> None:
-    behind = together["PSM2"]
-    assert behind.other_tools == {"PSM1": "in front"}
-    by_itself = alone(crossing, 1, ignore=with_tool(None, crossing.masks[0]))
-    np.testing.assert_array_equal(behind.camera_from_root, by_itself.camera_from_root)
-    assert behind.joints == by_itself.joints
-    assert tip_mm(crossing, 1, behind) < 1.5
+    for number, (arm, found) in enumerate(together.items()):
+        by_itself = alone(crossing, number, ignore=with_tool(None, crossing.masks[1 - number]))
+        np.testing.assert_array_equal(found.camera_from_root, by_itself.camera_from_root)
+        assert (arm, found.frame, found.time, found.joints) == (ARMS[number], "0007", 1.5, by_itself.joints)
+        assert tip_mm(crossing, number, found) < 1.5
 
 
 def test_tools_that_do_not_meet_are_estimated_by_themselves(bundled_body: Body) -> None:
     tools = CrossingTools(bundled_body, APART)
     found = estimate_tools(of_one_view(tools), CAMERA, config=QUICK_CONFIG)
-    for number, (arm, other) in enumerate((ARMS, ARMS[::-1])):
-        assert found[arm].other_tools == {other: "apart"}
+    for number, arm in enumerate(ARMS):
         by_itself = alone(tools, number, QUICK_CONFIG, ignore=with_tool(None, tools.masks[1 - number]))
         np.testing.assert_array_equal(found[arm].camera_from_root, by_itself.camera_from_root)
 
@@ -105,7 +87,6 @@ def test_both_eyes(bundled_body: Body) -> None:
         masks = {view: both[number] for view, both in seen.items()}
         tools[arm] = ToolInFrame(masks, readings(CrossingTools(bundled_body), number), bundled_body)
     found = estimate_tools(tools, RIG, config=QUICK)
-    assert found["PSM1"].other_tools == {"PSM2": "behind"}
     assert found["PSM1"].views == ("left", "right")
     assert tip_mm(CrossingTools(bundled_body), 0, found["PSM1"]) < 0.3
 
@@ -115,16 +96,6 @@ def test_start_gives_the_optimum_of_a_search(crossing: CrossingTools) -> None:
     again = alone(crossing, 0, start=searched)
     assert again.evaluations < searched.evaluations
     assert np.abs(np.subtract(again.tips, searched.tips)).max() < 1e-4
-
-
-def test_first_result_stays_where_the_second_is_doubtful(crossing: CrossingTools) -> None:
-    first = replace(crossing.result(0), seconds=1.0, evaluations=5, other_tools={"PSM2": "behind"})
-    worse = replace(first, status="doubtful", reasons=("overlap too low",), seconds=0.5, evaluations=3, joints={})
-    kept = better_of(first, worse)
-    assert (kept.status, kept.joints, kept.evaluations, kept.seconds) == ("ok", first.joints, 8, 1.5)
-    assert "overlap too low" in kept.unused[-1]
-    taken = better_of(worse, replace(first, other_tools={}))
-    assert (taken.status, taken.other_tools, taken.evaluations) == ("ok", {"PSM2": "behind"}, 8)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,9 +56,8 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.frames.label import Label
-    from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.batch import BatchProgress, BatchSummary, Workers
+    from dvrk_cmaes.runs.batch import BatchSummary, Workers
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.worklist import Shard
 
@@ -162,8 +160,7 @@ def batch(
         Seconds after which a frame is stopped and marked as failed; for local processes only.
     lag
         Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames: each frame gets the
-        readings of that much earlier. With auto it is found from up to 60 frames, which are estimated first. By default
-        it is that of --session, otherwise none.
+        readings of that much earlier. By default, and with auto, it is that of --session; otherwise none is taken out.
     calibration
         A session.json written by `calibrate`, or the folder it wrote, which has one for each of several arms: start
         each frame from the pose that it predicts, and search globally only if that does not explain the mask.
@@ -205,14 +202,14 @@ def batch(
 
     wanted = None if label is None else parse_label("--label", label)
     picked = None if pick is None else parse_pixel("pick", pick)
-    if lag == AUTO and calibration is None and shard is not None:
-        raise InputError("--lag: expected a number or a --session with --shard, got auto: find the lag before")
-    from dvrk_cmaes.cli.session_tools import output_folder, read_calibration_of, session_tools, solve_crossing_tools
+    if lag == AUTO and calibration is None:
+        raise InputError("--lag: expected a number, or auto with --session (calibrate finds the lag), got auto alone")
+    from dvrk_cmaes.cli.session_tools import output_folder, read_calibration_of, session_tools
     from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.batch import Workers
-    from dvrk_cmaes.runs.exchanged_tools import exchanged_in_results
+    from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
 
     part = None if shard is None else Shard.parse(shard)
     given = lag if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
@@ -231,31 +228,30 @@ def batch(
             calibrations[name] = read_calibration_of(
                 calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
             )
-        own = {"pattern": frames, "shard": part, "retry_failed": retry_failed}
-        options = {"segment": segment.resolve(), "resume": resume}
+        options: dict[str, Any] = {"pattern": frames, "shard": part, "retry_failed": retry_failed, "resume": resume}
+        options["segment"] = segment.resolve()
         at_work = Workers(workers, time_limit=time_limit)
         for name, arm in arms.items():
             finished[name] = done = _run(
-                arm, results / name, settings, calibrations[name], scheduler, at_work, given, own, options
+                arm, results / name, settings, calibrations[name], scheduler, at_work, given, options
             )
             if done.interrupted:
                 break
         exchanged: list[str] = []
-        if len(finished) > 1 and not done.interrupted:
-            if part is None:
-                of_arms = {name: summary.results for name, summary in finished.items()}
-                exchanged = exchanged_in_results(arms, of_arms, settings)
-                for text in exchanged:
-                    warn(text)
-            if not exchanged:
-                finished = solve_crossing_tools(finished, scheduler, at_work)
+        if len(finished) > 1 and part is None and not done.interrupted:
+            exchanged = exchanged_arms(
+                {
+                    name: {frame: FoundFrame.of(result) for frame, result in summary.results.items()}
+                    for name, summary in finished.items()
+                }
+            )
+            for text in exchanged:
+                warn(text)
         _report_all(finished, json, part)
         stopped = next((summary for summary in finished.values() if summary.interrupted), None)
         if stopped is not None:
             again = "the same command" if resume else "the same command without --overwrite"
             left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
-            if not stopped.counts["missing"]:
-                left = "frames in which tools cross are left"
             print_error(f"interrupted: {left}; {again} goes on from here")
             return INTERRUPTED
         if len(finished) > 1 and part is None:
@@ -308,37 +304,30 @@ def _run(
     scheduler: str | None,
     workers: Workers,
     lag: Lag | str | None,
-    own: Mapping[str, Any],
     options: Mapping[str, Any],
 ) -> BatchSummary:
-    """Run the batch of an arm's session, with progress on stderr.
-
-    ``own`` and ``options`` are arguments of `run_batch`, of which only the latter hold where a lag is found first.
-    """
+    """Run the batch of an arm's session, with progress on stderr; ``options`` are arguments of `run_batch`."""
     from dvrk_cmaes.cli.batch_progress import progress
     from dvrk_cmaes.runs.batch import run_batch
-    from dvrk_cmaes.runs.batch_lag import find_batch_lag
     from dvrk_cmaes.runs.cluster import dask_executor
 
-    session, model, used = arm.session, arm.body.instrument, {"config": settings, "arm": arm.kinematics, **options}
+    if calibration is not None and lag in (None, AUTO):
+        lag = calibration.applied_lag
+    session = arm.session if lag is None or isinstance(lag, str) else arm.session.with_lag(lag)
     with ExitStack() as stack:
         executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
-        workers = replace(workers, executor=executor, stop=stack.enter_context(stopping_on_interrupt()))
-
-        def run(session: Session, out: Path, *, progress: BatchProgress, **more: Any) -> BatchSummary:
-            of_run = replace(workers, progress=progress)
-            return run_batch(session, out, model, calibration=calibration, workers=of_run, **used, **more)
-
-        if calibration is not None and lag in (None, AUTO):
-            lag = calibration.applied_lag
-        elif lag == AUTO:
-            with progress() as reporter:
-                estimated = partial(run, progress=reporter)
-                lag, text = find_batch_lag(session, out, estimated, model, settings, arm.kinematics)
-            warn(text)
-        if lag is not None and not isinstance(lag, str):
-            session = session.with_lag(lag)
-        return run(session, out, progress=stack.enter_context(progress()), **own)
+        stop, reporter = stack.enter_context(stopping_on_interrupt()), stack.enter_context(progress())
+        workers = replace(workers, executor=executor, stop=stop, progress=reporter)
+        return run_batch(
+            session,
+            out,
+            arm.body.instrument,
+            config=settings,
+            arm=arm.kinematics,
+            calibration=calibration,
+            workers=workers,
+            **options,
+        )
 
 
 def _merge(out: Path, json: bool) -> int:

@@ -146,8 +146,8 @@ def calibrate(
     from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.results.folder import ALONE
     from dvrk_cmaes.runs.arms import write_arms
+    from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
     from dvrk_cmaes.runs.manifest import check_same_session
-    from dvrk_cmaes.runs.mask_owners import exchanged_frames
 
     with output_folder(out, session, "calibration") as target:
         settings = method.resolve()
@@ -205,8 +205,15 @@ def calibrate(
         agree, exchanged = True, list[str]()
         if len(solved) > 1:
             calibrations = {name: solution.calibration for name, solution in solved.items()}
-            if any(own.left_out for own in calibrations.values()):
-                exchanged = exchanged_frames(arms, calibrations, settings)
+            exchanged = exchanged_arms(
+                {
+                    name: {
+                        frame: replace(FoundFrame.of(result), ok=frame not in solution.calibration.left_out)
+                        for frame, result in solution.results.items()
+                    }
+                    for name, solution in solved.items()
+                }
+            )
             for text in exchanged:
                 warn(text)
             with output(target, "calibrate"):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
-from dvrk_cmaes.cli.terminal import Line, answer, show, stopping_on_interrupt, warn
+from dvrk_cmaes.cli.terminal import Line, answer, show, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.instrument.arm import Arm
-    from dvrk_cmaes.runs.batch import BatchSummary, Workers
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.silhouette import Body
 
@@ -196,22 +195,6 @@ def read_calibration_of(
     for doubt in calibration.doubts:
         warn(f"{path}: {doubt}; all results are doubtful")
     return calibration
-
-
-def solve_crossing_tools(
-    finished: Mapping[str, BatchSummary], scheduler: str | None, workers: Workers
-) -> dict[str, BatchSummary]:
-    """Solve the frames of all arms again in which a tool is in front of another one, with progress on stderr."""
-    from dvrk_cmaes.cli.batch_progress import progress
-    from dvrk_cmaes.runs.cluster import dask_executor
-    from dvrk_cmaes.runs.crossing_tools import solve_crossing
-
-    with ExitStack() as stack:
-        folder = next(iter(finished.values())).setup.folder
-        executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, folder))
-        stop = stack.enter_context(stopping_on_interrupt())
-        reporter = stack.enter_context(progress())
-        return solve_crossing(finished, replace(workers, executor=executor, stop=stop, progress=reporter))
 
 
 def write_bases(

@@ -183,8 +183,7 @@ def track(
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.mask_owners import AmongArms, ArmsOfRecording
-    from dvrk_cmaes.runs.track_arms import exchanged_arms, write_track_arms
+    from dvrk_cmaes.runs.track_arms import exchanged_while_followed, write_track_arms
     from dvrk_cmaes.runs.track_folder import tracking_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask, with_increasing_times
     from dvrk_cmaes.runs.worker import hints_of
@@ -223,7 +222,6 @@ def track(
                 or hints_within(prompts.resolve(), followed.frames[0].crop),
                 workers,
             )
-        of_recording = ArmsOfRecording(arms)
 
         def tracking(name: str, places: Sequence[Place]) -> Solving[TrackSummary | None]:
             if stop.is_set() and name != next(iter(arms)):
@@ -241,7 +239,8 @@ def track(
                     stop=stop,
                     progress=_progress(name),
                     notice=partial(_notice, name),
-                    among=AmongArms(name, of_recording, places),
+                    arm=name,
+                    places=places,
                 )
             )
 
@@ -253,11 +252,11 @@ def track(
         agree, setup = True, read_setup_joints(source.folder / SETUP)
         if len(tools) > 1 and not interrupted:
             of_arms = {name: summary.readings for name, summary in finished.items()}
-            seen = dict(arms)
-            for name, arm in arms.items():
-                frames = of_recording.as_followed(arm.session.frames[::every], finished[name].rows)
-                seen[name] = replace(arm, session=replace(arm.session, frames=frames))
-            exchanged = exchanged_arms(target, of_arms, seen, replace(method.resolve(), threads=1))
+            seen = {
+                name: replace(arm, session=replace(arm.session, frames=arm.session.frames[::every]))
+                for name, arm in arms.items()
+            }
+            exchanged = exchanged_while_followed(target, of_arms)
             with output(target, "track"):
                 rate = next(iter(finished.values())).frames_a_second
                 write_track_arms(target, seen, frames_a_second=rate, video=video, page=page)

@@ -6,6 +6,6 @@ The package `pnp` has the baseline.
 from __future__ import annotations
 
 from dvrk_cmaes.estimation.one_tool import estimate, estimate_views
-from dvrk_cmaes.estimation.several_tools import ToolInFrame, better_of, estimate_tools
+from dvrk_cmaes.estimation.several_tools import ToolInFrame, estimate_tools
 
-__all__ = ["ToolInFrame", "better_of", "estimate", "estimate_tools", "estimate_views"]
+__all__ = ["ToolInFrame", "estimate", "estimate_tools", "estimate_views"]

@@ -48,7 +48,6 @@ class OtherTool:
     mask: Path
     label: Label | None = None
     arm: str = ""
-    behind: bool = False
     pick: tuple[float, float] | None = None
 
 
@@ -347,8 +346,6 @@ def _ignored(files: FrameFiles, shape: tuple[int, ...], what: str) -> Bool | Non
         over = _cropped_like(files, np.asarray(cv2.imdecode(np.frombuffer(files.overlaid, np.uint8), 0)) > 0, shape)
         ignore = over if ignore is None else ignore | over
     for tool in files.other_tools:
-        if tool.behind:
-            continue
         there = _cropped(
             files, read_mask(tool.mask, label=tool.label, pick=tool.pick, blank=True, name=files.name), tool.mask
         )

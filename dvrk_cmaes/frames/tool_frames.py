@@ -12,15 +12,13 @@ from dvrk_cmaes.frames.label import Label
 from dvrk_cmaes.frames.own_files import OwnFiles
 from dvrk_cmaes.frames.session_folder import Session, image_files
 from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
-from dvrk_cmaes.results.result import Result
 
 
 def frames_of_tool(session: Session, entries: SessionEntries, arm: str, *, follow_links: bool = False) -> Session:
     """Return a session with the masks of one tool only; the other tools' pixels do not count.
 
-    ``session`` was read with the tool's own folder of masks, if it has one. As long as it is not known whether another
-    tool is before or behind, its pixels tell nothing about this one, neither as instrument nor as background; see
-    `with_start`.
+    ``session`` was read with the tool's own folder of masks, if it has one. Another tool may be before or behind this
+    one, so its pixels tell nothing about it, neither as instrument nor as background.
 
     Raises
     ------
@@ -64,13 +62,3 @@ def _of_tool(files: FrameFiles, view: str, tool: ToolEntry, others: Sequence[_Ma
     hiding = tuple(there for other in others if (there := other.of_frame(files, view)) is not None)
     more = {name: _of_tool(each, name, tool, others) for name, each in files.others.items()}
     return replace(files, label=tool.label, pick=tool.pick, other_tools=hiding, others=more)
-
-
-def with_start(files: FrameFiles, start: Result) -> FrameFiles:
-    """Return the files of a frame of a tool that is solved again, since it is now known where the other tools are.
-
-    ``start`` is its earlier result, with ``other_tools``: those that are behind are background from now on.
-    """
-    tools = tuple(replace(other, behind=start.other_tools.get(other.arm) == "behind") for other in files.other_tools)
-    views = {name: with_start(each, start) for name, each in files.others.items()}
-    return replace(files, other_tools=tools, others=views, start=start)

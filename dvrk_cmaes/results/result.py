@@ -34,7 +34,6 @@ __all__ = [
     "SCHEMA",
     "Alternative",
     "ExpectedError",
-    "Place",
     "Quality",
     "Result",
     "Source",
@@ -44,8 +43,6 @@ __all__ = [
 
 Status = Literal["ok", "doubtful", "failed"]
 Source = Literal["frame", "session"]
-Place = Literal["behind", "in front", "unclear", "apart"]
-"""Where another tool is, as seen by a tool; apart: they do not meet in the image."""
 
 SCHEMA = 1
 POSE_AXES: Final = ("tx", "ty", "tz", "rx", "ry", "rz")
@@ -84,7 +81,6 @@ class Result:
     mode_probability : that the pose is in the true mode, not in one of the alternatives' or the mirror twin's.
     tip_probability : that the tips are within the distance ``trust.tip_mm`` of their true positions.
     alternatives : other modes, by decreasing likelihood.
-    other_tools : where the frame's other tools are, as seen by this one, by arm; empty where that was not asked.
     seconds : from arrays in memory to the result, 0 if not stated.
     evaluations, rays : silhouettes computed and rays traced.
     model : the instrument, for `links`; it is not written to files.
@@ -117,7 +113,6 @@ class Result:
     alternatives: tuple[Alternative, ...] = ()
     views: Texts = ()
     view_fits: tuple[ViewCheck, ...] = ()
-    other_tools: dict[str, Place] = field(default_factory=dict)
     seconds: Number = 0.0
     evaluations: Count = 0
     rays: Count = 0
@@ -302,7 +297,6 @@ class Result:
             **encoded_fields(self, "evaluations", "rays", "seed", "version"),
             "config": self.config,
             **encoded_fields(self, *of_rig),
-            **({"other_tools": self.other_tools} if self.other_tools else {}),
         }
 
 

@@ -15,7 +15,7 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.draw.frame_layers import frame_layers
 from dvrk_cmaes.draw.overlay import draw_failed
 from dvrk_cmaes.draw.view_overlays import draw_views
-from dvrk_cmaes.estimation import better_of, estimate_views
+from dvrk_cmaes.estimation import estimate_views
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image, readable
 from dvrk_cmaes.frames.images import read_image
@@ -93,11 +93,8 @@ def as_calibrated(data: FrameData, session: SessionCalibration | None) -> FrameD
 
 
 def estimate_frame(files: FrameFiles, data: FrameData, body: Body, method: FrameMethod) -> Result:
-    """Estimate the pose in a frame with a mask that was read from its files; errors as `estimate`.
-
-    Of a frame that starts from an earlier result, the better one of the two is returned, as by `better_of`.
-    """
-    result = estimate_views(
+    """Estimate the pose in a frame with a mask that was read from its files; errors as `estimate`."""
+    return estimate_views(
         data.views,
         files.readings,
         body,
@@ -108,7 +105,6 @@ def estimate_frame(files: FrameFiles, data: FrameData, body: Body, method: Frame
         time=files.time,
         warnings=data.notes,
     )
-    return result if files.start is None else better_of(files.start, result)
 
 
 def layers_of_frame(result: Result, data: FrameData, body: Body) -> FrameLayers:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Final
 
@@ -110,15 +110,11 @@ def _sparseness(recorded: RecordedFrames, session: SessionCalibration) -> list[S
 
 @dataclass(frozen=True, eq=False)
 class RecordedSolution:
-    """A recording's frames and their calibration; with ``colours`` by view, masks are found in the images.
-
-    ``remarks`` are on single frames, by name.
-    """
+    """A recording's frames and their calibration; with ``colours`` by view, masks are found in the images."""
 
     recorded: RecordedFrames
     calibration: SessionCalibration
     colours: Mapping[str, ColourModel] | None = None
-    remarks: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def rig(self) -> Rig:
@@ -175,7 +171,7 @@ def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[Trac
     names = [own.name for own in recorded.files]
     frozen = frozen_since(recorded.frozen, names)
     results = []
-    for i, (name, fitted, image) in enumerate(zip(names, fits, images, strict=True)):
+    for i, (fitted, image) in enumerate(zip(fits, images, strict=True)):
         quality = None if fitted is None else next(judged)
         status, reasons = status_of(quality, image.told.misfit, session, config, camera.pixel_scale, source)
         reasons += () if fitted is None else fitted.doubts
@@ -199,7 +195,7 @@ def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[Trac
                 config.trust.tip_mm,
                 seconds=0.0 if fitted is None else fitted.seconds,
                 residual_px=None if quality is None else quality.residual_px,
-                remarks=(*recorded.rig.remarks, *((noted,) if (noted := solution.remarks.get(name)) else ())),
+                remarks=recorded.rig.remarks,
             )
         )
     return results

@@ -8,19 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
 from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
-from dvrk_cmaes.runs.exchanged_tools import (
-    ArmInSession,
-    FoundFrame,
-    exchanged_tools,
-    find_exchanged_masks,
-)
+from dvrk_cmaes.runs.exchanged_tools import ArmInSession, FoundFrame, exchanged_arms
 from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
 
 
@@ -34,7 +28,7 @@ def write_track_arms(
     out
         Folder of the results of all arms.
     arms
-        The frames that each arm was followed to, with the masks by which it was, and the arms' instruments, by arm.
+        The frames in which each arm was followed, and the arms' instruments, by arm.
     frames_a_second
         Those of the video.
     video, page
@@ -67,9 +61,7 @@ def write_track_arms(
         write_followed_arms_page(out, rows, pictures)
 
 
-def exchanged_arms(
-    out: Path, readings: Mapping[str, Mapping[str, Float64]], arms: Mapping[str, ArmInSession], config: EstimateConfig
-) -> list[str]:
+def exchanged_while_followed(out: Path, readings: Mapping[str, Mapping[str, Float64]]) -> list[str]:
     """Say which arms, whose results are in OUT/ARM, seem to be exchanged: from which frame on, or in all.
 
     Parameters
@@ -78,8 +70,6 @@ def exchanged_arms(
         Folder of the results of all arms.
     readings
         By arm and joint, those of each followed frame, NaN where there is none.
-    arms, config
-        As in `write_track_arms`, and the settings, for frames that are estimated with each other's masks.
 
     Raises
     ------
@@ -92,7 +82,7 @@ def exchanged_arms(
             read = {name: float(v[number]) for name, v in of_joints.items() if np.isfinite(v[number])}
             joints = {} if row["camera_from_root"] is None else row["joints"]
             found[arm][row["frame"]] = FoundFrame(joints, read, row["status"] == "ok")
-    return exchanged_tools(found, followed=True) or find_exchanged_masks(arms, found, config)
+    return exchanged_arms(found, followed=True)
 
 
 def _together(seen: Mapping[str, Iterator[SeenFrame]]) -> Iterator[tuple[str, dict[str, SeenFrame]]]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -17,6 +17,7 @@ from typing import Any, ParamSpec
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
+from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.together import Solving, solved_alone
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Float64
@@ -38,7 +39,6 @@ from dvrk_cmaes.runs.manifest import (
     read_manifest,
     write_manifest,
 )
-from dvrk_cmaes.runs.mask_owners import AmongArms
 from dvrk_cmaes.runs.processes import usable_cores
 from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES, KEYFRAMES_BY_IMAGES
 from dvrk_cmaes.runs.solver_process import SolverProcess
@@ -85,7 +85,8 @@ def tracking_folder(
     stop: threading.Event | None = None,
     progress: Callable[[int, int, TrackResult | None], None] = lambda done, total, result: None,
     notice: Callable[[str], None] = lambda text: None,
-    among: AmongArms | None = None,
+    arm: str = "",
+    places: Sequence[Place] = (),
 ) -> Solving[TrackSummary]:
     """Follow an instrument through the frames of a session, and write everything to a folder.
 
@@ -110,8 +111,10 @@ def tracking_folder(
         the number of frames that are there already and None.
     notice
         Called with a line about each stage of a recording that is solved by its keyframes, or why it is not.
-    among
-        The other arms of the recording, with which it is solved.
+    arm
+        The name of the arm, if it is one of several.
+    places
+        Those at which another arm found the endoscope.
 
     Raises
     ------
@@ -133,7 +136,7 @@ def tracking_folder(
     check_writable(out)
     with base(out), output(out, "track", replaces=not resume) as own:
         own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION))
-        run = TrackRun(session, out, body, settings, frames, clock, stop, progress, notice, among or AmongArms())
+        run = TrackRun(session, out, body, settings, frames, clock, stop, progress, notice, arm, places)
         manifest = _manifest(run)
         old = read_manifest(out)
         if old is not None and resume:
@@ -212,16 +215,9 @@ def _forwards(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration |
 
 
 def _finished(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
-    """Return rows and calibration of a recording that was followed to the end, as its table tells; None otherwise.
-
-    Where the bases of all arms tell whose the masks are, all arms must have been followed to the end.
-    """
+    """Return rows and calibration of a recording that was followed to the end, as its table tells; None otherwise."""
     tracks, session = run.out / TRACKS, run.out / SESSION
-    settings = run.settings
-    decided = settings.evidence == "masks" and settings.use_joints and not settings.causal
-    others = run.among.of.arms if decided else ()
-    tables = [run.out / TABLE, *(run.out.parent / name / TABLE for name in others if name != run.among.arm)]
-    if not (tracks.exists() and all(table.exists() for table in tables)):
+    if not (tracks.exists() and (run.out / TABLE).exists()):
         return None
     rows = read_tracks(tracks)
     if [row["frame"] for row in rows] != [files.name for files in run.frames]:

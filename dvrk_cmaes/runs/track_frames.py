@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -23,7 +24,6 @@ from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.pose.doubts import doubts
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.runs.mask_owners import AmongArms
 from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body
@@ -83,7 +83,7 @@ class TrackRun:
 
     Its inputs, of which ``frames`` are those that are followed, its folder, and where its progress goes: ``progress``
     is called with the frames done, all frames, and the last result, ``notice`` with lines. ``stop`` ends it soon.
-    ``among`` tells of the other arms of the recording.
+    ``arm`` is the name of one of several arms, ``places`` are those at which another one found the endoscope.
     """
 
     session: Session
@@ -95,7 +95,8 @@ class TrackRun:
     stop: threading.Event | None
     progress: Callable[[int, int, TrackResult | None], None]
     notice: Callable[[str], None]
-    among: AmongArms = field(default_factory=AmongArms)
+    arm: str = ""
+    places: Sequence[Place] = ()
 
     @property
     def frames_a_second(self) -> float:

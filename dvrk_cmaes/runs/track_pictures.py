@@ -101,8 +101,7 @@ def write_outputs(
             writer = opened.enter_context(whole_video(run.out / VIDEO, size_of_views(rig), run.frames_a_second))
         if rerun is not None:
             log = opened.enter_context(rerun_file(rerun, rig, instrument, name))
-        frames = run.among.of.as_followed(run.frames, rows)
-        for number, (row, views) in enumerate(seen_frames(frames, rows, rig, run.body)):
+        for number, (row, views) in enumerate(seen_frames(run.frames, rows, rig, run.body)):
             if writer is not None:
                 writer.write(draw_track(views, frame=row["frame"], status=row["status"], reasons=row["reasons"]))
             if pictures is not None:

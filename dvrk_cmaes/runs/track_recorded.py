@@ -27,6 +27,7 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES_BY_IMAGES,
     RecordedFrames,
     read_keyframes,
+    solving_keyframes,
     write_keyframes,
 )
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
@@ -72,8 +73,6 @@ def following_recorded(run: TrackRun) -> Solving[tuple[list[TrackResult], Sessio
             solved = yield from _solving(run, frames, series, work)
             if isinstance(solved, str):
                 return solved
-            if settings.evidence == "masks":
-                solved = yield from run.among.decided(solved, work)
             run.notice(f"fitting {len(frames)} frames")
             results = follow_window(solved, work)
         except _StoppedError:
@@ -107,10 +106,10 @@ def _solving(
     elif (used := read_keyframes(path, colours=not by_masks)) is not None:
         run.notice(f"keyframes: solved by an interrupted run ({path})")
     elif by_masks:
-        found = yield from run.among.solving(recorded, work)
+        found = yield from solving_keyframes(recorded, work, run.places)
     else:
         hints = settings.hints or Hints()
-        recorded, found = yield from solving_images(recorded, given, hints, work, run.among.places)
+        recorded, found = yield from solving_images(recorded, given, hints, work, run.places)
     yield None  # for arms with solutions that are kept or given, too: all wait for each other equally often
     if run.stop is not None and run.stop.is_set():
         raise _StoppedError

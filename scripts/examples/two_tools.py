@@ -33,8 +33,6 @@ def main(folder: str, out: str) -> None:
 
     for arm, result in results.items():
         print(f"{arm}: {result.status}", *result.reasons, sep="; ")
-        for name, where in (result.other_tools or {}).items():
-            print(f"  {name} is {where}")
         path = Path(out, arm, "frames", "0000.json")
         path.parent.mkdir(parents=True)
         path.write_text(json.dumps(result.to_dict()), encoding="utf-8")

@@ -10,9 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from helpers.batch_sessions import QUICK, comparable
+from helpers.batch_sessions import QUICK
 from helpers.commands import run_command
-from helpers.crossing_tools import write_crossing_session
 from helpers.session_worlds import make_frames_in_memory, write_folder
 from helpers.stereo_sessions import POSES, SECOND_POSES, make_session_of_two_tools
 
@@ -23,7 +22,6 @@ from dvrk_cmaes.draw.arms_overlay import COLOURS
 from dvrk_cmaes.geometry import change_between, moved, transform
 from dvrk_cmaes.instrument.setup_joints import setup_text
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.silhouette import Body
 
 pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
@@ -77,24 +75,6 @@ def test_batch_estimates_every_arm(folder: Path, quick: Path, capsys: pytest.Cap
     written = (out / "overlays" / "0000.jpg").stat().st_mtime_ns
     run_command(capsys, "batch", folder, "--out", out, "--config", quick, "--workers", 1)
     assert (out / "overlays" / "0000.jpg").stat().st_mtime_ns == written  # nothing has changed
-
-
-def test_batch_solves_the_tool_in_front_again_and_only_once(
-    tmp_path: Path, quick: Path, bundled_body: Body, capsys: pytest.CaptureFixture[str]
-) -> None:
-    session, out = write_crossing_session(tmp_path / "session", bundled_body), tmp_path / "out"
-    arguments = ("batch", session, "--out", out, "--config", quick, "--workers", 1, "--frames", "0000")
-    run_command(capsys, *arguments, "--only", "PSM1")
-    alone = read_result(out / "PSM1" / "frames" / "0000.json")
-    assert alone.other_tools == {}
-    assert run_command(capsys, *arguments).code in (0, 3)
-    front = read_result(out / "PSM1" / "frames" / "0000.json")
-    assert front.other_tools == {"PSM2": "behind"}
-    assert front.evaluations > alone.evaluations
-    assert read_result(out / "PSM2" / "frames" / "0000.json").other_tools == {"PSM1": "in front"}
-    before = comparable(out)
-    run_command(capsys, *arguments)
-    assert comparable(out) == before
 
 
 def test_one_arm_can_be_chosen(folder: Path, quick: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""``dvrk-cmaes batch --lag``: readings of the moment that an image shows, by a given, a calibrated or a found lag."""
+"""``dvrk-cmaes batch --lag``: readings of the moment that an image shows, by a given or a calibrated lag."""
 
 from __future__ import annotations
 
@@ -13,13 +13,10 @@ from helpers.commands import Ran, run_command
 from helpers.page_calibrations import calibration, solved
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.runs.batch import BatchSummary, Workers, run_batch
-from dvrk_cmaes.runs.batch_lag import find_batch_lag
-from dvrk_cmaes.runs.worker import BatchSetup
+from dvrk_cmaes.runs.batch import Workers, run_batch
 from dvrk_cmaes.silhouette import Body
 
 pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
@@ -54,6 +51,12 @@ def test_given_lag_gives_frames_earlier_readings(command: Command) -> None:
     assert "no readings of 1 frames before the image" in str(result("0000")["warnings"])
 
 
+def test_no_lag_is_none_also_of_readings_without_times(command: Command) -> None:
+    assert command("--lag", "0").code in (0, 3)
+    assert result("0002")["readings"] == pytest.approx(read_session("session").frames[2].readings)
+    assert not [text for text in result("0002")["warnings"] if "before the image" in text]
+
+
 def test_results_with_another_lag_are_not_resumed(command: Command) -> None:
     command("--lag", "1frame")
     done = command("--lag", "0.5frames")
@@ -70,8 +73,8 @@ def test_results_with_another_lag_are_not_resumed(command: Command) -> None:
         ),
         (("--lag", "0.1"), "lag: expected a lag in frames, such as 4frames, since the images have no times, got 0.1 s"),
         (
-            ("--lag", "auto", "--shard", "1/2"),
-            "--lag: expected a number or a --session with --shard, got auto: find the lag before",
+            ("--lag", "auto"),
+            "--lag: expected a number, or auto with --session (calibrate finds the lag), got auto alone",
         ),
     ],
 )
@@ -81,14 +84,6 @@ def test_wrong_lag_is_refused(command: Command, options: tuple[str, ...], expect
     assert not Path("out").exists()
 
 
-def test_lag_that_is_not_determined_is_said_and_not_taken_out(command: Command) -> None:
-    done = command("--lag", "auto", "--time-limit", 60)
-    assert done.code in (0, 3)
-    assert "lag: not determined by these frames (4 frames have a pose and readings, at least 6 are needed)" in done.err
-    assert result("0002")["readings"] == pytest.approx(read_session("session").frames[2].readings)
-    assert (Path("out") / "lag" / "summary.json").is_file()
-
-
 def test_lag_of_the_calibration_is_taken_out(tmp_path: Path) -> None:
     session = read_session(make_session(tmp_path / "session", NAMES))
     known: SessionCalibration = calibration(solved(NAMES))
@@ -96,19 +91,6 @@ def test_lag_of_the_calibration_is_taken_out(tmp_path: Path) -> None:
     assert late.frames[2].readings == pytest.approx(session.frames[1].readings)
     assert replace(known, lag=Lag(0.1, 0.1, applied=False)).applied_lag is None
     assert replace(known, lag=None).applied_lag is None
-
-
-def test_interrupted_search_of_the_lag_says_how_to_go_on(bundled_body: Body, tmp_path: Path) -> None:
-    session = read_session(make_session(tmp_path / "session", NAMES))
-    instrument = bundled_body.instrument
-
-    def interrupted(some: Session, out: Path) -> BatchSummary:
-        assert len(some.frames) == len(NAMES)
-        setup = BatchSetup(instrument, some.rig, QUICK_CONFIG)
-        return BatchSummary(out, {}, 0, interrupted=True, document={}, results={}, setup=setup, frames={})
-
-    with pytest.raises(DvrkCmaesError, match="interrupted while the lag was searched; the same command goes on"):
-        find_batch_lag(session, tmp_path / "out", interrupted, instrument, QUICK_CONFIG, "classic")
 
 
 def test_calibration_with_a_lag_is_used_by_batch_and_estimate(

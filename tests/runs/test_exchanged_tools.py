@@ -5,24 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_tools, masks_exchanged
+from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms, exchanged_masks, exchanged_tools
 
 NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 
 
-def results(joints: np.ndarray, readings: np.ndarray) -> dict[str, Result]:
-    """Give the results of frames with given joints and readings (N, 3), rad."""
+def results(joints: np.ndarray, readings: np.ndarray, *, bad: range = range(0)) -> dict[str, FoundFrame]:
+    """Give what was found in frames with given joints and readings (N, 3), rad, some of which are not ok."""
     return {
-        f"{k:04d}": Result(
-            f"{k:04d}",
-            "ok",
-            (),
-            "lnd",
-            "roll_link",
-            np.eye(4),
-            dict(zip(NAMES, found.tolist(), strict=True)),
-            dict(zip(NAMES, read.tolist(), strict=True)),
+        f"{k:04d}": FoundFrame(
+            dict(zip(NAMES, found.tolist(), strict=True)), dict(zip(NAMES, read.tolist(), strict=True)), k not in bad
         )
         for k, (found, read) in enumerate(zip(joints, readings, strict=True))
     }
@@ -44,22 +36,15 @@ def test_two_frames_tell_nothing() -> None:
     assert exchanged_tools({"PSM1": results(true[0], true[1]), "PSM2": results(true[1], true[0])}) == []
 
 
-def followed(joints: np.ndarray, readings: np.ndarray) -> dict[str, FoundFrame]:
-    """Give the joints of followed frames as found and as read (N, 3), rad."""
-    return {name: FoundFrame(one.joints, one.readings, ok=True) for name, one in results(joints, readings).items()}
-
-
 @pytest.mark.parametrize("start", [0, 25])
 def test_exchange_while_followed_is_told_with_its_first_frame(start: int) -> None:
     rng = np.random.default_rng(2)
     true = np.cumsum(0.03 * rng.standard_normal((2, 60, 3)), axis=1) + np.array([0.5, -0.5])[:, None, None]
     read = true + np.deg2rad(8) * rng.standard_normal((2, 1, 3))
-    assert (
-        exchanged_tools({"PSM1": followed(true[0], read[0]), "PSM2": followed(true[1], read[1])}, followed=True) == []
-    )
+    assert exchanged_tools({"PSM1": results(true[0], read[0]), "PSM2": results(true[1], read[1])}, followed=True) == []
     seen = true.copy()
     seen[:, start:] = true[::-1, start:]
-    (text,) = exchanged_tools({"PSM1": followed(seen[0], read[0]), "PSM2": followed(seen[1], read[1])}, followed=True)
+    (text,) = exchanged_tools({"PSM1": results(seen[0], read[0]), "PSM2": results(seen[1], read[1])}, followed=True)
     assert text.startswith("PSM1 and PSM2: the joints found for each are nearer to the readings of the other")
     assert text.endswith(f"from frame {start:04d} on")
 
@@ -68,12 +53,16 @@ def test_tools_of_the_same_joints_are_not_taken_for_exchanged() -> None:
     rng = np.random.default_rng(3)
     true = np.cumsum(0.03 * rng.standard_normal((60, 3)), axis=0)
     read = true + np.deg2rad(8) * rng.standard_normal((2, 1, 3))
-    assert exchanged_tools({"PSM1": followed(true, read[0]), "PSM2": followed(true, read[1])}, followed=True) == []
+    assert exchanged_tools({"PSM1": results(true, read[0]), "PSM2": results(true, read[1])}, followed=True) == []
 
 
-def test_masks_are_exchanged_if_those_of_the_other_tool_fit_better_in_most_frames() -> None:
-    assert masks_exchanged([(0.37, 0.11), (0.22, 0.12), (0.13, 0.09)])
-    assert not masks_exchanged([(0.11, 0.37), (0.12, 0.22), (0.09, 0.13)])
-    assert not masks_exchanged([(0.37, 0.11), (0.22, 0.12)])  # too few frames
-    assert not masks_exchanged([(0.10, 0.09), (0.10, 0.11), (0.10, 0.05), (0.10, 0.12)])  # no better in half of them
-    assert not masks_exchanged([(0.10, 0.095)] * 5)  # hardly better, as with tools in the same pose
+def test_masks_may_be_exchanged_where_neither_tool_is_ok() -> None:
+    still = np.tile([0.1, -0.2, 0.5], (20, 1))
+    first, both = results(still, still, bad=range(5, 12)), results(still, still, bad=range(6, 12))
+    (text,) = exchanged_arms({"PSM1": first, "PSM2": both})
+    assert text == (
+        "PSM1 and PSM2: neither is ok in 6 of 20 frames (0006, 0007, 0008, 0009, 0010, ...); "
+        "their masks may be exchanged there"
+    )
+    assert exchanged_masks({"PSM1": first, "PSM2": results(still, still, bad=range(10, 18))}) == []
+    assert exchanged_masks({"PSM1": first, "PSM2": results(still, still)}) == []

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from helpers.track_rows import JOINTS, row
 
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.results.track_files import TRACKS, line_of
-from dvrk_cmaes.runs.track_arms import exchanged_arms
+from dvrk_cmaes.runs.track_arms import exchanged_while_followed
 
 COUNT = 40
 
@@ -41,8 +40,8 @@ def test_arms_exchanged_on_the_way_are_named_with_the_frame(tmp_path: Path) -> N
     write_tracks(tmp_path / "right", "PSM1", first, gone=7)
     write_tracks(tmp_path / "right", "PSM2", second, gone=20)
     readings = {"PSM1": readings_of(first), "PSM2": readings_of(second)}
-    assert exchanged_arms(tmp_path / "right", readings, {}, EstimateConfig()) == []
+    assert exchanged_while_followed(tmp_path / "right", readings) == []
     write_tracks(tmp_path / "exchanged", "PSM1", np.r_[first[:12], second[12:]], gone=7)
     write_tracks(tmp_path / "exchanged", "PSM2", np.r_[second[:12], first[12:]], gone=20)
-    (text,) = exchanged_arms(tmp_path / "exchanged", readings, {}, EstimateConfig())
+    (text,) = exchanged_while_followed(tmp_path / "exchanged", readings)
     assert text.endswith("seem to be exchanged from frame 0012 on")

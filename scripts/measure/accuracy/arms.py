@@ -17,24 +17,21 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.estimation import ToolInFrame, estimate_tools
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.geometry import change_between, inverse
 from dvrk_cmaes.results.folder import ARMS
 from measure.accuracy.errors import Compared, compared
 from measure.accuracy.figures import percentiles
-from measure.cases import Case, Measurement, Run, grouped
-from measure.processes import print_progress
+from measure.cases import Case, Measurement, grouped
 
 CROSSED: Final = "with the other tool"
-ONE_BY_ONE: Final = "with the other tool, by itself"
 ALONE: Final = "alone"
 
 
 def arms_report(given: Measurement) -> dict[str, list[dict[str, Any]]]:
     """Estimate every tool of the sessions with and without the other, and return tables of their errors.
 
-    With the other tool, both are estimated together, and each by itself, without the pixels of the other.
+    With the other tool, its pixels do not count.
 
     Raises
     ------
@@ -44,13 +41,12 @@ def arms_report(given: Measurement) -> dict[str, list[dict[str, Any]]]:
     for one in given.recordings():
         if one.arm is None:
             raise InputError(f"{one.session.folder}: expected a session.toml that names several tools, got none")
-    cases = [replace(case, kind=ONE_BY_ONE) for case in given.cases()]
+    cases = [replace(case, kind=CROSSED) for case in given.cases()]
     alone = [replace(case, kind=ALONE, data=_alone(case)) for case in cases]
-    whole = [replace(case, kind=CROSSED, data=_read(case, other_tools=())) for case in cases]
-    runs = [*_together(given, whole), *given.runs([*cases, *alone])]
-    found = grouped(compared(given.instrument, runs), lambda one: one.run.case.kind)
+    whole = [_read(case, other_tools=()) for case in cases]
+    found = grouped(compared(given.instrument, given.runs([*cases, *alone])), lambda one: one.run.case.kind)
     hidden = [1 - float(a.mask.sum() / b.mask.sum()) for a, b in zip(whole, alone, strict=True)]
-    rows = [_summary(kind, found[kind], max(hidden)) for kind in (CROSSED, ONE_BY_ONE, ALONE)]
+    rows = [_summary(kind, found[kind], max(hidden)) for kind in (CROSSED, ALONE)]
     median = rows[-1]["tip_mm"][0]
     ratios = [{"tool": row["tool"], "tips median": round(row["tip_mm"][0] / median, 3)} for row in rows[:-1]]
     return {"estimates": rows, "against alone": ratios}
@@ -73,18 +69,6 @@ def _alone(case: Case) -> FrameData:
     return _read(case, mask=mask, label=None, other_tools=())
 
 
-def _together(given: Measurement, cases: Sequence[Case]) -> Iterator[Run]:
-    """Estimate the tools of each frame together; yields a run for each of them."""
-    frames = grouped(cases, lambda case: f"{case.recording.session.folder} {case.frame}")
-    for count, tools in enumerate(frames.values(), start=1):
-        by_arm: Mapping[str, Case] = {str(case.recording.arm): case for case in tools}
-        shown = {arm: ToolInFrame(case.mask, case.readings, given.body) for arm, case in by_arm.items()}
-        config = replace(given.config, threads=1)
-        found = estimate_tools(shown, tools[0].camera, ignore=tools[0].ignore, config=config)
-        yield from (Run(case, found[arm]) for arm, case in by_arm.items())
-        print_progress("frames with both tools", count, len(frames))
-
-
 def _summary(kind: str, found: Sequence[Compared], hidden: float) -> dict[str, Any]:
     """Return shares, percentiles (50, 90, 100) and means of the errors of estimates of one kind."""
     return {
@@ -96,7 +80,6 @@ def _summary(kind: str, found: Sequence[Compared], hidden: float) -> dict[str, A
         "mean_mm": round(float(np.mean([one.tip_mm for one in found])), 3),
         "ok": sum(one.run.trusted for one in found),
         "ok, more than 3 mm off": sum(one.run.trusted and one.tip_mm > 3 for one in found),
-        "solved again": sum("behind" in one.run.result.other_tools.values() for one in found),
     }
 
 
