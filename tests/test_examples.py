@@ -17,7 +17,7 @@ from helpers.places import ROOT, SCRIPTS
 import dvrk_cmaes
 from dvrk_cmaes.cli import main
 
-OF_ROS = {"live_launch", "sam2_mask_node"}  # of tests/live/test_page.py
+OF_ROS = {"__init__", "live_launch", "play_session", "sam2_mask_node"}  # of tests/live/test_page.py
 EXAMPLES = sorted(path for path in (SCRIPTS / "examples").glob("*.py") if path.stem not in OF_ROS)
 
 

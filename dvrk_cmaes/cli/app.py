@@ -49,6 +49,9 @@ With --debug, any command shows where in the program an error was raised.
 _FUNCTIONS: Final = {"import": "import_recording:import_recording", "help": "help:help_topic"}
 """Module and function of the commands that are not named as these."""
 
+_REMOVED: Final = {"--rehearse": "`dvrk-cmaes track --causal`"}
+"""Options that are no longer there, and what is used instead."""
+
 
 def _version() -> str:
     """Return the version of the package."""
@@ -104,7 +107,7 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
         case CycloptsError():
             error.verbose = False
             command = " ".join(["dvrk-cmaes", *(error.command_chain or ())])
-            print_error(f"{_missing(error, tokens) or error} (see {command} --help)")
+            print_error(f"{_removed(tokens) or _missing(error, tokens) or error} (see {command} --help)")
             return InputError.exit_code
         case DvrkCmaesError():
             print_error(str(error))
@@ -126,6 +129,12 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
             where = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}"
             print_error(f"internal error: {where}: {one_line(error)}; {_DEBUG} shows where")
     return DvrkCmaesError.exit_code
+
+
+def _removed(tokens: Sequence[str]) -> str | None:
+    """Return the message for the first option that is no longer there; None without one."""
+    names = (token.partition("=")[0] for token in tokens)
+    return next((f"{name}: no longer an option; use {_REMOVED[name]}" for name in names if name in _REMOVED), None)
 
 
 def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:

@@ -10,9 +10,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Event, Timer
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
@@ -22,21 +21,18 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_METHOD,
     METHOD,
     OUTPUT,
-    CameraOptions,
     DoubtfulSessionOption,
     Flag,
     InstrumentOptions,
     MethodOptions,
     SessionOption,
 )
-from dvrk_cmaes.cli.terminal import DOUBTFUL, Line, note, show, stopping_on_interrupt
+from dvrk_cmaes.cli.terminal import Line, note, show, stopping_on_interrupt
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.camera import Rig
     from dvrk_cmaes.live.inputs import InputTopics
-    from dvrk_cmaes.silhouette import Body
 
 TOPICS = Group.create_ordered("Topics")
 SERVER = Group.create_ordered("Server")
@@ -129,7 +125,6 @@ def live(
     host: Annotated[str, Parameter(group=SERVER)] = "127.0.0.1",
     port: Annotated[int, Parameter(group=SERVER)] = 9090,
     wait: Annotated[Flag, Parameter(group=SERVER)] = False,
-    rehearse: Annotated[Path | None, Parameter(group=SERVER)] = None,
     camera: Annotated[Path | None, Parameter(group=CAMERA)] = None,
     camera_right: Annotated[Path | None, Parameter(group=CAMERA)] = None,
     rectified: Annotated[Flag, Parameter(group=CAMERA)] = False,
@@ -171,10 +166,6 @@ def live(
         Its port.
     wait
         Wait for the server, the camera and the first image as long as it takes.
-    rehearse
-        Session folder, video or ROS recording that is played through the same loop by its own clock, without a server:
-        prints what was published, and how it compares with `track --causal` of the same recording. Arms are those of
-        its session.toml.
     camera
         Camera file, used instead of the topic of the camera.
     camera_right
@@ -205,7 +196,6 @@ def live(
         raise InputError(f"--port: expected 1 to 65535, got {port}")
     if not seconds > 0:
         raise InputError(f"--seconds: expected a time above 0, got {seconds:g}")
-    from dvrk_cmaes.cli.rehearsal import Rehearsed, play
     from dvrk_cmaes.cli.session_tools import read_calibration_of
     from dvrk_cmaes.export.frames import FrameNames
     from dvrk_cmaes.io.output import base, output
@@ -218,20 +208,6 @@ def live(
     from dvrk_cmaes.runs.solver_process import SolverProcess
     from dvrk_cmaes.runs.worker_process import WorkerProcess
 
-    if rehearse is not None:
-        cameras = CameraOptions(camera=camera, camera_right=camera_right, rectified=rectified)
-        if topics != DEFAULT_TOPICS or out is not None:
-            raise InputError("--rehearse: expected neither topics nor --out: a recording has its own topics")
-
-        def given(arm: str, body: Body) -> SessionCalibration | None:
-            return read_calibration_of(calibration, body, instrument.arm, arm, doubtful=doubtful_session)
-
-        with TemporaryDirectory() as scratch, shown_state() as shown:
-            recorded = Rehearsed.read(rehearse, psm[0], instrument, cameras, Path(scratch))
-            options: dict[str, Any] = {"lag": lag, "calibration": given, "overlay": overlay, "show": shown}
-            lines, ok = play(recorded, camera_frame, method.resolve(), **options)
-        show(lines)
-        return 0 if ok else DOUBTFUL
     if len(set(psm)) < len(psm):
         raise InputError(f"--psm: expected different arms, got {', '.join(psm)}")
     if len(psm) > 1 and calibration is not None and not all((calibration / arm).is_dir() for arm in psm):

@@ -29,7 +29,7 @@ from dvrk_cmaes.live.repeated_lines import RepeatedLines
 from dvrk_cmaes.live.solutions import LiveSolutions
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.solution_schedule import SolutionSchedule, Solver
+from dvrk_cmaes.track.solution_schedule import Solver
 from dvrk_cmaes.track.tracker import Tracker
 
 _MOST_LISTED = 8  # topics
@@ -59,9 +59,8 @@ class LiveSetup:
     """What is followed, and how.
 
     ``rig`` is used instead of the topics' cameras if given; ``rectified`` says which of the topics' matrices is used.
-    ``overlay`` publishes an overlay of each image. ``waits`` uses each solution a fixed time of images after its
-    keyframes, for which steps wait, instead of as soon as it is there. Trackers count time from ``origin``, ns.
-    ``apart`` starts a process in which one of several arms is followed; without it all are followed in this one.
+    ``overlay`` publishes an overlay of each image. Trackers count time from ``origin``, ns. ``apart`` starts a process
+    in which one of several arms is followed; without it all are followed in this one.
     """
 
     topics: InputTopics
@@ -71,7 +70,6 @@ class LiveSetup:
     rig: Rig | None = None
     rectified: bool = False
     overlay: bool = False
-    waits: bool = False
     origin: int = 0
     apart: Callable[[], Process] | None = None
 
@@ -115,15 +113,14 @@ class FollowedArm(ExitStack):
     def __init__(self, setup: LiveSetup, own: ArmSetup, report: Report) -> None:
         super().__init__()
         self._setup, self._own = setup, own
-        self._solver = None if own.solver is None else self.enter_context(own.solver())
-        self._solutions: LiveSolutions | SolutionSchedule | None = None
-        if self._solver is not None and not setup.waits:
-            self._solutions = LiveSolutions(self._solver, report, own.save, own.earlier)
+        self._solutions: LiveSolutions | None = None
+        if own.solver is not None:
+            self._solutions = LiveSolutions(self.enter_context(own.solver()), report, own.save, own.earlier)
 
     def begin(self, rig: Rig) -> FollowedArm:
         """Follow anew, by these cameras."""
         own, earlier = self._own, None
-        if isinstance(self._solutions, LiveSolutions) and own.calibration is None:
+        if self._solutions is not None and own.calibration is None:
             earlier = self._solutions.earlier_of(rig)
         self._tracker = tracker = Tracker(
             rig,
@@ -135,12 +132,8 @@ class FollowedArm(ExitStack):
             earlier=earlier is not None,
             sliced=True,
         )
-        if isinstance(self._solutions, SolutionSchedule):
-            self._solutions.finish()
-        if isinstance(self._solutions, LiveSolutions):
+        if self._solutions is not None:
             self._solutions.tracker = tracker
-        elif self._solver is not None:
-            self._solutions = SolutionSchedule(tracker, self._solver)
         return self
 
     @property

@@ -10,16 +10,15 @@ from typing import Any, cast
 import numpy as np
 import psutil
 import pytest
+from helpers.live_wires import Stage
 from helpers.moving_worlds import SMALL, moving_world
 
 from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.cli.rehearsal import Stage
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import header
 from dvrk_cmaes.live.apart import Process, TrackerApart
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
-from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.worker_process import WorkerProcess
 
 SEEDS = {"PSM1": 3, "PSM2": 4}
@@ -40,12 +39,10 @@ def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None
             ArmSetup(
                 FrameNames(arm, "camera", f"{arm}_base"),
                 world.body,
-                solver=partial(SolverProcess, world.body.instrument) if dies_at is None else None,
             )
             for arm, world in arms.items()
         ),
         rig=Rig.of(SMALL),
-        waits=True,
         origin=BEGIN,
         apart=apart,
     )

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from examples.play_session import RosbridgeServer
 from helpers.commands import run_command
 from helpers.fake_rclpy import Bus
 from helpers.made_recordings import BEGIN, SECOND
-from helpers.rosbridge_server import RosbridgeServer
 from helpers.waiting import wait_for
 from scipy.spatial.transform import Rotation
 
@@ -244,7 +244,7 @@ def test_both_arms_and_eyes_are_subscribed_with_their_own_topics(
         ),
         (
             ("--image-topic", "/i", "--rehearse", "s"),
-            "--rehearse: expected neither topics nor --out: a recording has its own topics",
+            "--rehearse: no longer an option; use `dvrk-cmaes track --causal` (see dvrk-cmaes live --help)",
         ),
     ],
 )

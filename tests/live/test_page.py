@@ -17,12 +17,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from examples.play_session import Robot as Player
+from examples.play_session import RosbridgeServer
+from examples.play_session import main as play
 from helpers.fake_rclpy import Bus, get_message
 from helpers.live_wires import info, stamp
 from helpers.moving_worlds import SMALL
 from helpers.places import ROOT
 from helpers.printed_blocks import PROGRAM, blocks, run
-from helpers.rosbridge_server import RosbridgeServer
+from helpers.waiting import wait_for
 
 from dvrk_cmaes import prepare
 from dvrk_cmaes.cli import live as cli_live
@@ -79,7 +82,7 @@ def encoded(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
-@pytest.mark.parametrize("command", [one for one in COMMANDS if "--rehearse" not in one])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_command_follows_what_a_server_sends(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     server = RosbridgeServer()
     monkeypatch.setattr(cli_live, "shown_state", partial(cli_live.shown_state, lines=0.1))
@@ -101,26 +104,30 @@ def test_command_follows_what_a_server_sends(command: str, monkeypatch: pytest.M
             assert re.search(f"^{pattern}$", ran.err, re.MULTILINE), (pattern, ran.err)
 
 
-@pytest.fixture
-def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A recording of 24 frames in the folder session of the working directory."""
-    monkeypatch.chdir(tmp_path)
-    write_recording(tmp_path / "session", SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", 24, 4, {}))
+def test_recording_that_is_played_is_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_recording(tmp_path / "session", SessionPlan(prepare("lnd"), SMALL, LEVELS["clean"], "video", 60, 4, {}))
+    robot = Player(tmp_path / "session")
+    server = RosbridgeServer()
+    monkeypatch.setattr("examples.play_session.RosbridgeServer", lambda port: server)
+    main = threading.main_thread().ident
 
+    def play_and_end() -> None:
+        play(str(tmp_path / "session"), 0)
+        signal.pthread_kill(main, signal.SIGINT)  # Ctrl-C
 
-def test_rehearsal_publishes_the_poses_of_track(session: None) -> None:
-    (command,) = (one for one in COMMANDS if "--rehearse" in one)
-    ran = run(command)
-    assert ran.code == 3, ran.err  # doubtful until the base is known
-    lines = ran.out.splitlines()
-    assert lines[0] == "24 images followed, 24 results published, 0 refused"
-    assert "/diagnostics: 24" in lines
-    assert "PSM1: track --causal has the same status in 24 of 24 images" in lines
-    (apart,) = re.findall(r"standard deviations \(median\), (\S+) at most", ran.out)
-    assert float(apart) < 0.05
-    (poses,) = re.findall(r"^/dvrk_cmaes/PSM1/camera_from_root: (\d+)$", ran.out, re.MULTILINE)
-    assert f"PSM1: {poses} poses, " in ran.out
-    assert int(poses) > 12
+    playing = threading.Thread(target=play_and_end, daemon=True)
+    playing.start()
+    wait_for(lambda: server.port)
+    ran = run(f"dvrk-cmaes live --port {server.port} {robot.options}")
+    playing.join(60)
+    followed = int(re.findall(r"(\d+) images followed", ran.out)[0])
+    poses = [fields["pose"] for _, fields in server.received["/dvrk_cmaes/PSM1/camera_from_root"]]
+    assert 0 < len(poses) <= followed <= 60
+    truths = [truth.camera_from_root[:3, 3] for truth in robot.session.truth.frames.values()]
+    found = np.array([poses[-1]["position"][axis] for axis in "xyz"])
+    assert min(np.linalg.norm(found - truth) for truth in truths) < 0.005  # m
 
 
 def test_node_of_masks_publishes_one_for_each_image(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 import roslibpy
+from examples.play_session import RosbridgeServer
 from helpers.live_wires import NothingBeside
 from helpers.made_recordings import ARM, BEGIN, HEIGHT, SECOND, WIDTH, pixels, sweep
-from helpers.rosbridge_server import RosbridgeServer
 from helpers.waiting import wait_for
 from scipy.spatial.transform import Rotation
 

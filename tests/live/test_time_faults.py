@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.play_session import RosbridgeServer
 from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, stamp
-from helpers.rosbridge_server import RosbridgeServer
 from helpers.waiting import wait_for
 
 from dvrk_cmaes.camera import Camera, Rig

@@ -25,7 +25,6 @@ all the time. Ten minutes with one loss a minute, and five of two arms and two e
 from __future__ import annotations
 
 import argparse
-import base64
 import multiprocessing
 import sys
 import time
@@ -41,15 +40,16 @@ from typing import Any, Final
 import cv2
 import numpy as np
 import psutil
+from examples.play_session import BEGIN, Robot, RosbridgeServer, header, png
 from scipy.spatial.transform import Rotation
 
+from dvrk_cmaes import load_instrument, prepare
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.cli.live import shown_state
-from dvrk_cmaes.cli.options import DEFAULT_CAMERA, InstrumentOptions
-from dvrk_cmaes.cli.rehearsal import Rehearsed
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup, follow
@@ -68,7 +68,6 @@ UNKNOWN: Final = "base not known yet"
 _IN_VIEW: Final = 0.5  # least share of the jaws in view
 _MEMORY_FROM: Final = 10  # s
 _SETTLED: Final = 120  # s
-BEGIN: Final = 1_795_000_000 * NANOSECONDS
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -87,31 +86,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overlay", action="store_true", help="publish overlays too")
 
 
-def read_recorded(folder: Path, instrument: str) -> Rehearsed:
-    """Read a session with masks."""
-    return Rehearsed.read(folder, "PSM1", InstrumentOptions(instrument=instrument), DEFAULT_CAMERA, folder)
-
-
-def compressed_topics(recorded: Rehearsed) -> InputTopics:
-    """Return the topics of a recording, those of images and masks with compressed ones."""
+def topics_of(robot: Robot) -> InputTopics:
+    """Return the topics of a recording."""
     eyes = {
-        name: EyeTopics(
-            f"/{name}/image/compressed", eye.camera, {arm: f"{topic}/compressed" for arm, topic in eye.masks.items()}
-        )
-        for name, eye in recorded.topics.eyes.items()
+        eye: EyeTopics(image, f"/{eye}/camera_info", masks if robot.masked else {})
+        for eye, (image, masks) in robot.eyes.items()
     }
-    return InputTopics(eyes, recorded.topics.joints)
+    return InputTopics(eyes, {arm: (topic,) for arm, topic in robot.joints.items()})
 
 
 def live_report(options: argparse.Namespace) -> Report:
     """Run the measurement and return its figures."""
-    recorded = read_recorded(options.session, options.instrument)
+    robot, body = Robot(options.session), prepare(load_instrument(options.instrument))
     calibration = None if options.calibration is None else read_calibration(options.calibration)
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     sending = Sending(
         options.session,
-        options.instrument,
         options.seconds,
         options.images,
         options.readings,
@@ -137,15 +128,13 @@ def live_report(options: argparse.Namespace) -> Report:
             busy = context.Process(target=_compute, daemon=True)
             busy.start()
             stack.callback(busy.kill)
-        others = [child.pid for child in psutil.Process().children()] if len(recorded.arms) > 1 else None
+        others = [child.pid for child in psutil.Process().children()] if len(robot.arms) > 1 else None
         Thread(target=_watch, args=(stop, memory, others), daemon=True).start()
         arms = []
-        for arm, own in recorded.arms.items():
-            solver = partial(SolverProcess, own.body.instrument, background=True) if options.solve else None
-            names = FrameNames(arm, "camera", f"{arm}_base")
-            arms.append(ArmSetup(names, own.body, own.kinematics, calibration, solver))
-        rig = next(iter(recorded.arms.values())).session.rig
-        topics = compressed_topics(recorded)
+        for arm in robot.arms:
+            solver = partial(SolverProcess, body.instrument, background=True) if options.solve else None
+            arms.append(ArmSetup(FrameNames(arm, "camera", f"{arm}_base"), body, "classic", calibration, solver))
+        rig, topics = robot.session.rig, topics_of(robot)
         apart = partial(WorkerProcess, for_long=True)
         setup = LiveSetup(topics, tuple(arms), EstimateConfig(), options.lag, rig, overlay=options.overlay, apart=apart)
         counts = follow(setup, connection, say, stop, show=stack.enter_context(shown_state()))
@@ -202,7 +191,6 @@ class Sending:
     """
 
     folder: Path
-    instrument: str
     seconds: float
     images: float
     readings: float
@@ -236,24 +224,27 @@ Messages = Sequence[tuple[float, dict[str, Any]]]
 def serve(pipe: Any, sending: Sending) -> None:
     """Serve a session's messages in real time; send the port, and at the end the figures, through a pipe."""
     sys.path.insert(0, str(ROOT / "tests"))
-    from helpers.rosbridge_server import RosbridgeServer  # type: ignore[import-not-found]
     from helpers.waiting import wait_for  # type: ignore[import-not-found]
 
-    recorded = read_recorded(sending.folder, sending.instrument)
-    topics = compressed_topics(recorded)
-    masks = {topic for eye in topics.eyes.values() for topic in eye.evidence}
-    messages = list(_messages(recorded, topics, sending))
+    robot = Robot(sending.folder)
+    messages = list(_messages(robot, sending))
     server = RosbridgeServer()
     server.start()
     pipe.send(server.port)
-    found = {arm: f"/dvrk_cmaes/{arm}/camera_from_root" for arm in recorded.arms}
-    wait_for(lambda: set(topics.timed) <= set(server.subscribed) and set(found.values()) <= set(server.advertised), 60)
+    found = {arm: f"/dvrk_cmaes/{arm}/camera_from_root" for arm in robot.arms}
+    wait_for(
+        lambda: (
+            {*robot.evidence, *robot.joints.values()} <= set(server.subscribed)
+            and set(found.values()) <= set(server.advertised)
+        ),
+        60,
+    )
     started, sent = time.perf_counter(), dict[tuple[int, int], float]()
     for one in messages:
         wait = started + one.moment - time.perf_counter()
         if wait > 0:
             time.sleep(wait)
-        if one.topic in masks:
+        if one.topic in robot.evidence:
             sent[_key(one.fields)] = time.perf_counter()
         server.send(one.topic, one.fields)
     time.sleep(0.5)
@@ -271,7 +262,7 @@ def serve(pipe: Any, sending: Sending) -> None:
             **_quantiles("age_ms", whole),
             **_quantiles("stated - true, ms", stated, (1, 50, 99)),
             "load": round(psutil.getloadavg()[0], 1),
-            **{arm: _trust(own.session, sending, poses[arm], statuses, arm) for arm, own in recorded.arms.items()},
+            **{arm: _trust(session, sending, poses[arm], statuses, arm) for arm, session in robot.arms.items()},
         }
     )
     server.stop()
@@ -305,7 +296,9 @@ def _key(fields: dict[str, Any]) -> tuple[int, int]:
 
 def _trust(session: Session, sending: Sending, poses: Messages, statuses: Messages, arm: str) -> dict[str, Any]:
     """Compare poses with the truth of the session, if it has one, and with what the statuses say of the base."""
-    truths = [session.truth.frames.get(frame.name) for frame in session.frames]
+    golden = session.folder / f"golden_{arm}.json"
+    truth_of = read_golden(golden) if golden.exists() else session.truth
+    truths = [truth_of.frames.get(frame.name) for frame in session.frames]
     if None in truths:
         return {}
     found = {_key(fields): fields["pose"] for _, fields in poses}
@@ -316,7 +309,7 @@ def _trust(session: Session, sending: Sending, poses: Messages, statuses: Messag
         if status["hardware_id"] != arm:
             continue
         values = {one["key"]: one["value"] for one in status["values"]}
-        moment = (_key(fields)[0] * NANOSECONDS + _key(fields)[1] - BEGIN) / NANOSECONDS
+        moment = (_key(fields)[0] * NANOSECONDS + _key(fields)[1] - BEGIN * NANOSECONDS) / NANOSECONDS
         if "age_ms" not in values:  # why there is no pose
             continue
         truth = truths[round(sending.place(moment, len(truths)))]
@@ -337,58 +330,37 @@ def _trust(session: Session, sending: Sending, poses: Messages, statuses: Messag
     return {**counts, "ok_after_base_%": round(100 * share, 1), "base_known_after_s": first, "statuses": dict(reasons)}
 
 
-def _messages(recorded: Rehearsed, topics: InputTopics, sending: Sending) -> Iterator[Sent]:
+def _messages(robot: Robot, sending: Sending) -> Iterator[Sent]:
     """Yield the messages of a session in the order of their times, forwards and backwards for some seconds."""
-    arms = recorded.arms.values()
-    count = min(len(arm.session.frames) for arm in arms)
-    frames = [
-        {f"{topic}/compressed": _compressed(array) for topic, array in recorded.arrays(number)}
-        for number in range(count)
-    ]
+    count = len(robot.session.frames)
+    frames = [dict(robot.pictures(number)) for number in range(count)]
     later = list[Sent]()
-    camera = next(iter(arms)).session.rig.camera
+    camera = robot.session.rig.camera
     disc = _disc(camera.height, camera.width)
-    images = {eye.image for eye in topics.eyes.values()}
+    images = {image for image, _ in robot.eyes.values()}
     for k in range(round(sending.seconds * sending.images)):
         moment = k / sending.images
         for topic, data in frames[round(sending.place(moment, count))].items():
             own = topic in images
-            fields = {
-                "header": _header(moment),
-                "format": "jpeg" if own else "png",
-                "data": disc if sending.loses(moment) and not own else data,
-            }
+            sent = disc if sending.loses(moment) and not own else data
+            fields = {"header": header(moment), "format": "jpeg" if own else "png", "data": sent}
             later.append(Sent(moment if own else moment + 1e-4, topic, fields))
-    for arm, clock in recorded.clocks.items():
-        (topic,) = topics.joints[arm]
-        times = np.array([time for time, _ in clock.readings])
-        names = list(clock.readings[0][1])
-        values = [np.array([row[name] for _, row in clock.readings]) for name in names]
+    for arm, topic in robot.joints.items():
+        times, values = robot.readings(arm)
         for k in range(round(sending.seconds * sending.readings)):
             moment = k / sending.readings
             at = times[0] + sending.place(moment + sending.late, count) / RECORDED - sending.late
-            position = [float(np.interp(at, times, column)) for column in values]
-            later.append(Sent(moment, topic, {"header": _header(moment), "name": names, "position": position}))
+            position = [float(np.interp(at, times, column)) for column in values.values()]
+            later.append(Sent(moment, topic, {"header": header(moment), "name": list(values), "position": position}))
     yield from sorted(later, key=lambda one: one.moment)
-
-
-def _compressed(array: np.ndarray) -> str:
-    """Return an image as JPEG, or a mask as PNG, in base64."""
-    return base64.b64encode(cv2.imencode(".png" if array.ndim == 2 else ".jpg", array)[1].tobytes()).decode()
 
 
 def _disc(height: int, width: int) -> str:
     """Return the mask of a disc in the middle of an image, which no instrument has."""
     pixels = np.zeros((height, width), dtype=np.uint8)
-    return _compressed(cv2.circle(pixels, (width // 2, height // 2), height // 8, 255, cv2.FILLED))
+    return png(cv2.circle(pixels, (width // 2, height // 2), height // 8, 1, cv2.FILLED))
 
 
 def _back_and_forth(k: float, last: int) -> float:
     """Return a position from 0 to ``last`` that goes forwards and backwards as k grows."""
     return last - abs(k % (2 * last) - last)
-
-
-def _header(moment: float) -> dict[str, Any]:
-    """Return a header, at a time after the beginning, s."""
-    seconds, rest = divmod(BEGIN + round(moment * NANOSECONDS), NANOSECONDS)
-    return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": "camera"}

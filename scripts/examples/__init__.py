@@ -1,0 +1,1 @@
+"""Examples of use, each to be run by itself."""
