@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import shutil
 from collections.abc import Callable
 from functools import partial
@@ -213,3 +214,111 @@ def test_lens_of_a_camera_file_is_read_under_its_usual_names(reports: Path) -> N
     for path in (reports / "camera-k1-number").glob("*.json"):
         with pytest.raises(InputError, match=r"expected a camera file: .* got the fields "):
             read_camera_file(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "label", "joints"),
+    [
+        ("nan.csv", "0001", 5),
+        ("na.csv", "0001", 6),
+        ("none.csv", "0001", 6),
+        ("nan_first.yaml", "message 1", 0),
+        ("nan_one.yaml", "message 1", 6),
+    ],
+)
+def test_reading_that_is_written_as_missing_is_not_known(reports: Path, name: str, label: str, joints: int) -> None:
+    assert len(read_joint_file(reports / "joints-nan" / name).rows[label].readings()) == joints
+
+
+@pytest.mark.parametrize("word", ["NaN", "<NA>", "NULL", "-", "n/a"])
+def test_words_of_tools_for_a_missing_reading_are_known(tmp_path: Path, word: str) -> None:
+    (tmp_path / "joints.csv").write_text(f"frame,yaw,jaw\n0,{word},0.5\n")
+    assert read_joints(tmp_path / "joints.csv") == {"jaw": 0.5}
+
+
+def test_frames_whose_readings_are_all_missing_count_as_without(reports: Path, run: Run) -> None:
+    done = run("import", reports / "joints-nan" / "nan_first.bag", "--out", "session", "--json")
+    of_arm = next(source for source in done.result["readings"] if "yaw" in source["joints"])
+    assert (of_arm["frames"], of_arm["without"]) == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "expected"),
+    [
+        ("excel", None, "got 1 different ones in 25 rows, such as 1.70E+09: digits were lost"),
+        ("float32", None, "got 1 different ones in 25 rows, such as 1700000000.000: digits were lost"),
+        ("to the second", [f"{1.7e9 + k // 10:.0f}.0" for k in range(30)], "got 3 different ones in 30 rows"),
+        (
+            "in ms, as a float",
+            [f"{1.7e12:.3e}" for _ in range(30)],
+            "got 1 different ones in 30 rows, such as 1.70",
+        ),
+    ],
+)
+def test_times_that_lost_their_digits_are_named(
+    reports: Path, tmp_path: Path, name: str, times: list[str] | None, expected: str
+) -> None:
+    path = reports / "time-lost-digits" / f"{name}.csv"
+    if times is not None:
+        path = tmp_path / "joints.csv"
+        path.write_text("time,jaw\n" + "".join(f"{time},0.5\n" for time in times))
+    with pytest.raises(InputError, match=re.escape(expected)):
+        read_joint_file(path)
+
+
+def test_readings_of_another_clock_name_both_and_the_option(reports: Path, shared: Path, run: Run) -> None:
+    video, demo = shared / "frames" / "video" / "easy" / "video.mp4", bundled_path("demo")
+    epoch = reports / "time-lost-digits" / "epoch.csv"
+    refusal = run("import", video, "--camera", demo / "camera.yaml", "--joints", epoch, "--out", "session").refusal
+    assert "got readings of 1700000000.000 to 1700000000.480 s and images of 0.000 to" in refusal
+    assert "--video-start" in refusal
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "expected"),
+    [
+        ("cvat_mask.xml", None, "CVAT's XML: export as COCO"),
+        ("cvat_poly.xml", None, "CVAT's XML: export as COCO"),
+        ("0001.txt", None, "YOLO's polygons: export as COCO"),
+        ("0001.tif", None, "a TIFF: save it as PNG"),
+        ("sam2.npz", None, "a NumPy array or an archive"),
+        ("labelstudio.json", None, "Label Studio's JSON: export as COCO"),
+        ("labelstudio_poly.json", None, "Label Studio's JSON: export as COCO"),
+        ("m.npy", b"\x93NUMPY\x01\0", "a NumPy array or an archive"),
+        ("m.webp", b"RIFF\x10\0\0\0WEBPVP8 ", "a WebP: save it as PNG"),
+        ("m.nrrd", b"NRRD0004\n", "a volume of slices"),
+        ("m.bmp", b"BM\x10\0", "a BMP: save it as PNG"),
+        ("m.txt", b"1 0.5 0.25 0.6 0.25 0.6 0.5\n", "YOLO's polygons: export as COCO"),
+    ],
+)
+def test_files_of_annotators_name_what_to_export(
+    reports: Path, tmp_path: Path, name: str, data: bytes | None, expected: str
+) -> None:
+    path = reports / "mask-annotators" / name
+    if data is not None:
+        path = tmp_path / name
+        path.write_bytes(data)
+    with pytest.raises(InputError, match=re.escape(expected)):
+        read_mask(path)
+
+
+@pytest.mark.parametrize("place", ["labels/0001.txt", "annotations.xml", "masks/0001.tif", "masks/0001.npy"])
+def test_session_does_not_pass_over_the_files_of_an_annotator(reports: Path, tmp_path: Path, place: str) -> None:
+    for folder in ("images", "labels", "masks"):
+        (tmp_path / folder).mkdir()
+    shutil.copy(bundled_path("demo", "camera.yaml"), tmp_path)
+    shutil.copy(bundled_path("demo", "masks", "0001.png"), tmp_path / "images")
+    given = {"txt": "0001.txt", "xml": "cvat_mask.xml", "tif": "0001.tif", "npy": "sam2.npz"}[place.split(".")[1]]
+    shutil.copy(reports / "mask-annotators" / given, tmp_path / place)
+    with pytest.raises(InputError, match=rf"{place}: expected masks .*, got "):
+        read_session(tmp_path, joints=None)
+
+
+@pytest.mark.parametrize("name", ["rec.bag.active", "cut.bag", "cut.mcap"])
+def test_recording_that_was_cut_off_names_what_mends_it(reports: Path, run: Run, name: str) -> None:
+    whole = {"bag": "bag-stamps-stand-still/rec.bag", "mcap": "bag-reindexed/rec_mcap/rec_mcap.mcap"}
+    source = reports / whole.get(name.split(".")[-1], whole["bag"])
+    Path(name).write_bytes(source.read_bytes()[:3000])
+    refusal = run("import", name, "--out", "session").refusal
+    assert "reindex" in refusal
+    assert ("recover" in refusal) == (name != "rec.bag.active")

@@ -17,8 +17,8 @@ import numpy as np
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.io.image_header import MOST_PIXELS
-from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.image_header import MOST_PIXELS, foreign
+from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
 
 EXPECTED = "a mask as JSON (COCO's run lengths or polygons, or labelme's shapes)"
@@ -43,7 +43,9 @@ def read_coco_mask(path: Path, name: str | None, categories: frozenset[str] | No
     InputError
         The file is none of these, or a data set without the frame; names the field and what was expected.
     """
-    document = read_json_object(path, expected=EXPECTED)
+    document = read_json(path, expected=EXPECTED)
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: expected {EXPECTED}, got {foreign(path.read_bytes())}")
     size, parts = _annotations(path, document, name)
     chosen = [part for part, kinds in parts if categories is None or categories & kinds]
     if parts and not chosen:

@@ -25,7 +25,7 @@ from dvrk_cmaes.frames.label import ANY, Label, LabelText, is_of_colours, named,
 from dvrk_cmaes.frames.label import EXPECTED as LABEL
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.files import read_bytes
-from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, palette_as_grey, read_header
+from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, foreign, palette_as_grey, read_header
 from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 400_000_000  # bytes
@@ -170,7 +170,7 @@ def _read_file(path: str | Path, what: str) -> tuple[bytes, ImageHeader]:
     data = read_bytes(path, expected=expected, largest=_LARGEST)
     header = read_header(data)
     if header is None:
-        raise InputError(f"{path}: expected {expected}, got something else or a damaged file")
+        raise InputError(f"{path}: expected {expected}, got {foreign(data)}")
     if header.width * header.height > MOST_PIXELS:
         raise InputError(
             f"{path}: expected at most {MOST_PIXELS // 1_000_000} megapixels, got {header.width} x {header.height}"

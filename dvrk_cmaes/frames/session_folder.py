@@ -37,6 +37,7 @@ from dvrk_cmaes.frames.published_layout import find_published_frames, is_publish
 from dvrk_cmaes.frames.session_video import SessionVideo
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.io.arguments import PATH, check_type
+from dvrk_cmaes.io.image_header import foreign
 from dvrk_cmaes.io.short_text import listed, natural, no_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
@@ -318,6 +319,7 @@ def _session_frames(
     masks, images, ignore = of_views[0]
     if views == (".",) and not masks:
         masks = of_views[0][0] = _masks_as_json(own, root, mask_folder)
+        _refuse_annotations(root, mask_folder, masks)
     for kinds in of_views:
         for of_kind in kinds:
             own.check_all(of_kind.values())
@@ -382,8 +384,17 @@ def _other_files(folder: Path) -> str:
     folders = [path.name for path in others if path.is_dir() and any(image_files(path))]
     if folders:
         return f'folders: {listed(folders, 3)} (session.toml says which: masks = "masks/{folders[0]}" of a [[tool]])'
-    kinds = sorted({path.suffix.lower() for path in others if path.suffix})
-    return f"files {', '.join(kinds)}: convert them to PNG" if kinds else "none"
+    first = next((path for path in others if path.is_file()), None)
+    return "none" if first is None else f"{first.name}, {foreign(first.read_bytes())}"
+
+
+def _refuse_annotations(root: Path, folder: Path, masks: Mapping[str, Path]) -> None:
+    """Raise an InputError for a session without masks that has an annotator's files, which would be passed over."""
+    if masks:
+        return
+    places = (root / "annotations.xml", *sorted((root / "labels").glob("*.txt")), *sorted(folder.glob("*.*")))
+    for path in (path for path in places if path.is_file() and not path.name.startswith(".")):
+        raise InputError(f"{path}: expected masks (PNG or JPEG, or masks.json), got {foreign(path.read_bytes())}")
 
 
 def _with_names_of(masks: Mapping[str, Path], named: set[str]) -> Mapping[str, Path]:

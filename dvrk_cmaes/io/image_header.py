@@ -6,6 +6,7 @@ Decoders treat incomplete files differently: some print messages, some fill the 
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -52,6 +53,30 @@ def read_header(data: bytes) -> ImageHeader | None:
     except (struct.error, ValueError, KeyError):  # the last: a sampling of colours that simplejpeg does not know
         return None
     return header if header.width > 0 and header.height > 0 else None
+
+
+_FOREIGN = (
+    (b"<", b"<annotations", "CVAT's XML: export as COCO 1.0 (masks.json), or Segmentation mask 1.1"),
+    (b"[", b'"annotations"', "Label Studio's JSON: export as COCO, or as PNG masks"),
+    ((b"II*\0", b"MM\0*"), b"", "a TIFF: save it as PNG"),
+    (b"BM", b"", "a BMP: save it as PNG"),
+    (b"RIFF", b"WEBP", "a WebP: save it as PNG"),
+    (b"GIF8", b"", "a GIF: save it as PNG"),
+    ((b"\x93NUMPY", b"PK"), b"", "a NumPy array or an archive: save masks by cv2.imwrite(name, 255 * mask)"),
+    (b"NRRD", b"", "a volume of slices: export each slice as PNG"),
+    (b"", b'"annotations"', "JSON: give it with the suffix .json"),
+)
+"""How files of annotators begin, what they have among their first 100,000 bytes, and what to do."""
+_POLYGON = re.compile(rb"\d+( \d*\.\d+){6,}\s")
+
+
+def foreign(data: bytes) -> str:
+    """Say what an intact file of an annotator is, and what to export instead of it."""
+    start = data[:100_000].lstrip(b"\xef\xbb\xbf \r\n")
+    if _POLYGON.match(start):
+        return "YOLO's polygons: export as COCO (masks.json), or as PNG masks"
+    found = (text for begin, inside, text in _FOREIGN if start.startswith(begin) and inside in start)
+    return next(found, "something else or a damaged file")
 
 
 def _chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:

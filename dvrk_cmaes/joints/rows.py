@@ -15,6 +15,7 @@ from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.names import joint_reading
 
 _NUMBER = re.compile(r"\d+$")
+_MISSING = ("", "nan", "na", "n/a", "<na>", "none", "null", "-")  # cells of tools that write out a missing reading
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class JointRow:
 
     def readings(self) -> dict[str, float]:
         """Check the cells and return the known readings, rad or m; InputError names a wrong cell."""
-        known = {name: cell for name, cell in self.cells.items() if cell not in ("", None)}
+        known = {name: cell for name, cell in self.cells.items() if not is_missing(cell)}
         return {name: joint_reading(self.where, name, cell) for name, cell in known.items()}
 
 
@@ -118,7 +119,9 @@ class JointFile:
     @property
     def joints(self) -> tuple[str, ...]:
         """Joints with a reading in at least one row, in order of appearance."""
-        return tuple(dict.fromkeys(name for row in self.rows.values() for name, c in row.cells.items() if c != ""))
+        return tuple(
+            dict.fromkeys(name for row in self.rows.values() for name, c in row.cells.items() if not is_missing(c))
+        )
 
     @cached_property
     def timed(self) -> tuple[TimedReadings, ...]:
@@ -132,6 +135,11 @@ class JointFile:
                 times.setdefault(name, []).append(row.time)
                 values.setdefault(name, []).append([value])
         return tuple(TimedReadings.of(self.path, (name,), times[name], values[name]) for name in times)
+
+
+def is_missing(cell: object) -> bool:
+    """Whether a cell has no reading: it is blank, NaN, or what tools write there."""
+    return cell is None or cell != cell or (isinstance(cell, str) and cell.lower() in _MISSING)
 
 
 def number_of(name: str) -> int | None:

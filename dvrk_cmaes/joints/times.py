@@ -60,6 +60,11 @@ def parse_times(column: str, cells: Sequence[tuple[str, str]]) -> list[int | Non
     factor = None if unit is None else _FACTORS[unit.lower()]
     times = [parse_time(where, cell, factor) if cell else None for where, cell in cells]
     known = [time for time in times if time is not None]
+    if len(known) >= _FEW and len(set(known)) <= len(known) / 2:
+        raise InputError(
+            f"{cells[0][0]}: {column}: expected times that advance, got {len(set(known))} different ones in "
+            f"{len(known)} rows, such as {cells[0][1]}: digits were lost where the table was written"
+        )
     if factor is None and len(known) >= _FEW and all(cell.isdecimal() for _, cell in cells if cell):
         step = float(np.median(np.diff(known))) / NANOSECONDS
         if _OF_MILLISECONDS[0] <= step <= _OF_MILLISECONDS[1]:

@@ -231,7 +231,10 @@ def _errors_as_input_errors(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         reason = "it claims more than fits into memory" if isinstance(error, MemoryError) else one_line(error)
-        raise InputError(f"{path}: expected a ROS recording, got one that cannot be read: {reason}") from None
+        raise InputError(
+            f"{path}: expected a ROS recording, got one that cannot be read: {reason}; one that was cut off "
+            "is mended by rosbag reindex (.bag), mcap recover (.mcap), or ros2 bag reindex (a folder)"
+        ) from None
 
 
 def _messages(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[int, Any]]:

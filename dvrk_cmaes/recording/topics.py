@@ -38,6 +38,8 @@ _MOST_LISTED = 20
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a ROS recording: a file with its suffix, or a folder with such files that is no session."""
+    if path.suffix == ".active":
+        raise InputError(f"{path}: expected a ROS recording that was closed: rosbag reindex it, and rename it to .bag")
     if not path.is_dir():
         return path.suffix.lower() in SUFFIXES
     if is_session_layout(path):

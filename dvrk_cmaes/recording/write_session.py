@@ -285,10 +285,14 @@ def _interpolate(
             continue
         columns += source.joints
         if summary.frames == 0:
-            away = math.nan if summary.nearest_s is None else summary.nearest_s
+            spans = [
+                f"{each[0] / NANOSECONDS:.3f} to {each[-1] / NANOSECONDS:.3f} s" if len(each) else "none"
+                for each in (source.times.tolist(), sorted(times))
+            ]
             raise InputError(
-                f"{path}: {source.source}: expected readings within {tolerance / NANOSECONDS:g} s before and "
-                f"after an image, got none; the nearest is {away:.6g} s away (another clock? a larger --tolerance?)"
+                f"{path}: {source.source}: expected readings within {tolerance / NANOSECONDS:g} s before and after an "
+                f"image, got readings of {spans[0]} and images of {spans[1]}: give the time of a video's first "
+                "image on the readings' clock by --video-start, or a larger --tolerance"
             )
         parts.append(cells)
         summaries.append(summary)
@@ -301,10 +305,11 @@ def _interpolate_source(
 ) -> tuple[list[list[str]], InterpolationSummary]:
     """Interpolate the readings of one source at times, ns; return the cells of each time and a summary."""
     at, gaps = np.array(times, dtype=np.int64), within(tolerance)
-    known, (nearest, farther) = source.known(at, gaps), source.distances(at)
+    nearest, farther = source.distances(at)
+    values = source.at(at, gaps, weighted_mean)
+    known = np.isfinite(values).any(axis=1)
     used, missed = farther[known].tolist(), nearest[~known].tolist()
-    rows = source.at(at, gaps, weighted_mean).tolist()
-    cells = [["" if math.isnan(value) else f"{value:.9f}" for value in row] for row in rows]
+    cells = [["" if math.isnan(value) else f"{value:.9f}" for value in row] for row in values.tolist()]
     return cells, InterpolationSummary(
         source=source.source,
         joints=source.joints,

@@ -135,7 +135,7 @@ def test_gap_beyond_tolerance_is_refused(tmp_path: Path) -> None:
     ("old", "new", "expected"),
     [
         ("position: [0.59,", "position: [[0.59],", "message 1: yaw: expected a finite number in rad, got [0.59]"),
-        ("position: [0.59,", "position: [.nan,", "message 1: yaw: expected a finite number in rad, got nan"),
+        ("position: [0.59,", "position: [.inf,", "message 1: yaw: expected a finite number in rad, got inf"),
         (
             "position: [0.59,",
             "position: [59.1,",
@@ -228,7 +228,7 @@ def test_other_numpy_files_are_refused_without_running_code(tmp_path: Path) -> N
     assert message(saved(path, [1.0, 2.0])) == "expected 6 values (" + ", ".join(ARM) + "), 1 (jaw) or all 7, got 2"
     assert message(saved(path, np.zeros(100))) == f"{expected}float64 of shape (100,)"
     assert message(saved(path, ["a"])) == f"{expected}<U1 of shape (1,)"
-    assert message(saved(path, [np.nan])) == "jaw: expected a finite number in rad, got nan"
+    assert message(saved(path, [np.inf])) == "jaw: expected a finite number in rad, got inf"
     np.save(path, np.array([{"a": 1}], dtype=object), allow_pickle=True)
     assert message(path) == f"{expected}object of shape (1,)"
     whole = saved(path, VALUES).read_bytes()
