@@ -493,7 +493,7 @@ CASES: Final = (
     # names and numbers of frames
     LabCase("masks N_mask", _renamed_masks("N_mask.png"), "2 frames: 0, 1.*readings 2"),
     LabCase("masks mask_N", _renamed_masks("mask_N.png"), "2 frames: 0, 1.*readings 2"),
-    LabCase("masks as TIFF", _renamed_masks("N.tif"), "convert them to PNG", (REFUSED,)),
+    LabCase("masks as TIFF", _renamed_masks("N.tif"), "rename it to .png", (REFUSED,)),
     LabCase("masks in a folder of the arm", _masks_of_an_arm, r'masks = "masks/PSM1"', (REFUSED,)),
     LabCase(
         "names that do not meet",

@@ -72,6 +72,8 @@ _POLYGON = re.compile(rb"\d+( \d*\.\d+){6,}\s")
 
 def foreign(data: bytes) -> str:
     """Say what an intact file of an annotator is, and what to export instead of it."""
+    if read_header(data) is not None:
+        return "a PNG or JPEG by another name: rename it to .png or .jpg"
     start = data[:100_000].lstrip(b"\xef\xbb\xbf \r\n")
     if _POLYGON.match(start):
         return "YOLO's polygons: export as COCO (masks.json), or as PNG masks"
