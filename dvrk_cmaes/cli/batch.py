@@ -256,9 +256,9 @@ def batch(
             return INTERRUPTED
         if len(finished) > 1 and part is None:
             with output(results, "batch"):
-                page = write_arms(results, arms)
+                write_arms(results, arms)
             if not json:
-                show([Line(f"all arms: {page}")])
+                show([Line(f"all arms: {results / 'overlays'}")])
         code = exit_code(frame["status"] for done in finished.values() for frame in done.document["frames"].values())
         return DOUBTFUL if exchanged and code == 0 else code
 

@@ -218,9 +218,9 @@ def calibrate(
                 warn(text)
             with output(target, "calibrate"):
                 agree = write_bases(calibrations, setup, target, quiet=json)
-                page = write_arms(target, arms)
+                write_arms(target, arms)
             if not json:
-                show([Line(f"all arms: {page}")])
+                show([Line(f"all arms: {target / 'overlays'}")])
         return DOUBTFUL if exchanged or not agree or any(map(_is_doubtful, solved.values())) else 0
 
 

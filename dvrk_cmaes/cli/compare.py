@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.label_table import label_table
 from dvrk_cmaes.cli.options import DEFAULT_INSTRUMENT, OUTPUT, Flag, InstrumentOptions
-from dvrk_cmaes.cli.terminal import Line, answer, show
+from dvrk_cmaes.cli.terminal import Line, answer
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -70,24 +70,22 @@ def compare(
     out
         Folder for compare.csv, one row a frame, and compare.html, a page with plots and the overlays that differ most.
     picture
-        File for a figure of the differences over the frames: .png, .pdf, .svg or .jpg. Needs matplotlib (pip install
-        '.[plots]').
+        File for a figure of the differences over the frames: .svg.
     json
         Print only the comparison, as JSON, on stdout.
     """
-    from dvrk_cmaes.draw.figure import check_figure_path, write_figure
     from dvrk_cmaes.evaluate.compared_set import read_compared_set
     from dvrk_cmaes.evaluate.comparison import compare_sets
     from dvrk_cmaes.io.atomic import write_text
     from dvrk_cmaes.io.output import LONG, check_output_folder, output
-    from dvrk_cmaes.report.compare_page import PAGE, write_compare_page
-    from dvrk_cmaes.report.compare_picture import draw_comparison
+    from dvrk_cmaes.report.compare_page import PAGE, draw_comparison, write_compare_page
+    from dvrk_cmaes.report.curves import check_svg_path
     from dvrk_cmaes.results.paths import check_writable
 
     if frames < 0:
         raise InputError(f"--frames: expected a whole number of at least 0, got {frames}")
     if picture is not None:
-        check_figure_path(picture)
+        check_svg_path(picture)
     if out is not None:
         check_writable(out)
         check_output_folder(out, "compare", names=(_TABLE, PAGE), owns=False)
@@ -110,14 +108,13 @@ def compare(
         with output(out, "compare", owns=False, wait=LONG):
             write_text(out / _TABLE, _csv_text(found))
             written += [out / _TABLE, write_compare_page(out, found)]
+    if picture is not None:
+        write_text(picture, draw_comparison(found))
+        written.append(picture)
     more = {} if of_labels is None else {"labels": of_labels.to_dict()}
     tables = [[] if of_labels is None else of_labels.lines(), _sets(found), _sums(found), _frames(found, frames)]
     lines = chain(*tables, (Line(f"written: {path}") for path in written))
     answer({**found.to_dict(), **more}, lines, json=json)
-    if picture is not None:  # after the tables, which need no matplotlib
-        write_figure(picture, draw_comparison(found))
-        if not json:
-            show([Line(f"written: {picture}")])
     return 0
 
 

@@ -41,7 +41,7 @@ def consistency(
     Example:
 
     ```
-    dvrk-cmaes consistency out/easy out/medium --picture axes.png
+    dvrk-cmaes consistency out/easy out/medium --picture axes.svg
     ```
 
     Parameters
@@ -58,24 +58,24 @@ def consistency(
         Description of the tool in the dVRK's format (JSON), for its roll offset (length along the shaft). By default
         the roll offset stated in the results, or that of the tools 400xxx if none is stated.
     picture
-        File for a figure of the axes and of their distances from x*, to one scale: .png, .pdf, .svg or .jpg. Needs
-        matplotlib (pip install '.[plots]').
+        File for a figure of the axes and of their distances from x*: .svg.
     json
         Print only the measures, as JSON, on stdout.
     """
-    from dvrk_cmaes.draw.figure import check_figure_path, write_figure
     from dvrk_cmaes.evaluate.agreement import measure_agreement
     from dvrk_cmaes.evaluate.consistency import TABLE_ONE
     from dvrk_cmaes.evaluate.result_set import read_result_set
     from dvrk_cmaes.instrument.dvrk_description import read_tool
+    from dvrk_cmaes.io.atomic import write_text
     from dvrk_cmaes.report.consistency_picture import draw_axes
+    from dvrk_cmaes.report.curves import check_svg_path
 
     if not results:
         raise InputError("RESULTS: expected at least one folder of results, got none")
     if len(session) not in (0, 1, len(results)):
         raise InputError(f"--session: expected one, or one for each of the {len(results)} results, got {len(session)}")
     if picture is not None:
-        check_figure_path(picture)
+        check_svg_path(picture)
     sources = session * len(results) if len(session) == 1 else session or (None,) * len(results)
     roll_offset = None if tool is None else read_tool(tool).roll_offset
     found = [
@@ -91,8 +91,8 @@ def consistency(
                 f"{spread.results.name}: solved {spread.results.solved}: such frames agree by construction, which says "
                 f"nothing about accuracy; no comparison with the paper's{instead}"
             )
-    if picture is not None:  # after the table, which needs no matplotlib
-        write_figure(picture, draw_axes(found))
+    if picture is not None:
+        write_text(picture, draw_axes(found))
         if not json:
             show([Line(f"written: {picture}")])
     return 0

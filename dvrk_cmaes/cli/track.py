@@ -183,6 +183,7 @@ def track(
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.joints.lag import Lag
+    from dvrk_cmaes.results.track_files import VIDEO
     from dvrk_cmaes.runs.track_arms import exchanged_while_followed, write_track_arms
     from dvrk_cmaes.runs.track_folder import tracking_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask, with_increasing_times
@@ -259,15 +260,16 @@ def track(
             exchanged = exchanged_while_followed(target, of_arms)
             with output(target, "track"):
                 rate = next(iter(finished.values())).frames_a_second
-                write_track_arms(target, seen, frames_a_second=rate, video=video, page=page)
+                if video:
+                    write_track_arms(target, seen, rate)
                 known = {name: own.calibration for name, own in finished.items() if own.calibration is not None}
                 if len(known) == len(arms):
                     agree = write_bases(known, setup, target, quiet=json)
         counts = {name: summary.counts for name, summary in finished.items()}
         lines = {name: _lines(own, target / name, page=page, rerun=rerun) for name, own in finished.items()}
         answer_by_arm(counts, lines, json=json)
-        if len(tools) > 1 and page and not (interrupted or json):
-            show([Line(f"all arms: {target / 'report.html'}")])
+        if len(tools) > 1 and video and not (interrupted or json):
+            show([Line(f"all arms: {target / VIDEO}")])
         for name, summary in finished.items():
             told = () if summary.calibration is None else summary.calibration.warnings
             for text in dict.fromkeys((*arms[name].session.rig.remarks, *told)):
@@ -342,7 +344,7 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
 
 def reason_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[Line]:
     """Yield a line for each kind of reason why frames are not ok, most frequent first, with these frames."""
-    from dvrk_cmaes.report.page_session import frames_by_reason
+    from dvrk_cmaes.report.template import frames_by_reason
 
     names = [row["frame"] for row in rows]
     kinds = frames_by_reason([row["reasons"] for row in rows])

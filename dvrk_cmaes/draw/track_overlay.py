@@ -15,7 +15,7 @@ from dvrk_cmaes.results.tracked import TrackView
 _STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLION}
 _FAINT = 0.25  # brightness of the mask where there is no image
 _TINT = 0.35  # of an arm's colour within its tool
-_MASK_LINES, _LINES = 140, 480  # widths of a line in that of the picture: 5 and 1 px at 640 px, 9 and 3 px at 1280
+_MASK_LINES, _LINES = 150, 320  # widths of a line in that of the picture: 4 and 2 px at 640 px, 9 and 4 px at 1280
 _STRIP = 22  # px, height of the strip with the status
 
 

@@ -1,102 +1,136 @@
-"""The HTML page of a comparison of results: summary, plots over the frames, and the frames that differ most."""
+"""The page of a comparison of sets of poses, OUT/compare.html, and its figure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.comparison import QUANTITIES, Comparison, count_statuses, median_of
-from dvrk_cmaes.report.page_template import render_template, write_rendered
-from dvrk_cmaes.report.page_thumbnails import Thumbnail, thumbnail
-from dvrk_cmaes.report.plots.axes import name_axis, value_axis
-from dvrk_cmaes.report.plots.panels import SHAPES, Mark, Panel, Plot, Series, mark_size
-from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.results.paths import check_frame_name, overlay_path, result_path
+from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes.report.curves import Chart, Curve, chart_svg, stacked
+from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Table, fixed, webp, write
+from dvrk_cmaes.results.paths import check_frame_name, overlay_path
 
 PAGE: Final = "compare.html"
 _PICTURES: Final = 24  # frames whose overlays are shown
+_WIDTH: Final = 480  # px
 
 
 def write_compare_page(out: Path, comparison: Comparison) -> Path:
     """Write OUT/compare.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
-    reference = comparison.labels[comparison.reference]
-    tips = [{frame: found.tip_mm for frame, found in differences.items()} for differences in comparison.differences]
-    overlaps = [{frame: entry.iou for frame, entry in compared.frames.items()} for compared in comparison.sets]
-    plots = (
-        _plot("tips", f"tips from {reference}, mm", comparison, tips, least=0.1, from_zero=True),
-        _plot("overlap", "overlap (IoU)", comparison, overlaps, least=0.02),
+    reference, labels = comparison.labels[comparison.reference], comparison.labels
+    truth = ", the truth" if comparison.sets[comparison.reference].kind == "truth" else ""
+    sets, sums = [], []
+    for k, compared in enumerate(comparison.sets):
+        statuses, within = count_statuses(compared), comparison.within_90(k)
+        counts = (str(statuses.get(status, 0)) if statuses else "-" for status in ("ok", "doubtful", "failed"))
+        overlap = fixed(median_of(frame.iou for frame in compared.frames.values()), 4)
+        stated = "-" if within is None else f"{within[0]} of {within[1]}"
+        compared_frames = "reference" if k == comparison.reference else str(len(comparison.differences[k]))
+        path = str(compared.path), compared.kind, str(len(compared.frames))
+        sets.append((labels[k], *path, *counts, overlap, compared_frames, stated))
+    for k in comparison.others:
+        for name, spread in comparison.spreads(k).items():
+            if spread is not None:
+                values = (f"{value:.3f}" for value in (spread.median, spread.percentile_95, spread.largest))
+                sums.append(
+                    (QUANTITIES.get(name, f"{name.removesuffix('_deg')}, deg"), labels[k], *values, spread.frame)
+                )
+    heads = "path", "what", "frames", "ok", "doubtful", "failed", "IoU, median", "compared", "tips within stated 90 %"
+    note = (
+        "Tips: mean distance of the tips. Root: distance of the root link's origins. Shaft: angle between the shafts. "
+        "Roll: angle about the shaft; from 90° on, the pose is rather that of the mirror twin. Joints: without sign."
     )
-    page = render_template(
-        "compare.html",
-        comparison=comparison,
-        quantities=_headings(comparison),
-        spreads={label: comparison.spreads(k) for k, label in enumerate(comparison.labels)},
-        statuses=[count_statuses(compared) for compared in comparison.sets],
-        overlaps=[median_of(iter(of_frames.values())) for of_frames in overlaps],
-        plots=[plot for plot in plots if plot is not None],
-        pictures=_pictures(comparison),
-    )
-    return write_rendered(out / PAGE, page)
-
-
-def _headings(comparison: Comparison) -> dict[str, str]:
-    """Return the headings of the quantities that differ, the joints after the others, by name."""
-    names = dict.fromkeys(name for k in comparison.others for name in comparison.spreads(k))
-    return {name: QUANTITIES.get(name, f"{name.removesuffix('_deg')}, deg") for name in names}
-
-
-def _plot(
-    name: str,
-    label: str,
-    comparison: Comparison,
-    of_sets: Sequence[Mapping[str, float | None]],
-    *,
-    least: float,
-    from_zero: bool = False,
-) -> Plot | None:
-    """Plot the values by frame of each set; the vertical axis has at least the span ``least``; None without any."""
-    frames = comparison.frames
-    values = {
-        k: {place: v for place, frame in enumerate(frames) if (v := by_frame.get(frame)) is not None}
-        for k, by_frame in enumerate(of_sets)
-    }
-    known = [value for by_place in values.values() for value in by_place.values()]
-    if not known:
-        return None
-    low, high = 0.0 if from_zero else min(known), max(known)
-    across = name_axis(frames, start=72, end=708)
-    up = value_axis(label, low, max(high, low + least), start=276, end=14)
-    step = min(0.15 * (across.at(1) - across.at(0)), 8.0)  # sets beside each other
-    series = tuple(
-        Series(
-            comparison.labels[k],
-            SHAPES[k % len(SHAPES)],
-            tuple(
-                Mark(place, across.at(place) + (k - (len(values) - 1) / 2) * step, up.at(value), True)
-                for place, value in by_place.items()
-            ),
-            colour=k,
+    many = f"{len(comparison.frames)} frame{'' if len(comparison.frames) == 1 else 's'}"
+    figures = [
+        KeyFigure(
+            f"{labels[k]}: tips from {reference}, median",
+            f"{spread.median:.2f} mm",
+            f"largest {spread.largest:.2f} mm ({spread.frame})",
         )
-        for k, by_place in values.items()
-        if by_place
+        for k in comparison.others
+        if (spread := comparison.spreads(k)["tip_mm"]) is not None
+    ]
+    page = Page(
+        "Comparison of poses",
+        f"{many} · differences from {reference}{truth}",
+        figures=figures,
+        parts=[
+            Part("Sets", tables=[Table(("set", *heads), sets)]),
+            Part(
+                f"Differences from {reference}, all frames",
+                notes=[note],
+                tables=[Table(("quantity", "set", "median", "95 %", "largest", "in frame"), sums)],
+                charts=comparison_charts(comparison),
+            ),
+        ],
+        entries=[_entry(comparison, frame, place) for place, frame in enumerate(comparison.by_size)],
+        heading="Frames, the largest difference first",
     )
-    return Plot(name, mark_size(len(frames)), (Panel(720, 330, across, up, series),))
+    return write(out / PAGE, page)
 
 
-def _pictures(comparison: Comparison) -> dict[str, dict[str, Thumbnail | None]]:
-    """Read the pictures of the frames that differ most, by frame and label of the set."""
-    paths = {label: compared.path for label, compared in zip(comparison.labels, comparison.sets, strict=True)}
-    frames = comparison.by_size[:_PICTURES]
-    chosen = {frame: {label: _picture(path, frame) for label, path in paths.items()} for frame in frames}
-    return {frame: pictures for frame, pictures in chosen.items() if any(pictures.values())}
+def comparison_charts(comparison: Comparison) -> list[Chart]:
+    """Chart the tips' distances (of the root, where tips are not known) from the reference, and the overlaps."""
+    frames, reference = comparison.frames, comparison.labels[comparison.reference]
+    sizes = [{frame: found.size[0] for frame, found in of_set.items()} for of_set in comparison.differences]
+    overlaps = [{frame: entry.iou for frame, entry in compared.frames.items()} for compared in comparison.sets]
+
+    def curves(of_sets: Sequence[Mapping[str, float | None]]) -> list[Curve]:
+        return [
+            Curve(
+                comparison.labels[k],
+                np.arange(len(frames), dtype=np.float64) + 0.08 * (k - (len(of_sets) - 1) / 2),
+                np.array([np.nan if (value := values.get(frame)) is None else value for frame in frames]),
+                points=True,
+                frames=frames,
+                colour=k,
+            )
+            for k, values in enumerate(of_sets)
+        ]
+
+    return [
+        Chart(f"Tips from {reference}", "frame", "mm", curves(sizes), names=frames, least=0.1),
+        Chart("Overlap", "frame", "IoU", curves(overlaps), names=frames, least=0.02),
+    ]
 
 
-def _picture(folder: Path, frame: str) -> Thumbnail | None:
-    """Read a thumbnail of a frame's overlay; None if the folder has none."""
+def draw_comparison(comparison: Comparison) -> str:
+    """Draw the charts of a comparison below each other, as SVG."""
+    drawn = [[chart_svg(chart)] for chart in comparison_charts(comparison) if chart.known]
+    return stacked(drawn, 680, 330)
+
+
+def _entry(comparison: Comparison, frame: str, place: int) -> Entry:
+    """Return what the page says of a frame: its differences, and the overlays of the first ones."""
+    rows, lines, pictures, status = [], list[str](), list[Picture](), ""
+    for k, compared in enumerate(comparison.sets):
+        entry, found = compared.frames.get(frame), comparison.differences[k].get(frame)
+        if place < _PICTURES:
+            pictures += _picture(compared.path, frame, comparison.labels[k])
+        if entry is None:
+            continue
+        status = entry.status or status
+        if found is not None:
+            what, size = ("root", found.root_mm) if found.tip_mm is None else ("tips", found.tip_mm)
+            lines.append(f"{comparison.labels[k]}: {what} off by {size:.2f} mm, shaft by {found.shaft_deg:.2f} deg")
+        twin = ", mirror twin" if found is not None and found.is_twin else ""
+        values = [None] * 4 if found is None else [found.tip_mm, found.root_mm, found.shaft_deg, found.roll_deg]
+        joints = "" if found is None else ", ".join(f"{name} {v:+.2f}" for name, v in found.joints_deg.items())
+        cells = f"{entry.status or '-'}{twin}", fixed(entry.iou, 4), *(fixed(value, 3) for value in values)
+        rows.append((comparison.labels[k], *cells, joints or "-"))
+    head = "set", "status", "IoU", "tips, mm", "root, mm", "shaft, deg", "roll, deg", "joints, deg"
+    return Entry(frame, status, pictures, lines, tables=[Table(head, rows)])
+
+
+def _picture(folder: Path, frame: str, label: str) -> Iterator[Picture]:
+    """Yield a frame's overlay, if the folder has one."""
     try:
         check_frame_name(frame)
-        return thumbnail(overlay_path(folder, frame), read_result(result_path(folder, frame)))
+        yield Picture(webp(read_image(overlay_path(folder, frame)), _WIDTH), caption=label)
     except InputError:
-        return None
+        return

@@ -1,50 +1,54 @@
-"""The HTML page of a session's results, OUT/report.html, which needs no network.
+"""The page of a session's results, OUT/report.html, and what it says of the session's calibration.
 
-The page contains the overlays of the most doubtful frames at full size, up to a limit, and links to the others
-(``overlays/``). It can be read and printed without scripts; with scripts, frames can be sorted, filtered and browsed
-with the keyboard, and the layers of the drawings shown one by one. The same results give the same bytes: the page does
-not depend on the time or the machine.
+A leave-one-out prediction is the silhouette of a frame computed from the other frames and its readings, without its
+image; its overlap with the frame's mask measures accuracy without true poses. The overlap of frames that were solved
+together does not, since each frame's own mask was used to solve it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from functools import partial
-from pathlib import Path
-from urllib.parse import quote
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path, PurePath
+from typing import Any, Final
+
+import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.report.page_calibration import calibration_view, left_out_views
-from dvrk_cmaes.report.page_frames import STATUSES, FrameCard, LeaveOneOut, doubt_key
-from dvrk_cmaes.report.page_layers import EMBEDDED, embedded_layers, embedded_picture, size_of_layers
-from dvrk_cmaes.report.page_scene import scene_of
-from dvrk_cmaes.report.page_session import (
-    FrameBases,
-    Run,
-    common_warnings,
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, PointSpread, converge_shafts, spread_of_bases
+from dvrk_cmaes.geometry import Float64, log_rotation, rotation_angle
+from dvrk_cmaes.report.curves import Chart, Curve
+from dvrk_cmaes.report.template import (
+    Entry,
+    KeyFigure,
+    Page,
+    Part,
+    Picture,
+    Pictures,
+    Table,
     counted_reasons,
-    joint_summaries,
-    provenances,
-    session_figures,
+    fixed,
+    write,
 )
-from dvrk_cmaes.report.page_template import render_template, write_rendered
-from dvrk_cmaes.report.page_thumbnails import thumbnail
-from dvrk_cmaes.report.plots.panels import joint_plot, rcm_plot
-from dvrk_cmaes.report.plots.tips import speed_plot, tips_plot
-from dvrk_cmaes.results.folder import SESSION, ResultsFolder, read_results, result_paths
-from dvrk_cmaes.results.paths import layers_path, left_out_path, overlay_path
+from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder, read_results, result_paths
+from dvrk_cmaes.results.paths import left_out_path, overlay_path
 from dvrk_cmaes.results.result import Result
 
-_THREADS = 2
+_STATUSES: Final = ("failed", "doubtful", "ok")
+_BARS_FOR_AT_MOST: Final = 80  # frames, of which standard deviations are drawn
+_MOST_PREDICTIONS: Final = 12  # pictures of predictions in the part on the calibration; all are with their frames
+_MOST_DETAILS: Final = 300  # frames whose tables are on the page; each has a document beside it
 
 
 def write_page(out: Path, folder: ResultsFolder | None = None) -> Path:
     """Write OUT/report.html for the results in OUT, and return its path.
 
-    The inputs are ``OUT/frames/*.json``, ``OUT/overlays/*.jpg``, and if they exist ``layers/*.json``, ``summary.json``,
-    ``session.json`` and ``overlays_left_out/*.jpg``.
+    The inputs are ``OUT/frames/*.json``, ``OUT/overlays/*.jpg``, and if they exist ``summary.json``, ``session.json``
+    and ``overlays_left_out/*.jpg``.
 
     Parameters
     ----------
@@ -58,112 +62,400 @@ def write_page(out: Path, folder: ResultsFolder | None = None) -> Path:
     InputError
         No results, or one that cannot be read, as in ``read_results``; a folder that cannot be written to.
     """
-    return write_rendered(out / "report.html", render_page(read_results(out) if folder is None else folder))
+    return write(out / "report.html", session_page(read_results(out) if folder is None else folder))
 
 
-def render_page(folder: ResultsFolder) -> str:
-    """Render the HTML page of a results folder."""
+def session_page(folder: ResultsFolder) -> Page:
+    """Return the page of a results folder."""
     results = list(folder.frames.values())
-    run = Run.of(folder.summary)
     calibration = None
     if folder.session is not None:
         calibration = SessionCalibration.from_dict(folder.session, where=str(folder.folder / SESSION))
     left = {} if calibration is None else calibration.left_out
     solved = [result for result in results if result.frame not in left]  # the session's figures are of these
-    base = FrameBases.of(solved)
-    left_out = {} if calibration is None else left_out_views(folder, calibration, _documents(folder))
-    views = _views(folder, results, base, left_out)
-    return render_template(
-        "page.html",
-        scripts=("tiles.js", "page.js", "layers.js", "scene.js"),
-        rules=sorted({view.thumbnail.crop.style for view in views if view.thumbnail and view.thumbnail.crop}),
-        results=results,
-        times=any(result.time is not None for result in results),
-        run=run,
-        instruments=sorted({result.instrument for result in results} - {""}),
-        statuses=STATUSES,
-        counts={status: sum(result.status == status for result in results) for status in STATUSES},
-        together=sum(result.source == "session" for result in results),
-        figures=list(session_figures(solved, base, run)),
-        joints=list(joint_summaries(solved)),
-        reasons=counted_reasons([result.reasons for result in results]),
-        shared_warnings=common_warnings(results),
-        joint_plot=joint_plot(results),
-        tips_plot=tips_plot(results),
-        speed_plot=speed_plot(results),
-        scene=scene_of(results, base),
-        rcm_plot=None if base is None else rcm_plot(results, base),
-        base=base,
-        frames=views,
-        calibration=None if calibration is None else calibration_view(folder, calibration, left_out),
-        provenances=provenances(results),
+    together = sum(result.source == "session" for result in results)
+    summary = folder.summary or {}
+    missing, session = summary.get("missing"), summary.get("session")
+    notes = []
+    if isinstance(missing, list) and missing:
+        notes.append(f"{len(missing)} more frame{' has' if len(missing) == 1 else 's have'} no result yet.")
+    if together:
+        all_of = "All" if together == len(results) else str(together)
+        notes.append(
+            f"{all_of} frames were solved together with their session: how well they agree says nothing about how "
+            "accurate they are."
+        )
+    elif any(result.camera_from_base is not None for result in results):
+        notes.append(
+            "Each frame was solved by itself: how far they agree about the arm's base is a check that needs no truth."
+        )
+    pictures = Pictures(folder.folder)
+    documents = {path.stem: path.relative_to(folder.folder).as_posix() for path in result_paths(folder.folder)}
+    entries = _entries(folder, calibration, documents, pictures)
+    parts = [] if calibration is None else list(_calibration_parts(folder, calibration, documents, pictures))
+    name = f"{PurePath(session).name} · " if isinstance(session, str) else ""
+    instruments = ", ".join(sorted({result.instrument for result in results} - {""}))
+    version = results[0].version
+    return Page(
+        "Instrument poses",
+        f"{name}{len(results)} frame{'' if len(results) == 1 else 's'}{f' of {instruments}' if instruments else ''}"
+        + (f" · dvrk-cmaes {version}" if version else ""),
+        {status: sum(result.status == status for result in results) for status in reversed(_STATUSES)},
+        alerts=() if calibration is None else calibration.warnings,
+        notes=[*notes, *(f"In every frame: {text}" for text in common_warnings(results))],
+        figures=list(session_figures(solved, summary)),
+        reasons=counted_reasons(result.reasons for result in results),
+        parts=[*parts, Part("Curves", charts=session_charts(results)), _settings(results)],
+        entries=entries,
     )
 
 
-def _documents(folder: ResultsFolder) -> dict[str, str]:
-    """Return the paths of the result files, relative to the folder, by file name without suffix.
+def doubt_key(result: Result) -> tuple[int, int, float, float]:
+    """Return a sort key that puts the most doubtful first: by status, number of reasons, then least overlap."""
+    q = result.quality
+    overlap, outline = (-1.0, math.inf) if q is None else (q.iou, q.contour_px_95)
+    return _STATUSES.index(result.status), -len(result.reasons), overlap, -outline
 
-    A frame's name is read from inside its result; only if it equals the name of a file are the frame's files known.
-    """
-    return {path.stem: path.relative_to(folder.folder).as_posix() for path in result_paths(folder.folder)}
+
+def common_warnings(results: Sequence[Result]) -> list[str]:
+    """Return the remarks and warnings that all of at least two frames have."""
+    if len(results) < 2:
+        return []
+    of_frames = [(*result.remarks, *result.warnings) for result in results]
+    shared = set.intersection(*(set(texts) for texts in of_frames))
+    return [text for text in dict.fromkeys(of_frames[0]) if text in shared]
 
 
-def _views(
-    folder: ResultsFolder, results: Sequence[Result], base: FrameBases | None, left_out: Mapping[str, LeaveOneOut]
-) -> list[FrameCard]:
-    """Make the entries of all frames, the most doubtful first."""
-    documents = _documents(folder)
-    overlays = [overlay_path(folder.folder, name) if name in documents else None for name in folder.frames]
-    with ThreadPoolExecutor(_THREADS) as pool:
-        thumbnails = list(pool.map(thumbnail, overlays, results))
-    away = {} if base is None else dict(zip(base.frames, base.points - base.centre, strict=True))
-    views = [
-        FrameCard(
-            result,
-            place,
-            small,
-            None if small is None or overlay is None else _address(f"overlays/{overlay.name}"),
-            _address(documents[name]) if name in documents else None,
-            away.get(name),
-            left_out.get(name),
+def session_figures(results: Sequence[Result], summary: Mapping[str, Any]) -> Iterator[KeyFigure]:
+    """Yield the key figures of the results of a session, whose summary.json is given."""
+    judged = [(result.quality, result.frame) for result in results if result.quality is not None]
+    if judged:
+        worst, where = min((q.iou, frame) for q, frame in judged)
+        median = f"{np.median([q.iou for q, _ in judged]):.3f}"
+        yield KeyFigure("Overlap (IoU), median", median, f"lowest {worst:.3f} ({where})")
+        yield KeyFigure(
+            "Outline to mask, median",
+            f"{np.median([q.contour_px_median for q, _ in judged]):.1f} px",
+            f"95 % of it within {np.median([q.contour_px_95 for q, _ in judged]):.1f} px, "
+            f"in the worst frame {max(q.contour_px_95 for q, _ in judged):.1f} px",
         )
-        for place, (name, result, overlay, small) in enumerate(
-            zip(folder.frames, results, overlays, thumbnails, strict=True)
+    tips = [(result.expected_error.tip_90_mm, result.frame) for result in results if result.expected_error is not None]
+    if tips:
+        most, where = max(tips)
+        figure = f"{np.median([tip for tip, _ in tips]):.2f} mm"
+        yield KeyFigure("Tips within (90 %), median", figure, f"at worst {most:.1f} mm ({where})")
+    seconds = [result.seconds for result in results if result.seconds and result.status != "failed"]
+    if seconds:
+        run = (summary.get("timing") or {}).get("run") or {}
+        took = f"; {run['frames']:,} frames in {run['seconds']:.0f} s" if run.get("frames") else ""
+        yield KeyFigure("Time a frame, median", f"{np.median(seconds):.2f} s", f"slowest {max(seconds):.2f} s{took}")
+    if not any(result.source == "session" for result in results):  # these agree by construction
+        yield from _agreement(results)
+
+
+def _agreement(results: Sequence[Result]) -> Iterator[KeyFigure]:
+    """Yield key figures of the agreement of at least three frames about the arm's base and the shafts' axes."""
+    bases = np.array([result.camera_from_base for result in results if result.camera_from_base is not None])
+    if len(bases) >= LEAST_FRAMES:
+        points = bases[:, :3, 3]
+        away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+        note = f"half of {len(bases)} frames within {1e3 * np.median(away):.1f} mm of the median"
+        yield KeyFigure("RCM, spread (rms)", f"{1e3 * PointSpread(points).rms:.1f} mm", note)
+        turned = spread_of_bases(bases)
+        note = f"median from the most central frame, at most {turned.largest_deg:.1f}°"
+        yield KeyFigure("Arm's base, rotation", f"{turned.median_deg:.1f}°", note)
+    poses = [result.camera_from_root for result in results if result.camera_from_root is not None]
+    if len(poses) >= LEAST_FRAMES:
+        try:
+            meeting = converge_shafts(np.stack(poses))
+        except InputError:  # the axes are parallel
+            return
+        note = f"standard deviation of their distances {1e3 * meeting.sigma:.2f} mm"
+        yield KeyFigure("Shaft axes meet, rms", f"{1e3 * meeting.rms:.2f} mm", note)
+
+
+def session_charts(results: Sequence[Result]) -> list[Chart]:
+    """Chart the joints' corrections, the tips and their speed, and the RCM, over time or the frames' names."""
+    times = [result.time for result in results if result.time is not None]
+    timed = len(times) == len(results) > 1 and max(times) > min(times)
+    places = np.array(times) - min(times) if timed else np.arange(len(results), dtype=np.float64)
+    across = "time from the first image, s" if timed else "frame"
+    names = () if timed else [result.frame for result in results]
+    hollow = np.array([result.status != "ok" for result in results])
+    bars = len(results) <= _BARS_FOR_AT_MOST
+
+    def chart(title: str, up: str, curves: Mapping[str, Sequence[float]], least: float, **more: Any) -> Chart:
+        stds = more.pop("stds", {}) if bars else {}
+        drawn = [
+            Curve(name, places, np.array(y, np.float64), True, stds.get(name), [r.frame for r in results], hollow)
+            for name, y in curves.items()
+        ]
+        return Chart(title, across, up, drawn, names=names, least=least, **more)
+
+    joints = dict.fromkeys(name for result in results for name in result.joints)
+    corrections = {name: [math.degrees(_correction(result, name)) for result in results] for name in joints}
+    stds = {name: np.array([(result.std_joints_deg or {}).get(name, np.nan) for result in results]) for name in joints}
+    tips = np.array([np.mean(result.tips, axis=0) if result.tips else [np.nan] * 3 for result in results]) * 1e3
+    bases = np.array(
+        [[np.nan] * 3 if r.camera_from_base is None else r.camera_from_base[:3, 3] for r in results], np.float64
+    )
+    charts = [
+        chart(
+            "Joint corrections",
+            "found - read, deg",
+            corrections,
+            1.0,
+            stds=stds,
+            note="Found less read; bars are one standard deviation, hollow points are not ok.",
         )
     ]
-    views.sort(key=lambda view: (doubt_key(view.result), view.place))
-    return _with_full_pictures(views, folder.folder)
+    for title, points, note in (
+        ("Tips in the camera", tips, "Mean of the tips, mm from its median: x right, y down, z forward."),
+        (
+            "Remote centre of motion in the camera",
+            1e3 * bases,
+            "Origin of the arm's base by each frame's readings.",
+        ),
+    ):
+        if np.isfinite(points).all(axis=1).sum() > 1:
+            off = points - np.nanmedian(points, axis=0)
+            curves = {axis: off[:, k].tolist() for k, axis in enumerate("xyz")}
+            charts.append(chart(title, "mm from the median", curves, 1.0, note=note))
+    if timed:
+        charts.append(chart("Speed of the tips", "mm/s", {"": _speeds(places, tips)}, 1.0))
+    return charts
 
 
-def _with_full_pictures(cards: Sequence[FrameCard], folder: Path) -> list[FrameCard]:
-    """Return entries of frames with their full pictures, in their order, until these reach the limit of size."""
-    complete: list[FrameCard] = []
-    size = 0
-    with ThreadPoolExecutor(_THREADS) as pool:
-        while size < EMBEDDED and len(complete) < len(cards):
-            next_cards = cards[len(complete) : len(complete) + _THREADS]
-            full = pool.map(partial(_with_full_picture, folder=folder), next_cards)
-            for plain, card in zip(next_cards, full, strict=True):
-                complete.append(card if size < EMBEDDED else plain)
-                size += len(card.full or "") + size_of_layers(card.layers)
-                size += 0 if card.left_out is None else len(card.left_out.full or "")
-    return [*complete, *cards[len(complete) :]]
+def _speeds(times: Float64, tips: Float64) -> list[float]:
+    """Return the speed of tips (N, 3) mm at times (N,) s since the frame with tips before; NaN without."""
+    speeds = np.full(len(times), np.nan)
+    order = [k for k in np.argsort(times, kind="stable").tolist() if np.isfinite(tips[k]).all()]
+    for a, b in pairwise(order):
+        if times[b] > times[a]:
+            speeds[b] = np.linalg.norm(tips[b] - tips[a]) / (times[b] - times[a])
+    return speeds.tolist()
 
 
-def _with_full_picture(card: FrameCard, folder: Path) -> FrameCard:
-    """Return the entry of a frame that has files with overlay, layers and picture of its prediction within the page."""
-    if card.document is None:
-        return card
-    name, left_out = card.result.frame, card.left_out
-    if left_out is not None and left_out.picture:
-        left_out = replace(left_out, full=embedded_picture(left_out_path(folder, name)))
-    return replace(
-        card,
-        full=embedded_picture(overlay_path(folder, name)) if card.overlay else None,
-        layers=embedded_layers(layers_path(folder, name)),
-        left_out=left_out,
+def _correction(result: Result, joint: str) -> float:
+    """Return a joint's found less read, rad; NaN if it was not read or not found."""
+    return result.joints.get(joint, math.nan) - result.readings.get(joint, math.nan)
+
+
+def _settings(results: Sequence[Result]) -> Part:
+    """Return what the results were computed with."""
+    made = Counter((r.version, r.instrument, r.seed, json.dumps(r.config, sort_keys=True)) for r in results)
+    rows = [(str(count), *map(str, kind[:3])) for kind, count in made.most_common()]
+    notes = ["The settings are in the JSON of each result."]
+    if len(rows) > 1:
+        notes.append("The results were computed with different settings, a row for each: compare them with care.")
+    return Part("Settings", notes=notes, tables=[Table(("frames", "version", "instrument", "seed"), rows)])
+
+
+# frames
+
+
+def _entries(
+    folder: ResultsFolder, calibration: SessionCalibration | None, documents: Mapping[str, str], pictures: Pictures
+) -> list[Entry]:
+    """Return the frames' entries, the most doubtful first; only those that have a file of their name have pictures."""
+    ranked = sorted(folder.frames.values(), key=doubt_key)  # stable: by name where the doubts are equal
+    entries = []
+    for place, result in enumerate(ranked):
+        shown: list[Picture] = []
+        if result.frame in documents:
+            shown = pictures.of(overlay_path(folder.folder, result.frame))
+            if calibration is not None and shown:
+                shown += pictures.of(
+                    left_out_path(folder.folder, result.frame), "as the session's other frames predict it"
+                )
+        entries.append(
+            Entry(
+                result.frame,
+                result.status,
+                shown,
+                list(_lines(result, calibration)),
+                result.reasons,
+                [*result.warnings, *(f"not used: {text}" for text in result.unused)],
+                list(_tables(result)) if place < _MOST_DETAILS else (),
+                documents.get(result.frame, ""),
+            )
+        )
+    return entries
+
+
+def _lines(result: Result, calibration: SessionCalibration | None) -> Iterator[str]:
+    """Yield what an entry says of a frame."""
+    if result.expected_error is not None:
+        yield result.expected_error.in_words
+    quality = result.quality
+    yield "no pose" if quality is None else f"IoU {quality.iou:.3f}, outline {quality.contour_px_95:.1f} px at 95 %"
+    if result.mode_probability is not None:
+        yield f"right mode: {result.mode_probability:.0%}"
+    if calibration is not None:
+        if result.frame in calibration.left_out:
+            yield f"left out of the calibration: {calibration.left_out[result.frame]}"
+        if result.frame in calibration.leave_one_out:
+            iou, contour = calibration.leave_one_out[result.frame]
+            yield f"predicted by the others: IoU {iou:.3f}, outline {contour:.1f} px"
+
+
+def _tables(result: Result) -> Iterator[Table]:
+    """Yield the tables of a frame: pose, joints and other modes."""
+    rows: list[Sequence[str]] = []
+    if result.camera_from_root is not None:
+        rows += _pose_rows(
+            result.root_link, result.camera_from_root, result.std_translation_mm, result.std_rotation_deg
+        )
+        rows += [(f"tip {k}, mm", *_three(1e3 * tip)) for k, tip in enumerate(result.tips, start=1)]
+    if result.camera_from_base is not None:
+        rows += _pose_rows("arm's base (RCM)", result.camera_from_base)
+    if rows:
+        yield Table(("pose in the camera", "x", "y", "z"), rows)
+    std = result.std_joints_deg or {}
+    joints = []
+    for name in dict.fromkeys([*result.joints, *result.readings]):
+        factor, unit = (1e3, "mm") if name.endswith("insertion") else (180 / math.pi, "deg")
+        found, read = result.joints.get(name, math.nan), result.readings.get(name, math.nan)
+        cells = fixed(factor * found, 2), fixed(std.get(name), 2), fixed(factor * read, 2)
+        joints.append((f"{name}, {unit}", *cells, fixed(factor * (found - read), 2, sign=True)))
+    if joints:
+        yield Table(("joints", "found", "std", "read", "found - read"), joints)
+    if result.alternatives:
+        others = []
+        for other in result.alternatives:
+            apart = turned = math.nan
+            if result.camera_from_root is not None:
+                apart = 1e3 * float(np.linalg.norm(other.camera_from_root[:3, 3] - result.camera_from_root[:3, 3]))
+                turned = math.degrees(float(rotation_angle(other.camera_from_root, result.camera_from_root)))
+            cells = f"{other.iou:.4f}", f"{other.loss:.4g}", fixed(other.reading_distance_deg, 1)
+            others.append((other.relation, *cells, fixed(apart, 1), fixed(turned, 1)))
+        yield Table(("other mode", "IoU", "loss", "from readings, deg", "apart, mm", "turned, deg"), others)
+
+
+def _pose_rows(
+    name: str, pose: Float64, std_mm: Float64 | None = None, std_deg: Float64 | None = None
+) -> Iterator[Sequence[str]]:
+    """Yield the rows of a pose (4, 4), and of its standard deviations along and about its own axes."""
+    yield f"{name}: position, mm", *_three(1e3 * pose[:3, 3])
+    if std_mm is not None:
+        yield "std along its own axes, mm", *_three(std_mm)
+    yield f"{name}: axis-angle, deg", *_three(np.degrees(log_rotation(pose[:3, :3])))
+    if std_deg is not None:
+        yield "std about its own axes, deg", *_three(std_deg)
+
+
+def _three(values: Float64) -> tuple[str, ...]:
+    return tuple(fixed(float(value), 2) for value in values)
+
+
+# the calibration
+
+
+def _calibration_parts(
+    folder: ResultsFolder, found: SessionCalibration, documents: Mapping[str, str], pictures: Pictures
+) -> Iterator[Part]:
+    """Yield what the page says of a calibration: base and offsets, and each frame as the others predict it."""
+    std = np.sqrt(np.diag(found.covariance))
+    rows = list(_pose_rows("arm's base (RCM)", found.camera_from_base, 1e3 * std[:3], np.degrees(std[3:6])))
+    moves = found.endoscope
+    if moves is not None:
+        for stand in moves.bases:
+            rows += _pose_rows(f"frames {stand.first} to {stand.last}", stand.camera_from_base)
+        for name, pose, deviations in (
+            ("camera in the endoscope's tip", moves.tip_from_camera, moves.std_tip_from_camera),
+            ("arm's base in that of the endoscope's arm", moves.ecm_from_base, moves.std_ecm_from_base),
+        ):
+            if pose is not None:
+                own = np.array(deviations)
+                rows += _pose_rows(name, pose, 1e3 * own[:3], np.degrees(own[3:]))
+    offsets = []
+    for (name, offset), of_offset in zip(found.offsets.items(), std[6:].tolist(), strict=True):
+        factor, unit = (1e3, "mm") if name == "insertion" else (180 / math.pi, "deg")
+        values = fixed(factor * of_offset, 2), fixed(factor * found.spreads.get(name, 0.0), 2)
+        offsets.append((f"{name}, {unit}", fixed(factor * offset, 2, sign=True), *values))
+    note = f"One place of the arm's base and one offset a joint, from {len(found.frames)} frames solved together."
+    if (folder.folder / ALONE / "report.html").is_file():
+        note += f" The same frames, each solved by itself: {ALONE}/report.html."
+    cables = () if found.cables is None else found.cables.in_words()
+    yield Part(
+        f"Calibration: {found.status}",
+        figures=list(_calibration_figures(found)),
+        notes=[note, *found.in_words(), *cables, *(f"This session cannot tell: {text}" for text in found.untold)],
+        tables=[
+            Table(("arm's base in the camera", "x", "y", "z"), rows),
+            Table(("true = read + offset", "offset", "std", "std between frames"), offsets),
+            Table(("left out", "why"), list(found.left_out.items()), frames=True),
+        ],
+        charts=[_lag_chart(found), *_cable_charts(folder, found)],
+    )
+    predictions = sorted((iou, name, px) for name, (iou, px) in found.leave_one_out.items() if name in folder.frames)
+    if not predictions:
+        return
+    shown: list[Picture] = []
+    for iou, name, px in predictions[:_MOST_PREDICTIONS]:
+        if name in documents:
+            caption = f"{name}: IoU {iou:.3f}, {px:.1f} px"
+            shown += pictures.of(left_out_path(folder.folder, name), caption, widest=480)
+    table = []
+    for iou, name, px in predictions:
+        result = folder.frames[name]
+        together = None if result.quality is None else result.quality.iou
+        table.append((name, f"{iou:.3f}", f"{px:.1f}", fixed(together, 3), result.status))
+    yield Part(
+        "Leave one out: each frame as the others predict it, the worst first",
+        notes=[
+            "Its image has no part in its prediction, only its readings have: a check that needs no truth. Yellow: the "
+            "mask; pink: the prediction."
+        ],
+        pictures=shown,
+        tables=[Table(("frame", "IoU", "outline, median px", "IoU solved together", "status"), table, frames=True)],
     )
 
 
-def _address(path: str) -> str:
-    return quote(path, errors="replace")
+def _calibration_figures(found: SessionCalibration) -> Iterator[KeyFigure]:
+    """Yield the key figures of a calibration."""
+    left = len(found.left_out)
+    total = len(found.frames) + left
+    yield KeyFigure("Frames used", f"{len(found.frames)} of {total}", f"{left} left out" if left else "none left out")
+    if found.leave_one_out:
+        overlaps = {name: iou for name, (iou, _) in found.leave_one_out.items()}
+        contours = {name: px for name, (_, px) in found.leave_one_out.items()}
+        worst, far = min(overlaps, key=lambda name: overlaps[name]), max(contours, key=lambda name: contours[name])
+        mean, median = np.mean(list(overlaps.values())), np.median(list(contours.values()))
+        yield KeyFigure("Predicted by the others, IoU", f"{mean:.3f}", f"mean; lowest {overlaps[worst]:.3f} ({worst})")
+        note = f"median; worst {contours[far]:.1f} px ({far})"
+        yield KeyFigure("Predicted by the others, outline", f"{median:.1f} px", note)
+    std = np.sqrt(np.diag(found.covariance))
+    yield KeyFigure("RCM, standard deviation", f"{1e3 * std[:3].max():.2f} mm", "along the base's least certain axis")
+    note = "about the base's least certain axis"
+    yield KeyFigure("Base's rotation, standard deviation", f"{np.degrees(std[3:6].max()):.2f}°", note)
+
+
+def _lag_chart(found: SessionCalibration) -> Chart | None:
+    """Chart the disagreement of the frames over the lag; None if no lag was searched."""
+    curve = found.lag_curve
+    if curve is None or len(curve.lags) < 2:
+        return None
+    note = "Mean squared disagreement of the frames with one base, in expected errors, were the images this late."
+    unit = "s" if curve.unit == "s" else "frames"
+    return Chart(
+        "How late the images are", f"lag, {unit}", "disagreement", [Curve("", curve.lags, curve.misfit)], note=note
+    )
+
+
+def _cable_charts(folder: ResultsFolder, found: SessionCalibration) -> Iterator[Chart]:
+    """Yield charts of the joints' errors, as they were found and as the other frames predict them."""
+    cables = found.cables
+    if cables is None:
+        return
+    for index, joint in enumerate(cables.joints):
+        read, errors = [], []
+        for name, corrections in cables.corrections.items():
+            result = folder.frames.get(name)
+            if result is not None and not math.isnan(off := _correction(result, joint)):
+                read.append(math.degrees(result.readings[joint]))
+                errors.append((math.degrees(off), math.degrees(found.offsets[joint] + corrections[index])))
+        if read:
+            x, (measured, predicted) = np.array(read), np.array(errors).T
+            curves = [Curve("found", x, measured, True), Curve("predicted by the other frames", x, predicted, True)]
+            yield Chart(f"Cables: {joint}", f"reading of {joint}, deg", "error, deg", curves, least=1.0)

@@ -1,33 +1,47 @@
-"""The HTML page of a followed recording, OUT/report.html, which needs no network.
-
-It shows curves over time, what happened when, and small pictures, with one cursor for all. The page contains all of it:
-numbers of 32 bits, and at most `track_pictures.MOST_PICTURES` pictures, however long the recording is.
-"""
+"""The page of a followed recording, OUT/report.html: figures, its pictures to play, curves, and what happened when."""
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.config import __version__
+from dvrk_cmaes.draw.track_overlay import draw_outlines
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.report.page_session import KeyFigure, counted_reasons
-from dvrk_cmaes.report.page_template import render_template, write_rendered
-from dvrk_cmaes.report.page_thumbnails import Thumbnail
-from dvrk_cmaes.report.plots.track import Chart, track_charts
-from dvrk_cmaes.report.track_events import DOUBTFUL, STATUSES, SWITCHED, TrackEvent, track_events
-from dvrk_cmaes.report.track_pictures import HIGH, MEDIAN
+from dvrk_cmaes.report.curves import Chart, Curve
+from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Player, counted_reasons, webp, write
+from dvrk_cmaes.results.tracked import TrackView
 
 PAGE: Final = "report.html"
-_MOST_EVENTS: Final = 1000  # rows of the table
+MOST_PICTURES: Final = 240
+SWITCHED: Final = "switched"
+_WIDTH: Final = 320  # px, of a picture of a view
+_QUALITY: Final = 35  # of WebP
+_STATUSES: Final = ("ok", "doubtful", "lost", "gone")
+_WORST: Final = ("gone", "lost", "doubtful", SWITCHED)
+_REASON_OF_SWITCH: Final = "switched to "
+_MOST_EVENTS: Final = 200
+
+
+@dataclass(frozen=True)
+class TrackEvent:
+    """A stretch of doubtful poses or without a supported pose, or a change of the mode.
+
+    kind : the status of its first frame, or ``switched``. first : index of its first frame. frames : their number.
+    reason : of the first frame.
+    """
+
+    kind: str
+    first: int
+    frames: int
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +50,9 @@ class FollowedRecording:
 
     rows : F lines of tracks.jsonl. session : name of the recording. instrument : name of the instrument.
     calibration : base, offsets and lag as they were found, or None. readings : at the images' times by joint, (F,) rad,
-    NaN where there is none. residuals : distances of the masks' contours from the outlines by name, (F,) px, NaN where
-    there is none. pictures : small pictures, by index of the frame. video : name of the overlay video beside the page;
-    empty without one.
+    NaN where there is none. overlaps : IoU of mask and silhouette, (F,), NaN where there is none. pictures : small
+    pictures as ``data:`` addresses, by index of the frame. video : name of the overlay video beside the page; empty
+    without one.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -46,130 +60,213 @@ class FollowedRecording:
     instrument: str
     calibration: SessionCalibration | None = None
     readings: Mapping[str, Float64] = field(default_factory=dict)
-    residuals: Mapping[str, Float64] = field(default_factory=dict)
-    pictures: Mapping[int, Thumbnail] = field(default_factory=dict)
+    overlaps: Float64 | None = None
+    pictures: Mapping[int, str] = field(default_factory=dict)
     video: str = ""
 
     @property
-    def times(self) -> Float64 | None:
-        """Times of the frames from the first one on, (F,) s; None if the times of some are not known."""
+    def times(self) -> Float64:
+        """Times of the frames from the first one on, (F,) s; their numbers if the times of some are not known."""
         known = [row["time"] for row in self.rows]
-        return None if None in known else np.array(known, dtype=np.float64) - known[0]
+        return np.arange(len(known), dtype=np.float64) if None in known else np.array(known, np.float64) - known[0]
+
+    @property
+    def timed(self) -> bool:
+        """Whether the times of all frames are known."""
+        return all(row["time"] is not None for row in self.rows)
+
+
+class TrackPictures:
+    """Gathers what a page needs of the frames of a recording, one after the other."""
+
+    def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        self._chosen = frozenset(chosen_frames(rows))
+        self.overlaps = np.full(len(rows), np.nan)
+        self.pictures: dict[int, str] = {}
+
+    def add(self, number: int, views: Sequence[TrackView]) -> None:
+        """Take what is needed of the frame of an index: the overlap in its views, and a picture of them."""
+        pairs = [(v.mask, v.silhouette) for v in views if v.mask is not None and v.silhouette is not None]
+        union = sum(int((mask | silhouette).sum()) for mask, silhouette in pairs)
+        if union:
+            self.overlaps[number] = sum(int((mask & silhouette).sum()) for mask, silhouette in pairs) / union
+        if number in self._chosen:
+            self.pictures[number] = webp(draw_outlines(views), len(views) * _WIDTH, _QUALITY)
+
+
+def chosen_frames(rows: Sequence[Mapping[str, Any]], most: int = MOST_PICTURES) -> list[int]:
+    """Choose the frames that get a picture: those at which something happened first, then others at equal distances.
+
+    Of more events than half of the pictures, the worst count.
+    """
+    places = sorted({event.first for event in track_events(rows)[: most // 2]})
+    even = np.linspace(0, len(rows) - 1, min(len(rows), most - len(places))).round().astype(int).tolist()
+    return sorted({*places, *even})
+
+
+def track_events(rows: Sequence[Mapping[str, Any]]) -> list[TrackEvent]:
+    """List what happened in a recording, given by its lines of tracks.jsonl: the worst first, then the longest."""
+    found: list[TrackEvent] = []
+    for bad, stretch in groupby(range(len(rows)), lambda k: _badness(rows[k]["status"])):
+        numbers = list(stretch)
+        switches = {k: text for k in numbers if bad < 2 and (text := _switch(rows[k]["reasons"]))}
+        if bad and len(switches) < len(numbers):
+            first = rows[numbers[0]]
+            found.append(TrackEvent(first["status"], numbers[0], len(numbers), next(iter(first["reasons"]), "")))
+        found += [TrackEvent(SWITCHED, k, 1, text) for k, text in switches.items()]
+    return sorted(found, key=lambda event: (_WORST.index(event.kind), -event.frames, event.first))
+
+
+def _badness(status: str) -> int:
+    """Return 0 for an ok pose, 1 for a doubtful one, 2 without a supported one."""
+    return {"ok": 0, "doubtful": 1}.get(status, 2)
+
+
+def _switch(reasons: Sequence[str]) -> str:
+    """Return the reason that says that the mode was changed; empty without one."""
+    return next((reason for reason in reasons if reason.startswith(_REASON_OF_SWITCH)), "")
 
 
 def write_track_page(out: Path, recording: FollowedRecording) -> Path:
     """Write OUT/report.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
-    return write_rendered(out / PAGE, render_track_page(recording))
+    return write(out / PAGE, track_page(recording))
 
 
-def render_track_page(recording: FollowedRecording) -> str:
-    """Render the page of a recording of at least one frame."""
-    rows, times = recording.rows, recording.times
-    charts = track_charts(rows, times, recording.readings, recording.residuals)
-    events = track_events(rows)
+def track_page(recording: FollowedRecording) -> Page:
+    """Return the page of a recording of at least one frame."""
+    rows, events, times = recording.rows, track_events(recording.rows), recording.times
     counts = Counter(row["status"] for row in rows)
-    return render_template(
-        "track.html",
-        scripts=("tiles.js", "track_plot.js", "track.js"),
-        styles=("track.css",),
-        rows=rows,
-        times=times,
-        recording=recording,
-        version=__version__,
-        statuses=[status for status in STATUSES if status in ("ok", "doubtful", "lost") or counts[status]],
-        counts=counts,
+    numbers = list(recording.pictures)
+    entries = []
+    for event in events[:_MOST_EVENTS]:
+        row, last = rows[event.first], rows[event.first + event.frames - 1]
+        stretch = f"{event.frames} frames, to {last['frame']}" if event.frames > 1 else "1 frame"
+        when = f"at {times[event.first]:.2f} s: " if recording.timed else ""
+        pictures = [Picture(recording.pictures[event.first])] if event.first in recording.pictures else []
+        seek = numbers.index(event.first) if pictures else None
+        lines = [f"{when}{stretch}"]
+        entries.append(Entry(row["frame"], event.kind, pictures, lines, [event.reason] * bool(event.reason), seek=seek))
+    notes = [f"{len(events) - _MOST_EVENTS} more places to look at."] if len(events) > _MOST_EVENTS else []
+    player = Player(
+        [rows[k]["frame"] for k in numbers],
+        [round(float(times[k]), 3) for k in numbers],
+        list(recording.pictures.values()),
+        [rows[k]["status"] for k in numbers],
+        recording.video,
+    )
+    return Page(
+        "A followed recording",
+        f"{recording.session} · {len(rows)} frame{'' if len(rows) == 1 else 's'} of {recording.instrument} · "
+        f"dvrk-cmaes {__version__}",
+        {status: counts[status] for status in _STATUSES if counts[status] or status != "gone"},
+        alerts=() if recording.calibration is None else recording.calibration.warnings,
+        notes=notes,
         figures=list(_figures(recording, events)),
-        charts=charts,
-        events=events[:_MOST_EVENTS],
-        more_events=max(len(events) - _MOST_EVENTS, 0),
-        switched=SWITCHED,
-        warnings=() if recording.calibration is None else recording.calibration.warnings,
-        reasons=counted_reasons([row["reasons"] for row in rows]),
-        data=_data(recording, charts, events),
+        reasons=counted_reasons(row["reasons"] for row in rows),
+        parts=[Part("Over time", charts=track_charts(recording))],
+        entries=entries,
+        heading="Places to look at, the worst first",
+        player=player if numbers else None,
     )
 
 
 def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iterator[KeyFigure]:
     """Yield the key figures of a recording."""
-    rows, times = recording.rows, recording.times
+    rows = recording.rows
     good = sum(row["status"] == "ok" for row in rows)
-    length = "" if times is None else f" in {times[-1]:.1f} s"
+    length = f" in {recording.times[-1]:.1f} s" if recording.timed else ""
     yield KeyFigure("Frames ok", f"{100 * good / len(rows):.1f} %", f"{good:,} of {len(rows):,}{length}")
-    gaps = [event for event in events if event.kind not in (SWITCHED, DOUBTFUL)]
-    longest = max(gaps, key=lambda event: event.frames, default=None)
+    gaps = [event for event in events if event.kind not in (SWITCHED, "doubtful")]
     note = "followed in every frame"
-    if longest is not None:
+    if gaps:
+        longest = max(gaps, key=lambda event: event.frames)
         many = "" if longest.frames == 1 else "s"
         note = f"longest: {longest.frames} frame{many}, from {rows[longest.first]['frame']}"
     yield KeyFigure("Lost", {0: "never", 1: "once"}.get(len(gaps), f"{len(gaps)} times"), note)
     switches = sum(event.kind == SWITCHED for event in events)
     yield KeyFigure("Modes switched", str(switches), "to another pose with nearly the same silhouette")
-    yield from _residual(rows, recording.residuals)
-    spread = [row["std"]["tip_mm"] for row in rows if row["std"] and row["std"].get("tip_mm") is not None]
-    if spread:
-        note = f"95 % of the frames within {np.percentile(spread, 95):.2f} mm"
-        yield KeyFigure("Tips, standard deviation, median", f"{np.median(spread):.2f} mm", note)
-    seconds = 1e3 * np.array([row["seconds"] for row in rows])
+    overlaps = recording.overlaps
+    if overlaps is not None and np.isfinite(overlaps).any():
+        worst = int(np.nanargmin(overlaps))
+        note = f"lowest {overlaps[worst]:.3f} ({rows[worst]['frame']})"
+        yield KeyFigure("Overlap (IoU), median", f"{np.nanmedian(overlaps):.3f}", note)
+    edges = _column(rows, "residual_px")
+    if np.isfinite(edges).any():
+        note = "standard deviation of the edges that were used, in half of the frames at most this"
+        yield KeyFigure("Edges to outline, median", f"{np.nanmedian(edges):.1f} px", note)
+    spread = _column(rows, "std", "tip_mm")
+    if np.isfinite(spread).any():
+        note = f"95 % of the frames within {np.nanpercentile(spread, 95):.2f} mm"
+        yield KeyFigure("Tips, standard deviation, median", f"{np.nanmedian(spread):.2f} mm", note)
+    seconds = 1e3 * _column(rows, "seconds")
     searched = sum(bool(row.get("searched")) for row in rows)
     note = f"99 % within {np.percentile(seconds, 99):.0f} ms; {searched} global searches"
     yield KeyFigure("Time a step, median", f"{np.median(seconds):.0f} ms", note)
-    yield from _base(rows)
+    last = rows[-1].get("base")
+    if last is not None:
+        first = next((row["frame"] for row in rows if row.get("base") and row["base"]["used"]), None)
+        far = "" if last["tip_mm"] is None else f", tips to {last['tip_mm']:.1f} mm by the last solution"
+        note = f"{last['keyframes']} keyframes at the end, {last['solved']} solved{far}"
+        yield KeyFigure("Base known", "not known" if first is None else f"from frame {first}", note)
     lag = None if recording.calibration is None else recording.calibration.lag
     if lag is not None:
         yield KeyFigure("Lag", lag.text, lag.describe())
 
 
-def _base(rows: Sequence[Mapping[str, Any]]) -> Iterator[KeyFigure]:
-    """Yield the key figure of the arm's base where it was found while following."""
-    known = [row.get("base") for row in rows]
-    last = known[-1]
-    if last is None:
-        return
-    first = next((k for k, each in enumerate(known) if each is not None and each["used"]), None)
-    value = "not known" if first is None else f"from frame {rows[first]['frame']}"
-    far = "" if last["tip_mm"] is None else f", tips to {last['tip_mm']:.1f} mm by the last solution"
-    yield KeyFigure("Base known", value, f"{last['keyframes']} keyframes at the end, {last['solved']} solved{far}")
-
-
-def _residual(rows: Sequence[Mapping[str, Any]], residuals: Mapping[str, Float64]) -> Iterator[KeyFigure]:
-    """Yield the key figure of the distances between masks and outlines or, without masks, of those of edges."""
-    known = [residuals[name][np.isfinite(residuals[name])] for name in (MEDIAN, HIGH) if name in residuals]
-    if len(known) == 2 and len(known[0]):
-        half, most = (f"{np.median(values):.1f} px" for values in known)
-        yield KeyFigure("Mask to outline, median", half, f"95 % of the contour within {most}, in half of the frames")
-        return
-    used = [row["residual_px"] for row in rows if row.get("residual_px") is not None]
-    if used:
-        note = "standard deviation of the image's edges that were used, in half of the frames at most this"
-        yield KeyFigure("Edges to outline, median", f"{np.median(used):.1f} px", note)
-
-
-def _data(recording: FollowedRecording, charts: Sequence[Chart], events: Sequence[TrackEvent]) -> dict[str, Any]:
-    """Return what the page's script draws: plain values, with curves as base64 of little-endian 32-bit floats."""
+def track_charts(recording: FollowedRecording) -> list[Chart]:
+    """Chart a recording over time, or over its frames: joints, offsets, tips, overlap and errors."""
     rows, times = recording.rows, recording.times
-    texts = list(dict.fromkeys(reason for row in rows for reason in row["reasons"]))
-    place = {reason: k for k, reason in enumerate(texts)}
-    return {
-        "frames": [row["frame"] for row in rows],
-        "times": None if times is None else _encoded(times, "<f4"),
-        "statuses": STATUSES,
-        "status": _encoded([STATUSES.index(row["status"]) for row in rows], "u1"),
-        "texts": texts,
-        "reasons": {k: [place[reason] for reason in row["reasons"]] for k, row in enumerate(rows) if row["reasons"]},
-        "events": [[event.kind, event.first, event.back] for event in events],
-        "charts": {
-            chart.name: {
-                "digits": chart.digits,
-                "curves": [
-                    {"colour": curve.colour, "faint": curve.faint, "values": _encoded(curve.values, "<f4")}
-                    for curve in chart.curves
-                ],
-            }
-            for chart in charts
-        },
-    }
+    across = "time, s" if recording.timed else "frame"
+
+    def chart(title: str, up: str, curves: Sequence[tuple[str, Float64]], note: str = "", least: float = 0.0) -> Chart:
+        drawn = [Curve(name, times, values) for name, values in curves]
+        return Chart(title, across, up, drawn, note, least=least, seeks=True)
+
+    joints = list(dict.fromkeys(name for row in rows for name in row["joints"]))
+    offsets = list(dict.fromkeys(name for row in rows for name in row.get("offsets") or {}))
+    found = [Curve(name, times, np.degrees(_column(rows, "joints", name)), colour=k) for k, name in enumerate(joints)]
+    read = [
+        Curve(name, times, np.degrees(recording.readings[name]), colour=k, faint=True)
+        for k, name in enumerate(joints)
+        if name in recording.readings
+    ]
+    tips = 1e3 * np.array([np.mean(row["tips"], axis=0) if row["tips"] else [np.nan] * 3 for row in rows])
+    middle = np.nanmedian(tips, axis=0) if np.isfinite(tips).any() else np.zeros(3)
+    steps = np.diff(times)
+    moved = np.divide(
+        np.linalg.norm(np.diff(tips, axis=0), axis=1), steps, out=np.full(len(steps), np.nan), where=steps > 0
+    )
+    overlaps = np.full(len(rows), np.nan) if recording.overlaps is None else recording.overlaps
+    base = [(name, _column(rows, "base", key)) for name, key in (("keyframes", "keyframes"), ("solved", "solved"))]
+    return [
+        Chart("Joints", across, "deg", [*found, *read], "Found, and faintly as the robot read them.", seeks=True),
+        chart(
+            "Offsets",
+            "deg",
+            [(name, np.degrees(_column(rows, "offsets", name))) for name in offsets],
+            "True = reading + offset, as it was known at the time.",
+        ),
+        chart("Overlap of mask and pose", "IoU", [("", overlaps)], least=0.02),
+        chart("Edges to outline", "px", [("", _column(rows, "residual_px"))], "Std of the edges that were used."),
+        chart(
+            "Tips in the camera",
+            "mm from the median",
+            [(axis, tips[:, k] - middle[k]) for k, axis in enumerate("xyz")],
+            "Mean of the tips: x right, y down, z forward.",
+        ),
+        chart("Speed of the tips", "mm/s" if recording.timed else "mm a frame", [("", np.append(np.nan, moved))]),
+        chart("Standard deviation of the tips", "mm", [("", _column(rows, "std", "tip_mm"))]),
+        chart("Keyframes", "number", base),
+        chart("Error of the tips that the last solution leaves", "mm", [("", _column(rows, "base", "tip_mm"))]),
+    ]
 
 
-def _encoded(values: Sequence[int] | NDArray[Any], kind: str) -> str:
-    """Encode numbers of a type, such as ``<f4``, as base64."""
-    return base64.b64encode(np.asarray(values).astype(kind).tobytes()).decode("ascii")
+def _column(rows: Sequence[Mapping[str, Any]], *keys: str) -> Float64:
+    """Return the values (F,) at keys in rows, one within the other; NaN where there is none."""
+    values = np.full(len(rows), np.nan)
+    for k, row in enumerate(rows):
+        value: Any = row
+        for key in keys:
+            value = None if value is None else value.get(key)
+        values[k] = np.nan if value is None else value
+    return values

@@ -1,4 +1,4 @@
-"""What a session's arms have in common: one overlay a frame with all tools, and a page that leads to each arm's."""
+"""What a session's arms have in common: one overlay a frame with all tools."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.io.short_text import natural
-from dvrk_cmaes.report.arms_page import write_arms_page
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import overlay_path, result_path
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
 
-def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> Path:
-    """Write OUT/overlays/FRAME.jpg with the tools of all arms, and OUT/report.html; returns the path of the page.
+def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> None:
+    """Write OUT/overlays/FRAME.jpg with the tools of all arms.
 
     The results of each arm are in OUT/ARM. Overlays that are newer than the results are kept. Errors as in
     `read_results` and `dvrk_cmaes.io.output.write_bytes`.
@@ -44,7 +43,6 @@ def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> Path:
             drawn = _drawn(shown, seen)
             if drawn is not None:
                 write_bytes(overlay, encoded_image(overlay, drawn))
-    return write_arms_page(out, folders)
 
 
 def _is_newer(path: Path, others: list[Path]) -> bool:

@@ -1,27 +1,22 @@
-"""What the followed arms of a recording have in common: a video with all tools, a page, and exchanged tools."""
+"""What the followed arms of a recording have in common: a video with all tools, and exchanged tools."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 
 from dvrk_cmaes.draw.track_overlay import draw_track_of_arms
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.video_writer import whole_video
-from dvrk_cmaes.report.arms_page import FramePicture, followed_picture, spread, write_followed_arms_page
 from dvrk_cmaes.results.track_files import TRACKS, VIDEO, read_tracks
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession, FoundFrame, exchanged_arms
 from dvrk_cmaes.runs.track_pictures import SeenFrame, seen_frames, size_of_views
 
 
-def write_track_arms(
-    out: Path, arms: Mapping[str, ArmInSession], *, frames_a_second: float, video: bool, page: bool
-) -> None:
-    """Write OUT/tracks.mp4 and OUT/report.html of arms whose results are in OUT/ARM.
+def write_track_arms(out: Path, arms: Mapping[str, ArmInSession], frames_a_second: float) -> None:
+    """Write OUT/tracks.mp4 of arms whose results are in OUT/ARM.
 
     Parameters
     ----------
@@ -31,8 +26,6 @@ def write_track_arms(
         The frames in which each arm was followed, and the arms' instruments, by arm.
     frames_a_second
         Those of the video.
-    video, page
-        Whether to write them.
 
     Raises
     ------
@@ -41,24 +34,14 @@ def write_track_arms(
     DvrkCmaesError
         OpenCV cannot encode the video.
     """
-    if not (video or page):
-        return
     rows = {arm: read_tracks(out / arm / TRACKS) for arm in arms}
     rig = next(iter(arms.values())).session.rig
     seen = {name: seen_frames(arm.session.frames, rows[name], rig, arm.body) for name, arm in arms.items()}
-    chosen = frozenset(spread(sorted({row["frame"] for of_arm in rows.values() for row in of_arm}, key=natural)))
-    pictures: list[FramePicture] = []
-    with whole_video(out / VIDEO, size_of_views(rig), frames_a_second) if video else nullcontext() as writer:
+    with whole_video(out / VIDEO, size_of_views(rig), frames_a_second) as writer:
         for frame, shown in _together(seen):
             statuses = {arm: str(seen_frame.row["status"]) for arm, seen_frame in shown.items()}
             views = [{arm: seen_frame.views[k] for arm, seen_frame in shown.items()} for k in range(len(rig.views))]
-            drawn = draw_track_of_arms(views, frame=frame, statuses=statuses, order=_from_far(shown))
-            if writer is not None:
-                writer.write(drawn)
-            if page and frame in chosen:
-                pictures.append(followed_picture(frame, drawn, statuses))
-    if page:
-        write_followed_arms_page(out, rows, pictures)
+            writer.write(draw_track_of_arms(views, frame=frame, statuses=statuses, order=_from_far(shown)))
 
 
 def exchanged_while_followed(out: Path, readings: Mapping[str, Mapping[str, Float64]]) -> list[str]:

@@ -16,8 +16,7 @@ from dvrk_cmaes.export.rerun_file import rerun_file
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.video_writer import whole_video
-from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
-from dvrk_cmaes.report.track_pictures import TrackPictures
+from dvrk_cmaes.report.track_page import FollowedRecording, TrackPictures, write_track_page
 from dvrk_cmaes.results.track_files import VIDEO
 from dvrk_cmaes.results.tracked import TrackView
 from dvrk_cmaes.runs.track_frames import TrackRun, files_of_views, read_arrays
@@ -110,5 +109,5 @@ def write_outputs(
                 read = {joint: float(values[number]) for joint, values in readings.items()}
                 log.add(number, row, read, views)
     if pictures is not None:
-        of_page = name, instrument.name, calibration, readings, pictures.residuals, pictures.pictures
+        of_page = name, instrument.name, calibration, readings, pictures.overlaps, pictures.pictures
         write_track_page(run.out, FollowedRecording(rows, *of_page, video=VIDEO if video else ""))

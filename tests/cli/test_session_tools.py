@@ -66,9 +66,6 @@ def test_batch_estimates_every_arm(folder: Path, quick: Path, capsys: pytest.Cap
             found, true = np.array(result["camera_from_root"]), SHIFTS[arm] @ truth
             assert np.linalg.norm(found[:3, 3] - true[:3, 3]) < 8e-3
         assert (out / arm / "report.html").is_file()
-    page = (out / "report.html").read_text(encoding="utf-8")
-    for arm in SHIFTS:
-        assert f'<a href="{arm}/report.html">' in page
     common = cv2.imread(str(out / "overlays" / "0000.jpg"))
     for colour in list(COLOURS)[:2]:  # both arms are drawn, each in its colour
         assert (np.abs(common.astype(int) - colour).max(axis=2) < 40).sum() > 100

@@ -80,8 +80,9 @@ def test_all_files_are_written(recording: Path, tmp_path: Path, capsys: pytest.C
     assert again.code == ran.code, again.err
     assert (out / "tracks.jsonl").read_bytes() == written["tracks.jsonl"]
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "<b><bdi>session</bdi></b> · 4 frames" in page
-    assert all(f'id="chart-{name}"' in page for name in ("joints", "offsets", "residual", "tips", "speed", "spread"))
+    assert "session · 4 frames" in page
+    titles = "Joints", "Offsets", "Overlap of mask and pose", "Tips in the camera", "Speed of the tips"
+    assert all(f"<h3>{title}</h3>" in page for title in titles)
     assert f"page: {out / 'report.html'}" in ran.out
 
 

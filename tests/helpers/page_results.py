@@ -99,7 +99,7 @@ class Page(HTMLParser):
         self.tags.append(tag)
         self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "action")]
         self._open.append(tag)
-        if tag == "h3" and "summary" in self._open:
+        if tag == "h3" and "article" in self._open:
             self.frames.append("")
         if tag in ("meta", "link", "img", "input", "path", "rect", "circle"):
             self._open.pop()
@@ -113,7 +113,7 @@ class Page(HTMLParser):
         if self._open and self._open[-1] in ("script", "style"):
             return
         self.words.append(data.strip())
-        if "h3" in self._open and "summary" in self._open:
+        if "h3" in self._open and "bdi" in self._open and "article" in self._open:
             self.frames[-1] += data
 
     @property

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.report import page_layers, page_thumbnails
+from dvrk_cmaes.report import compare_page, template, track_page
 
 ONE_PIXEL: Final = "data:image/webp;base64,UklGRhoAAABXRUJQVlA4TA0AAAAvAAAAEAcQERGIiP4HAA=="
 
@@ -34,7 +34,8 @@ def _black(path: Path, **_: object) -> np.ndarray:
 def plain_pictures() -> Iterator[None]:
     """Let the pictures of pages be of one pixel, without reading those of the results."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (page_thumbnails, page_layers):
-            patch.setattr(module, "webp_address", _one_pixel)
+        for module in (template, track_page, compare_page):
+            patch.setattr(module, "webp", _one_pixel)
+        for module in (template, compare_page):
             patch.setattr(module, "read_image", _black)
         yield

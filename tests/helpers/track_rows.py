@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.report.page_thumbnails import encoded_thumbnail
+from dvrk_cmaes.report.template import webp
 from dvrk_cmaes.report.track_page import FollowedRecording
 
 JOINTS = ("wrist_pitch", "wrist_yaw", "jaw")
@@ -39,10 +39,9 @@ def row(
 
 
 def recording(rows: list[dict[str, Any]], *, session: str = "made") -> FollowedRecording:
-    """A recording with readings, residuals, and a grey picture of each third frame."""
+    """A recording with readings, overlaps, and a grey picture of each third frame."""
     count = len(rows)
-    picture = encoded_thumbnail(np.full((120, 160, 3), 90, np.uint8), 128, 9000)
-    values = np.linspace(0.5, 2, count)
+    picture = webp(np.full((120, 160, 3), 90, np.uint8), 128)
     read = {joint: np.linspace(0, 1, count) for joint in JOINTS}
-    residuals = {"median": values, "95 %": 3 * values}
-    return FollowedRecording(rows, session, "lnd", None, read, residuals, dict.fromkeys(range(0, count, 3), picture))
+    pictures = dict.fromkeys(range(0, count, 3), picture)
+    return FollowedRecording(rows, session, "lnd", None, read, np.linspace(0.9, 1, count), pictures)

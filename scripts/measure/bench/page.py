@@ -1,4 +1,4 @@
-"""Size of the page of a long recording, and how long a real browser takes to load it and to draw."""
+"""Size of the page of a long recording, and how long a real browser takes to load it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.report.track_page import FollowedRecording, write_track_page
-from dvrk_cmaes.report.track_pictures import TrackPictures, chosen_frames
+from dvrk_cmaes.report.track_page import FollowedRecording, TrackPictures, chosen_frames, write_track_page
 from dvrk_cmaes.results.tracked import TrackView
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LEVELS
@@ -24,33 +23,7 @@ from dvrk_cmaes.synth.session import default_camera
 from dvrk_cmaes.synth.truth import exact_coverage
 
 _DRAWN: Final = 12  # images that are drawn; the pictures repeat them
-_LOADED: Final = "return document.documentElement.dataset.drawn === 'true'"
 _LOAD: Final = "return performance.getEntriesByType('navigation')[0].loadEventEnd"
-_REDRAW: Final = """
-const done = arguments[arguments.length - 1];
-const times = [];
-const buttons = ["closer", "closer", "wider", "wider"].map((id) => document.getElementById(id));
-const step = () => {
-  if (times.length === 12) return done(times);
-  const began = performance.now();
-  buttons[times.length % 4].click();
-  requestAnimationFrame(() => { times.push(performance.now() - began); setTimeout(step, 0); });
-};
-step();
-"""
-"""Script that gives the times, ms, from a click on a zoom button to the end of the drawing."""
-_MOVE: Final = """
-const canvas = document.querySelector('#charts canvas').parentElement;
-const box = canvas.getBoundingClientRect();
-const began = performance.now();
-for (let k = 0; k < 100; k += 1) {
-  const clientX = box.left + 60 + (k / 100) * (box.width - 80);
-  canvas.dispatchEvent(new PointerEvent('pointermove', {clientX, clientY: box.top + 20, pointerType: 'mouse'}));
-}
-document.body.getBoundingClientRect();
-return (performance.now() - began) / 100;
-"""
-"""Script that gives the time, ms, of a move of the cursor."""
 
 
 def page_report(frames: int, repeats: int) -> dict[str, Any]:
@@ -68,10 +41,8 @@ def page_report(frames: int, repeats: int) -> dict[str, Any]:
         row: dict[str, Any] = {"frames": frames, "pictures": len(recording.pictures), "MB": path.stat().st_size / 1e6}
         row["written, s CPU"] = time.process_time() - began
         with chromium(Path(folder) / "profile") as browser:
-            loads = [_load(browser, path) for _ in range(repeats)]
+            loads = [load(browser, path) for _ in range(repeats)]
             row |= {"loaded, s, median": float(np.median(loads)), "worst": max(loads)}
-            row["redrawn, ms, median"] = float(np.median(browser.execute_async_script(_REDRAW)))
-            row["cursor moved, ms"] = browser.execute_script(_MOVE)
     return {"page of a recording": [row]}
 
 
@@ -109,10 +80,9 @@ def made_recording(frames: int) -> FollowedRecording:
     for number in chosen_frames(rows):
         image, mask = drawn[number % len(drawn)]
         pictures.add(number, [TrackView(image, mask, mask, (camera.width, camera.height))])
-    noise = np.abs(rng.standard_normal((2, frames)))
+    overlaps = 1 - 0.02 * np.abs(rng.standard_normal(frames))
     read = {name: np.array([row["joints"][name] for row in rows]) - 0.1 for name in rows[0]["joints"]}
-    residuals = dict(zip(pictures.residuals, (0.5 + noise[0], 2 + 3 * noise[1]), strict=True))
-    return FollowedRecording(rows, "made", "lnd", None, read, residuals, pictures.pictures)
+    return FollowedRecording(rows, "made", "lnd", None, read, overlaps, pictures.pictures)
 
 
 @contextmanager
@@ -139,14 +109,6 @@ def chromium(profile: Path) -> Iterator[Any]:
         yield driver
     finally:
         driver.quit()
-
-
-def _load(browser: Any, path: Path) -> float:
-    """Open a page of a recording; gives the seconds until all is drawn."""
-    seconds = load(browser, path)
-    if not browser.execute_script(_LOADED):
-        raise DvrkCmaesError(f"{path}: the curves were not drawn")
-    return seconds
 
 
 def load(browser: Any, path: Path) -> float:

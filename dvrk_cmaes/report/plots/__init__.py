@@ -1,1 +1,0 @@
-"""Plots of the pages as SVG: axes, panels of marks and lines, and what each plot shows."""
