@@ -1,8 +1,7 @@
 """Paths of the output of a frame: ``OUT/frames/<frame>.json`` and ``OUT/overlays/<frame>.jpg``.
 
 A mask segmented from the image is written to ``OUT/masks/<frame>.png``; the overlay of the pose that the other frames
-of a calibrated session predict, to ``OUT/overlays_left_out/<frame>.jpg``. The layers of a frame's drawing, for the
-page, are in ``OUT/layers/<frame>.json``.
+of a calibrated session predict, to ``OUT/overlays_left_out/<frame>.jpg``.
 """
 
 from __future__ import annotations
@@ -34,11 +33,6 @@ def overlay_path(out: Path, frame: str) -> Path:
 def left_out_path(out: Path, frame: str) -> Path:
     """Return the path of the overlay of the pose that the session's other frames predict."""
     return out / "overlays_left_out" / f"{frame}.jpg"
-
-
-def layers_path(out: Path, frame: str) -> Path:
-    """Return the path of the layers of a frame's drawing."""
-    return out / "layers" / f"{frame}.json"
 
 
 def mask_path(out: Path, frame: str, view: str = "") -> Path:

@@ -1,7 +1,7 @@
 """Calibration of a session folder from its frames' own results, in several processes, with all files written.
 
 OUT/session.json, OUT/camera.yaml (a refined camera; of a rig that was changed, OUT/left.yaml and OUT/right.yaml),
-OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg, OUT/overlays_left_out/FRAME.jpg, OUT/layers/FRAME.json, OUT/poses.csv,
+OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg, OUT/overlays_left_out/FRAME.jpg, OUT/poses.csv,
 OUT/summary.json, OUT/report.html, OUT/masks/FRAME.png (masks that were found again)
 """
 
@@ -35,11 +35,9 @@ from dvrk_cmaes.io.atomic import encoded_image, write_json
 from dvrk_cmaes.io.output import Output, changed_files, whole_folder, write_bytes
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.results.folder import ALONE, SESSION
-from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.paths import (
     check_output,
     found_masks,
-    layers_path,
     left_out_path,
     mask_path,
     overlay_path,
@@ -176,7 +174,7 @@ def _with_masks_again(
 
 def _write(
     solved: SolvedSession,
-    pictures: Mapping[str, tuple[bytes, bytes, FrameLayers]],
+    pictures: Mapping[str, tuple[bytes, bytes]],
     arm: ArmInSession,
     out: Path,
     config: EstimateConfig,
@@ -186,14 +184,11 @@ def _write(
     session = arm.session
     for name, result in solved.results.items():
         if name in pictures:
-            overlay, left_out, layers = pictures[name]
+            overlay, left_out = pictures[name]
             write_bytes(overlay_path(out, name), overlay)
             write_bytes(left_out_path(out, name), left_out)
-            write_json(layers_path(out, name), layers.to_dict())
-        else:
-            for path in (overlay_path, layers_path):
-                if alone is not None and path(alone, name).is_file():
-                    write_bytes(path(out, name), path(alone, name).read_bytes())
+        elif alone is not None and overlay_path(alone, name).is_file():
+            write_bytes(overlay_path(out, name), overlay_path(alone, name).read_bytes())
         write_json(result_path(out, name), result.to_dict())
     calibration = solved.calibration
     write_cameras(calibration, session.rig, out)

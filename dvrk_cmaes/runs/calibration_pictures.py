@@ -12,9 +12,7 @@ from dvrk_cmaes.draw.view_overlays import draw_views, drawn_views
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.io.atomic import encoded_image
-from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.frame import layers_of_frame
 from dvrk_cmaes.silhouette import Body, Renderer
 
 
@@ -25,12 +23,12 @@ def draw_task(
     *,
     rig: Rig,
     calibrated: Rig,
-) -> tuple[bytes, bytes, FrameLayers]:
+) -> tuple[bytes, bytes]:
     """Draw a frame's result, and what the session's other frames predict for it.
 
     A task has the frame's files, which have a mask, its result, that prediction, and the evidence that was found with
     the ``calibrated`` rig, with which the session was solved; ``rig`` is that of the camera files. Returns the overlay
-    of the result and that of the prediction, JPEG, and the layers of the first.
+    of the result and that of the prediction, JPEG.
     """
     files, result, left_out, evidence = task
     data = read_frame(files, calibrated)
@@ -43,5 +41,4 @@ def draw_task(
         predicted = renderer.masks(pose[None], left_out.joints[None])[0]
         shown.append(draw_left_out(view.mask, predicted, left_out.iou, left_out.contour_px, image=view.image))
     second = np.concatenate(shown, axis=1)
-    layers = layers_of_frame(result, drawn, body)
-    return encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second), layers
+    return encoded_image("overlay.jpg", overlay), encoded_image("left_out.jpg", second)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.draw.frame_layers import frame_layers
 from dvrk_cmaes.draw.overlay import draw_failed
 from dvrk_cmaes.draw.view_overlays import draw_views
 from dvrk_cmaes.estimation import estimate_views
@@ -21,7 +20,6 @@ from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_fram
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.output import LONG, output
-from dvrk_cmaes.results.layers import FrameLayers
 from dvrk_cmaes.results.paths import check_output, write_frame
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
@@ -105,11 +103,6 @@ def estimate_frame(files: FrameFiles, data: FrameData, body: Body, method: Frame
         time=files.time,
         warnings=data.notes,
     )
-
-
-def layers_of_frame(result: Result, data: FrameData, body: Body) -> FrameLayers:
-    """Return the layers of a frame's drawing; of a rig, those of its first view."""
-    return frame_layers(result, data.mask, data.camera, body, image=data.image)
 
 
 def draw_failed_frame(result: Result, files: FrameFiles) -> NDArray[np.uint8] | None:

@@ -15,7 +15,7 @@ from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.io.short_text import natural, no_folder
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import MANIFEST, read_results
-from dvrk_cmaes.results.paths import found_masks, layers_path, overlay_path
+from dvrk_cmaes.results.paths import found_masks, overlay_path
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.manifest import check_same_settings, read_manifest, with_frames, write_manifest
 from dvrk_cmaes.runs.output import COMMAND, TABLES, has_results
@@ -80,7 +80,7 @@ def _move_results(folder: Path, shard: Output, own: Output) -> None:
         if (result := readable(partial(read_result, path))) is None:  # damaged, therefore treated as missing
             continue
         frame = result.frame
-        others = (*found_masks(folder, frame), overlay_path(folder, frame), layers_path(folder, frame))
+        others = (*found_masks(folder, frame), overlay_path(folder, frame))
         for source in (*others, path):
             if source.is_file():
                 own.move_from(shard, source.relative_to(folder).as_posix())

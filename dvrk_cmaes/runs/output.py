@@ -16,7 +16,7 @@ from dvrk_cmaes.io.output import Output, output, remove, write_bytes
 from dvrk_cmaes.io.short_text import natural, shown
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import MANIFEST, SESSION, SUMMARY
-from dvrk_cmaes.results.paths import layers_path, mask_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.worker import FrameOutcome
 from dvrk_cmaes.runs.worklist import shards_folder
@@ -37,7 +37,6 @@ def results_of(frames: Iterable[str], views: Iterable[str]) -> list[str]:
         for path in (
             result_path(here, frame),
             overlay_path(here, frame),
-            layers_path(here, frame),
             *(mask_path(here, frame, view) for view in (names if len(names) > 1 else ("",))),
         )
     ]
@@ -93,14 +92,10 @@ def write_outcome(out: Path, outcome: FrameOutcome) -> None:
     frame = outcome.result.frame
     for view, mask in outcome.masks.items():
         write_bytes(mask_path(out, frame, view), mask)
-    for path, data in (
-        (overlay_path(out, frame), outcome.overlay),
-        (layers_path(out, frame), outcome.layers),
-    ):
-        if data is not None:
-            write_bytes(path, data)
-        else:
-            remove(path)
+    if outcome.overlay is not None:
+        write_bytes(overlay_path(out, frame), outcome.overlay)
+    else:
+        remove(overlay_path(out, frame))
     write_bytes(result_path(out, frame), json_text(outcome.result.to_dict()).encode())
 
 

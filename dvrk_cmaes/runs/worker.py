@@ -27,11 +27,11 @@ from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.atomic import encoded_image, json_text
+from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.results.paths import mask_path, overlay_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.digests import instrument_digest
-from dvrk_cmaes.runs.frame import draw_failed_frame, layers_of_frame, read_any_frame, solve_frame
+from dvrk_cmaes.runs.frame import draw_failed_frame, read_any_frame, solve_frame
 from dvrk_cmaes.runs.worker_process import limit_library_threads
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings, hints_within
 from dvrk_cmaes.silhouette import Body
@@ -75,16 +75,15 @@ class PackedSetup:
 
 @dataclass(frozen=True, eq=False)
 class FrameOutcome:
-    """A frame's result, and the contents of its other files: the overlay's JPEG, and the layers of its drawing, JSON.
+    """A frame's result, and the contents of its other files.
 
-    ``overlay`` is None if the frame failed and neither its image nor its mask can be read; ``layers`` is None for every
-    frame that failed before its pose was drawn. ``masks`` are PNGs of the masks found in images, by view.
+    ``overlay`` is JPEG, None if the frame failed and neither its image nor its mask can be read. ``masks`` are PNGs of
+    the masks found in images, by view.
     """
 
     result: Result
     overlay: bytes | None
     masks: Mapping[str, bytes] = field(default_factory=dict)
-    layers: bytes | None = None
 
 
 def prepare_instrument(instrument: Instrument) -> Body:
@@ -147,8 +146,7 @@ def _estimated(setup: BatchSetup, body: Body, files: FrameFiles) -> FrameOutcome
     masks = {
         view: encoded_image(mask_path(Path(), files.name, view), mask) for view, mask in solved.found_masks.items()
     }
-    layers = json_text(layers_of_frame(solved.result, solved.data, body).to_dict()).encode()
-    return FrameOutcome(solved.result, encoded_image(overlay_path(Path(), files.name), drawing), masks, layers)
+    return FrameOutcome(solved.result, encoded_image(overlay_path(Path(), files.name), drawing), masks)
 
 
 def hints_of(files: FrameFiles) -> Hints | None:

@@ -95,7 +95,7 @@ def test_results_do_not_depend_on_number_of_processes(calibrated: Path, command:
     for path in (Path("session.json"), *(Path("frames", f"000{k}.json") for k in range(5))):
         one, two = (json.loads((folder / path).read_text()) for folder in (calibrated, place / "two"))
         assert one | {"seconds": 0} == two | {"seconds": 0}
-    for folder in ("overlays", "overlays_left_out", "layers"):
+    for folder in ("overlays", "overlays_left_out"):
         for path in (calibrated / folder).iterdir():
             assert path.read_bytes() == (place / "two" / folder / path.name).read_bytes()
 

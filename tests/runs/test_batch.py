@@ -64,7 +64,6 @@ def test_batch_writes_results_overlays_tables_and_page(batch: Batch, tmp_path: P
     assert sorted(comparable(out)) == sorted(
         ["poses.csv", "report.html", "run.json", "summary.json"]
         + [f"frames/{name}.json" for name in names]
-        + [f"layers/{name}.json" for name in names]
         + [f"overlays/{name}.jpg" for name in names]
     )
     with (out / "poses.csv").open(encoding="utf-8", newline="") as file:
@@ -256,14 +255,15 @@ def test_folder_in_the_place_of_a_file_is_refused_first(batch: Batch, two: Path,
 @pytest.mark.usefixtures("estimates_shared")
 def test_file_in_the_place_of_a_folder_is_refused_first(batch: Batch, two: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "layers").write_text("mine")
-    assert refusal(batch, two).startswith(f"{tmp_path / 'out'}: expected a new or empty folder, ")
-    (tmp_path / "out" / "layers").rename(tmp_path / "layers")
+    (tmp_path / "out" / "overlays").write_text("mine")
+    expected = f"{tmp_path / 'out'}: expected a folder to write to, but {tmp_path / 'out' / 'overlays'} is a file"
+    assert refusal(batch, two) == expected
+    (tmp_path / "out" / "overlays").rename(tmp_path / "overlays")
     batch(two, pattern="0001")
-    shutil.rmtree(tmp_path / "out" / "layers")
-    (tmp_path / "layers").rename(tmp_path / "out" / "layers")
-    assert refusal(batch, two) == f"{tmp_path / 'out' / 'layers'}: expected a folder to write to, but a file is there"
-    assert (tmp_path / "out" / "layers").read_text() == "mine"
+    shutil.rmtree(tmp_path / "out" / "overlays")
+    (tmp_path / "overlays").rename(tmp_path / "out" / "overlays")
+    assert refusal(batch, two) == expected
+    assert (tmp_path / "out" / "overlays").read_text() == "mine"
 
 
 @pytest.mark.usefixtures("estimates_shared")

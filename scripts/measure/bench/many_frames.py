@@ -55,7 +55,7 @@ def small_session(source: Path, folder: Path, shrink: int) -> Path:
 def repeated_results(source: Path, folder: Path, count: int) -> Path:
     """Write ``count`` results, those of a folder of `batch` in the order of their frames and repeated.
 
-    Overlays and layers are copies of those of the folder.
+    Overlays are copies of those of the folder.
     """
     documents = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((source / "frames").glob("*.json"))]
     (folder / "frames").mkdir(parents=True)
@@ -63,11 +63,10 @@ def repeated_results(source: Path, folder: Path, count: int) -> Path:
         name = f"{number:05d}"
         text = json.dumps({**document, "frame": name})
         (folder / "frames" / f"{name}.json").write_text(text, encoding="utf-8")
-        for other, ending in (("overlays", "jpg"), ("layers", "json")):
-            (folder / other).mkdir(exist_ok=True)
-            drawn = source / other / f"{document['frame']}.{ending}"
-            if drawn.exists():
-                shutil.copyfile(drawn, folder / other / f"{name}.{ending}")
+        (folder / "overlays").mkdir(exist_ok=True)
+        drawn = source / "overlays" / f"{document['frame']}.jpg"
+        if drawn.exists():
+            shutil.copyfile(drawn, folder / "overlays" / f"{name}.jpg")
     return folder
 
 
