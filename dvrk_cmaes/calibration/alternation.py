@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.endoscope_search import describe_pieces, with_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import fit_task, gather_task
-from dvrk_cmaes.calibration.imaging import with_camera, with_margins, with_rig
+from dvrk_cmaes.calibration.imaging import with_camera, with_margins
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations
@@ -132,7 +132,7 @@ def solved(state: SessionState) -> SessionState:
         (state, at), iteration = found, before[1]
         calibration, moved, last = state.solution.calibration, None, iteration + 2 == len(scales)
         changes = [with_camera] if problem.refine_camera and iteration + 1 < len(scales) else []
-        changes += [with_rig, *([] if problem.refine_camera else [with_margins])] if last else []
+        changes += [with_margins] if last and not problem.refine_camera else []
         for change in changes:
             state, calibration, there = change(state, calibration, at if moved is None else moved)
             moved = moved if there is None else there
@@ -239,8 +239,7 @@ def _finished(state: SessionState) -> SessionState:
     solution = solve(state.model, fits, state.solution.calibration, prior)
     pairs = zip(state.fits, state.model.priors(solution.calibration), strict=True)
     near = tuple(fit.moved_to(own) if fit.step_to(own) < _NEAR else fit for fit, own in pairs)
-    lag = state.lag.with_joints(state.model, fits, solution.calibration, prior)
-    return replace(state, found=solution, fits=near, lag=lag)
+    return replace(state, found=solution, fits=near)
 
 
 def with_lag_of_fits(state: SessionState) -> tuple[SessionState, float | None]:

@@ -20,11 +20,10 @@ from dvrk_cmaes.calibration.endoscope_search import with_readings
 from dvrk_cmaes.calibration.frame_reports import reported
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
 from dvrk_cmaes.calibration.imaging import checked_camera
-from dvrk_cmaes.calibration.instrument_test import CandidateFit, undetermined_instrument
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
-from dvrk_cmaes.calibration.session_rig import changes_of, rotations_of_session
+from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
 from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again, with_pieces_if_lost
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
@@ -119,14 +118,12 @@ def calibrate_session(
 def solving_arm(
     frames: Sequence[SessionFrame],
     problem: SessionProblem,
-    others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
     places: Sequence[Place] = (),
 ) -> Solving[tuple[SolvedSession, dict[str, Evidence]]]:
     """Do what `calibrate_session` does as one of several arms, and also return what was found in the masks.
 
-    That is of the first view of each frame that was fitted, by name, without its image, for drawings. ``others`` are
-    the leave-one-out predictions of calibrations of the same frames with other instruments, by name of the instrument,
-    or why they were refused. ``places`` are those at which another arm found the endoscope.
+    That is of the first view of each frame that was fitted, by name, without its image, for drawings. ``places`` are
+    those at which another arm found the endoscope.
     """
     settings, instrument = problem.config, problem.instrument
     check_config(settings)
@@ -139,8 +136,8 @@ def solving_arm(
     commanded = commanded_in(readings, names)
     settings = with_commanded(settings, commanded, names)
     rotations = rotations_of_session(frame.result for frame in usable)
-    if turned := changes_of(rotations):
-        usable = [frame.with_changed_views(turned, {}) for frame in usable]
+    if turns := turns_of(rotations):
+        usable = [frame.with_turned_views(turns) for frame in usable]
     problem = replace(problem, series=series, config=settings)
     with single_blas_thread():
         state = solve_session(SessionState.of(problem, usable, rotations), places)
@@ -206,7 +203,7 @@ def solving_arm(
         commanded={name: next(own[name] for own in readings if name in own) for name in commanded},
         remarks=(
             *camera_remarks(state.stored[0]),
-            *(text for each in state.imaging.rig for text in each.warnings()),
+            *(each.describe() for each in state.imaging.rig if each.applied),
             *([describe_commanded(commanded)] if commanded else []),
             *_exchanged_readings(used, instrument),
             *state.notes.remarks,
@@ -219,12 +216,9 @@ def solving_arm(
         lag.undetermined if lag.nowhere else "",
         state.stored[0].views[0].evidence.camera.pixel_scale,
     )
-    tried = tuple(CandidateFit.of(*one, calibration.leave_one_out) for one in (others or {}).items())
-    if text := undetermined_instrument(tried, calibration.instrument):
-        calibration = replace(calibration, untold=(*calibration.untold, text))
     unusual = unusual_insertion(calibration, settings.session)
     remarks = (*calibration.remarks, *([unusual] if unusual else []))
-    calibration = replace(calibration, instruments=tried, remarks=remarks)
+    calibration = replace(calibration, remarks=remarks)
     calibration = replace(
         calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag, pixel_scale=pixel_scale)
     )

@@ -34,8 +34,7 @@ _ROUGH = 5.0  # standard deviations of a reading that it may change unevenly fro
 class Clock:
     """Readings of a session's frames at any lag.
 
-    A ``lag`` (3,) is that in the middle of the frames, its change by time, and the lag of the readings of wrist and jaw
-    in addition to that of the outer joints, in the unit of the series.
+    A ``lag`` (2,) is that in the middle of the frames, in the unit of the series, and its change by time.
 
     ``times`` (N,) are those of the frames' images on the clock of the ``series``, ``middle`` is the middle of the times
     of all frames. ``interpolable`` tells whether the readings may be interpolated, because the rows follow each other
@@ -77,27 +76,27 @@ class Clock:
         return replace(self, times=self.times[np.asarray(index, dtype=np.intp)])
 
     def values_of(self, lag: Lag | None) -> Float64:
-        """Return a lag (3,) in the unit of this clock; zero for None."""
+        """Return a lag (2,) in the unit of this clock; zero for None."""
         if lag is None:
-            return np.zeros(3)
+            return np.zeros(2)
         middle = np.array([self.middle + self.series.origin])
-        return np.array([lag.at(middle, self.series.unit)[0], lag.drift, 0.0])
+        return np.array([lag.at(middle, self.series.unit)[0], lag.drift])
 
     def model_at(self, model: SessionModel, lag: Float64) -> SessionModel:
         """Return the model with the readings of the times of the images less the lag."""
         return self._model_at(model, lag, model.deviations, smoothed=False)
 
-    def model_to_compare(self, model: SessionModel, lag: Float64, *, lasting: bool = True) -> SessionModel:
+    def model_to_compare(self, model: SessionModel, lag: Float64) -> SessionModel:
         """Return the model of `model_at` by which lags are compared.
 
         Its readings are smoothed where they may be interpolated: otherwise a lag between two rows would agree better
-        than one at a row, because it averages the noise of both. The errors of joints that cables move are ``lasting``
-        for seconds, so that frames close to each other count as one for these joints: play in the cables would
+        than one at a row, because it averages the noise of both. The errors of joints that cables move last for
+        seconds, so that frames close to each other count as one for these joints: play in the cables would
         otherwise be taken for a lag.
         """
         count = len(self.times)
         spacing = 2 * self.half_duration / max(count - 1, 1) * self._unit_seconds
-        factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count))) if lasting else 1.0
+        factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
         own = model.deviations
         outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
         return self._model_at(model, lag, replace(own, outer=outer, joints=factor * own.joints), smoothed=True)
@@ -105,7 +104,7 @@ class Clock:
     def _model_at(self, model: SessionModel, lag: Float64, deviations: Deviations, *, smoothed: bool) -> SessionModel:
         read, spline = self.read_times(lag), smoothed and self.interpolable
         outer = self.series.at(OUTER_JOINTS, read, smoothed=spline)
-        joints = self.series.at(model.names, read - lag[2], smoothed=spline)
+        joints = self.series.at(model.names, read, smoothed=spline)
         endoscope = model.endoscope
         if isinstance(endoscope, Steered):
             endoscope = endoscope.at(self.series.at(ECM_JOINTS, read))

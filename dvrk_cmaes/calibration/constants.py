@@ -32,7 +32,7 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
 
 _SETTLED = 0.25  # standard deviations of the constants, below which the outlines are not linearised again
-PASSES = {"camera": 6, "margin": 5, "rig": 4}
+PASSES = {"camera": 6, "margin": 5}
 """Largest number of linearisations in which these constants are estimated."""
 SHARED_ERRORS = 1.2
 """Factor on the standard deviations, because the frames of a session share errors of masks and meshes.

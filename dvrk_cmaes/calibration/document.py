@@ -12,7 +12,6 @@ from msgspec import Struct
 
 from dvrk_cmaes.calibration.constants import TOLD
 from dvrk_cmaes.calibration.endoscope import InFrames
-from dvrk_cmaes.calibration.instrument_test import CandidateFit
 from dvrk_cmaes.calibration.lag_search import LagCurve
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
@@ -30,11 +29,11 @@ from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_doubts import doubts_of
 from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
 from dvrk_cmaes.calibration.session_masks import SessionMasks
-from dvrk_cmaes.calibration.session_rig import ViewRotation, changes_of
+from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
 from dvrk_cmaes.calibration.session_shaft import SessionShaft
 from dvrk_cmaes.calibration.solve import Solved
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.camera.rig import V, changed_views
+from dvrk_cmaes.camera.rig import V, turned_views
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
@@ -118,7 +117,6 @@ class SessionCalibration:
     views : the cameras and their places with which the session was solved; empty of frames in memory.
     endoscope : where an endoscope that moved stood, and the camera in its tip; None if it stood still. The base is then
     that at the reference place.
-    instruments : how other instruments fit the frames; empty if none were tried.
     commanded : the only reading, rad, of each joint whose readings never move while the arm does; offsets hold there.
     untold : descriptions of what the session does not determine.
     doubts : what is wrong with the session as a whole and was not put right: every result that rests on it is doubtful.
@@ -148,7 +146,6 @@ class SessionCalibration:
     rig: tuple[ViewRotation, ...] = ()
     views: tuple[ViewDocument, ...] = ()
     endoscope: SessionEndoscope | None = None
-    instruments: tuple[CandidateFit, ...] = ()
     commanded: dict[str, Number] = field(default_factory=dict)
     untold: Texts = ()
     doubts: Texts = ()
@@ -186,7 +183,7 @@ class SessionCalibration:
             The views as the cameras' files have them.
         """
         own = tuple(replace(view, camera=self.corrected(view.camera)) for view in views)
-        return changed_views(own, changes_of(self.rig))
+        return turned_views(own, turns_of(self.rig))
 
     @property
     def predicted_iou(self) -> float:
@@ -223,7 +220,7 @@ class SessionCalibration:
             yield f"lag: {self.lag.describe()}; {done}"
         if self.camera is not None:
             yield f"camera, against its file: {self.camera.describe()}"
-        yield from (text for view in self.rig for text, _ in view.lines())
+        yield from (view.describe() for view in self.rig)
         yield from (each.describe() for each in (self.masks, self.masks_again) if each is not None)
 
     def to_dict(self) -> dict[str, Any]:
@@ -248,7 +245,7 @@ class SessionCalibration:
             "leave_one_out_of_views": {view: _predictions(own) for view, own in self.leave_one_out_of_views.items()},
             "quality": encoded_fields(self, "iou", "contour_px_95"),
             **encoded_fields(self, "lag", "lag_curve", "cables", "camera", "shaft", "masks", "masks_again", "rig"),
-            **encoded_fields(self, "views", "endoscope", "instruments", "commanded", "arm"),
+            **encoded_fields(self, "views", "endoscope", "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,

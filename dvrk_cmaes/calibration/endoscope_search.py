@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -16,7 +15,7 @@ from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lasting_errors import frames_alike
 from dvrk_cmaes.calibration.model import Calibration, SessionModel, ecm_readings
 from dvrk_cmaes.calibration.session_state import SessionState
-from dvrk_cmaes.calibration.solve import Solved, robust_costs, solve_with_modes
+from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
 from dvrk_cmaes.geometry import inverse
 
 Float64 = NDArray[np.float64]
@@ -28,11 +27,9 @@ _FOUND: Final = 0.3  # of the deviations beforehand: those of a refined camera i
 LEAST_PIECE: Final = 3
 """Frames that agree on the base of a piece."""
 _LEAST_WINDOW, _MOST_WINDOWS = 4, 30  # frames of a run that is solved by itself, and number of these
-_JOIN: Final = 40.0  # increase of the robust cost up to which one base explains two runs
-_NEEDED: Final = 70.0  # the same of two pieces, with shared offsets: some frames while the endoscope moves are none
 _AGREE: Final = 0.75  # share of a run's frames that agree on one base
-_UNTOLD: Final = 0.5  # of such a cost, within which frames do not tell between which of them the base changes
-_CUT: Final = 4.0  # cost of a change of the base from one frame to the next
+_CHANGE: Final = 12.0  # penalty for a change of the base, where a frame that is off costs at most 4
+_MOST_SEARCHES: Final = 6
 
 
 def with_readings(state: SessionState, places: Sequence[Place] = ()) -> SessionState:
@@ -138,10 +135,9 @@ def find_pieces(
 ) -> tuple[Pieces, Indices] | None:
     """Find the pieces of a session whose base or camera moved without readings that tell, None if it stood still.
 
-    Short runs of consecutive frames are solved by themselves. Those whose frames agree are joined with their neighbours
-    where one base explains both as well, and each base so found then holds for consecutive frames. Runs differ in their
-    offsets as well, as where cables wander. So all pieces are then solved with shared offsets, two are joined where one
-    base explains all frames nearly as well, and the frames between which the base moved are found again.
+    A change-point search: the pieces are those of least cost, the sum of the frames' robust costs at the base of their
+    piece and of a penalty for each change. Bases to choose from are at first those of short runs of consecutive frames,
+    solved by themselves; then those of the pieces found, solved with shared offsets, until the pieces stay.
 
     Parameters
     ----------
@@ -162,51 +158,40 @@ def find_pieces(
     """
     if not _disagree_together(consensus.agree):
         return None
-
-    roll = float(consensus.calibration.offsets[1])
-
-    def solved(index: Indices, *starts: Calibration) -> _Run:
-        own, own_modes = model.subset(index), [modes[i] for i in index]
-        starts = starts or (find_consensus(own, own_modes, offset_std, roll=roll).calibration,)
-        found = [solve_with_modes(own, own_modes, start, prior) for start in starts]
-        return min((_Run(index, one) for one in found), key=lambda run: run.cost)
-
-    count = len(modes)
-    length = max(_LEAST_WINDOW, -(-count // _MOST_WINDOWS))
-    starts = range(0, max(count - length, 0) + 1, max(length // 2, 1))
-    runs = [run for start in starts if (run := solved(np.arange(start, min(start + length, count)))).agrees]
-    joined = [_joined(*pair, solved) for pair in pairwise(runs)]
-    while joined:
-        gains = [
-            one.cost - before.cost - after.cost for one, (before, after) in zip(joined, pairwise(runs), strict=True)
-        ]
-        best = int(np.argmin(gains))
-        if gains[best] > _JOIN * alike:
-            break
-        runs[best : best + 2] = [joined[best]]
-        first = max(best - 1, 0)
-        joined[first : best + 2] = [_joined(*pair, solved) for pair in pairwise(runs[first : best + 2])]
-    found = [agreement(model, modes, offset_std, run.solution.calibration) for run in runs]
-    if not found:
-        return None
-    place = _fewest_changes(np.array([one.cost for one in found]) / alike)
-    cut = _Cut.of(model, modes, prior, [run.solution.calibration for run in runs], place)
-
-    def placed(cut: _Cut) -> _Cut:
-        bases = cut.bases
+    bases, cut = _bases_of_runs(model, modes, offset_std, prior, float(consensus.calibration.offsets[1])), None
+    for _ in range(_MOST_SEARCHES):
+        if not bases:
+            return None
         costs = np.array([agreement(model, modes, offset_std, base).cost for base in bases]) / alike
-        return _Cut.of(model, modes, prior, bases, _in_the_middle(_fewest_changes(costs), costs))
-
-    while cut.pieces is not None:
-        piece, bases = cut.pieces.piece, cut.bases
-        pairs = {(int(one), int(other)) for one, other in pairwise(piece) if one != other}
-        places = [np.where(np.isin(piece, pair), held, piece) for pair in sorted(pairs) for held in pair]
-        less = min((_Cut.of(model, modes, prior, bases, place) for place in places), key=lambda one: one.cost)
-        if less.cost - cut.cost > _NEEDED * alike:
+        before, cut = cut, _Cut.of(model, modes, prior, bases, _fewest_changes(costs))
+        if before is not None and _same_pieces(before, cut):
             break
-        cut = placed(less)
-    cut = placed(cut)
-    return None if cut.pieces is None else (cut.pieces, np.flatnonzero(cut.agree))
+        bases = cut.bases
+    return None if cut is None or cut.pieces is None else (cut.pieces, np.flatnonzero(cut.agree))
+
+
+def _bases_of_runs(
+    model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, prior: Float64, roll: float
+) -> list[Calibration]:
+    """Return the bases of short runs of consecutive frames that agree on one; arguments as in `find_pieces`."""
+    count, found = len(modes), list[Calibration]()
+    length = max(_LEAST_WINDOW, -(-count // _MOST_WINDOWS))
+    for first in range(0, max(count - length, 0) + 1, max(length // 2, 1)):
+        index = np.arange(first, min(first + length, count))
+        own, own_modes = model.subset(index), [modes[i] for i in index]
+        start = find_consensus(own, own_modes, offset_std, roll=roll).calibration
+        solution = solve_with_modes(own, own_modes, start, prior)
+        agree = solution.misfit < INLIER_MISFIT * (4 + len(solution.calibration.offsets))
+        if agree.sum() >= max(LEAST_PIECE, _AGREE * len(agree)):
+            found.append(solution.calibration)
+    return found
+
+
+def _same_pieces(one: _Cut, other: _Cut) -> bool:
+    """Whether two cuts have the same pieces."""
+    if one.pieces is None or other.pieces is None:
+        return one.pieces is other.pieces
+    return np.array_equal(one.pieces.piece, other.pieces.piece)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,46 +230,9 @@ class _Cut:
         return [found, *(replace(found, camera_from_base=move @ found.camera_from_base) for move in moves)]
 
     @property
-    def cost(self) -> float:
-        """Robust cost of the frames."""
-        return float(robust_costs(self.solution.misfit, self._dimension).sum())
-
-    @property
     def agree(self) -> NDArray[np.bool_]:
         """Which frames (N,) agree with the base of their piece."""
-        return np.asarray(self.solution.misfit < INLIER_MISFIT * self._dimension)
-
-    @property
-    def _dimension(self) -> int:
-        return 4 + len(self.solution.calibration.offsets)
-
-
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """Consecutive frames and what they tell by themselves."""
-
-    index: Indices
-    solution: Solved
-
-    @property
-    def cost(self) -> float:
-        """Robust cost of the frames."""
-        return float(robust_costs(self.solution.misfit, self.dimension).sum())
-
-    @property
-    def dimension(self) -> int:
-        return 4 + len(self.solution.calibration.offsets)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether most frames agree on one base."""
-        agree = self.solution.misfit < INLIER_MISFIT * self.dimension
-        return bool(agree.sum() >= max(LEAST_PIECE, _AGREE * len(agree)))
-
-
-def _joined(before: _Run, after: _Run, solved: Callable[..., _Run]) -> _Run:
-    """Solve two runs together, from what either tells by itself."""
-    return solved(np.concatenate([before.index, after.index]), before.solution.calibration, after.solution.calibration)
+        return np.asarray(self.solution.misfit < INLIER_MISFIT * (4 + len(self.solution.calibration.offsets)))
 
 
 def _disagree_together(agree: NDArray[np.bool_]) -> bool:
@@ -304,34 +252,19 @@ def describe_pieces(pieces: Pieces, frames: Sequence[SessionFrame]) -> str:
 
 
 def _fewest_changes(costs: Float64) -> Indices:
-    """Return which of B bases holds for each of N consecutive frames, by their costs (B, N), with few changes."""
+    """Return which of B bases holds for each of N consecutive frames, by their costs (B, N) and those of changes.
+
+    Found by dynamic programming.
+    """
     bases, frames = costs.shape
     total, came = costs[:, 0].copy(), np.zeros((frames, bases), np.intp)
     for frame in range(1, frames):
         best = int(total.argmin())
-        stays = total <= total[best] + _CUT
+        stays = total <= total[best] + _CHANGE
         came[frame] = np.where(stays, np.arange(bases), best)
-        total = np.minimum(total, total[best] + _CUT) + costs[:, frame]
+        total = np.minimum(total, total[best] + _CHANGE) + costs[:, frame]
     out = np.empty(frames, np.intp)
     out[-1] = total.argmin()
     for frame in range(frames - 1, 0, -1):
         out[frame - 1] = came[frame, out[frame]]
-    return out
-
-
-def _in_the_middle(held: Indices, costs: Float64) -> Indices:
-    """Return which of B bases holds for each of N frames, with each change amid the frames that do not tell its place.
-
-    ``held`` (N,) is that with fewest costs (B, N). Frames while the camera moves fit neither base.
-    """
-    out, ends = held.copy(), [-1, *np.flatnonzero(np.diff(held)).tolist(), len(held) - 1]
-    for before, last, after in zip(ends, ends[1:], ends[2:], strict=False):
-        one, other = held[last], held[last + 1]
-        more = np.cumsum(costs[one, before + 1 : after] - costs[other, before + 1 : after])  # if it changes after each
-        at = last - before - 1
-        untold = more > more[at] + _UNTOLD
-        first = at - int(np.argmax(untold[: at + 1][::-1])) + 1 if untold[: at + 1].any() else 0
-        beyond = at + int(np.argmax(untold[at:])) - 1 if untold[at:].any() else len(more) - 1
-        middle = before + 1 + (first + beyond) // 2
-        out[min(last, middle) + 1 : last + 1], out[last + 1 : max(last, middle) + 1] = other, one
     return out

@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame
 from dvrk_cmaes.calibration.masks_again import FindMasks, read_data
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
-from dvrk_cmaes.camera.rig import ViewChange, changed_views
+from dvrk_cmaes.camera.rig import turned_views
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Float64, Posed, change_between
@@ -75,29 +75,22 @@ class SessionFrame:
         """
         return replace(self, data=partial(_changed_data, self.data, change))
 
-    def with_changed_views(self, changes: Mapping[str, ViewChange], places: Mapping[str, Float64]) -> Self:
-        """Return the frame with further views changed, by name; its own result says by how much they are turned still.
-
-        ``view_fits`` of the result are then those against the changed views.
+    def with_turned_views(self, rotations: Mapping[str, Float64]) -> Self:
+        """Return the frame with further views turned, by name; its own result says by how much they are turned still.
 
         Parameters
         ----------
-        changes
-            What the views differ in from the rig's file.
-        places
-            Those of the views, (4, 4), m, needed where their baselines change.
+        rotations
+            The rotations (3,), rad, by which the views differ from the rig's file.
         """
-        pose = self.result.camera_from_root
-        assert pose is not None
-        checks = []
-        for check in self.result.view_fits:
-            rotation = check.rotation_deg
-            if check.name in changes:
-                place = places.get(check.name, np.eye(4))
-                rotation = rotation - np.degrees(changes[check.name].rotation_at(place, pose[:3, 3]))
-            checks.append(replace(check, rotation_deg=rotation))
-        turned = replace(self, result=replace(self.result, view_fits=tuple(checks)))
-        return turned.with_data(partial(_with_views, changes))
+        checks = tuple(
+            replace(check, rotation_deg=check.rotation_deg - np.degrees(rotations[check.name]))
+            if check.name in rotations
+            else check
+            for check in self.result.view_fits
+        )
+        turned = replace(self, result=replace(self.result, view_fits=checks))
+        return turned.with_data(partial(_with_turned_views, rotations))
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +164,9 @@ def with_changed_cameras(change: Float64, data: FrameData) -> FrameData:
     return replace(data, views=tuple(replace(v, camera=changed(v.camera, change, width)) for v in data.views))
 
 
-def _with_views(changes: Mapping[str, ViewChange], data: FrameData) -> FrameData:
-    """Return data with changed views."""
-    return replace(data, views=changed_views(data.views, changes))
+def _with_turned_views(rotations: Mapping[str, Float64], data: FrameData) -> FrameData:
+    """Return data with turned views."""
+    return replace(data, views=turned_views(data.views, rotations))
 
 
 def fit_task(

@@ -1,10 +1,9 @@
 """What a session's frames tell of its cameras and its masks, beside the base, the readings' errors and the poses.
 
-A change of the camera, what further views differ in from the file of the rig, and the margin of each view's masks are
-each estimated from the outlines of all frames, linearised about the current fits. The functions `with_camera`,
-`with_rig` and `with_margins` take a session, the calibration and the frames' poses with cameras and masks as they are,
-and return the session with those that were estimated, the calibration, and the poses (N) with them, None if nothing
-changed.
+A change of the camera and the margin of each view's masks are each estimated from the outlines of all frames,
+linearised about the current fits. The functions `with_camera` and `with_margins` take a session, the calibration and
+the frames' poses with cameras and masks as they are, and return the session with those that were estimated, the
+calibration, and the poses (N) with them, None if nothing changed.
 """
 
 from __future__ import annotations
@@ -16,10 +15,8 @@ import numpy as np
 
 from dvrk_cmaes.calibration.constants import FramesAt, SessionOutlines
 from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras
-from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.mask_growth import MaskGrowth
 from dvrk_cmaes.calibration.model import Calibration
-from dvrk_cmaes.calibration.rig_estimate import ViewDifference, estimate_rig
 from dvrk_cmaes.calibration.session_camera import (
     CameraChange,
     CameraCheck,
@@ -28,10 +25,8 @@ from dvrk_cmaes.calibration.session_camera import (
     file_deviations,
 )
 from dvrk_cmaes.calibration.session_masks import MaskMargin, estimate_margin
-from dvrk_cmaes.calibration.session_rig import FEWEST, changes_of
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.session_state import SessionState
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 
 Changed = tuple[SessionState, Calibration, Posed | None]
@@ -47,29 +42,6 @@ def with_camera(state: SessionState, calibration: Calibration, at: Posed) -> Cha
         return replace(state, imaging=replace(state.imaging, of_change=None)), calibration, None
     changed = replace(state, imaging=replace(state.imaging, change=estimate.change, of_change=estimate.covariance))
     return changed, estimate.calibration, estimate.at
-
-
-def with_rig(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
-    """Estimate what the further views differ in from the file beside rotations, and use what is clear."""
-    outlines, problem = _outlines_of_rig(state), state.problem
-    if outlines is None:
-        return state, calibration, None
-    problem.progress("checking the rig", len(state.frames))
-    try:
-        of_all = FramesAt(state.model, calibration, problem.prior, at)
-        estimate = estimate_rig(of_all, outlines, state.imaging.rig)
-    except InputError as error:
-        return state.noted(undetermined=[f"rig: {error}"]), calibration, None
-    state = replace(state, imaging=replace(state.imaging, rig=estimate.views)).noted(undetermined=estimate.undetermined)
-    if not estimate.moved:
-        return state, calibration, None
-    frames = [
-        frame.with_changed_views(estimate.changes, {view.name: view.view_from_camera for view in stored.views})
-        for frame, stored in zip(state.frames, state.stored, strict=True)
-    ]
-    problem.progress("gathering evidence", len(frames))
-    stored = tuple(problem.run(gather_task, frames))
-    return replace(state, frames=tuple(frames), stored=stored), estimate.calibration, estimate.at
 
 
 def with_margins(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
@@ -138,27 +110,6 @@ def _outlines(state: SessionState, view: str | None = None, *, file_tells: bool 
         state.common,
         (_camera(state, file_tells=file_tells), _margin(state, name)),
     )
-
-
-def _outlines_of_rig(state: SessionState) -> SessionOutlines | None:
-    """Return outlines that tell what the further views differ in from the file; None without enough of them."""
-    if not state.imaging.rig:
-        return None
-    used = [fit.explains_mask and one.in_reference for fit, one in zip(state.fits, state.stored, strict=True)]
-    counts: dict[str, int] = {}
-    for stored, counted in zip(state.stored, used, strict=True):
-        for view in stored.views[1:] if counted else ():
-            counts[view.name] = counts.get(view.name, 0) + 1
-    changes = changes_of(state.imaging.rig)
-    turned = {name: changes[name].rotation if name in changes else np.zeros(3) for name in counts}
-    of_views = [ViewDifference(name, turned[name]) for name, count in counts.items() if count >= FEWEST]
-    if not of_views:
-        return None
-    views = [tuple(range(len(one.views))) if own else () for one, own in zip(state.stored, used, strict=True)]
-    # each frame is taken to err by itself: what frames share is the reason for the factor on standard deviations
-    common = CommonErrors.none(len(state.stored), len(state.fits[0].slope))
-    camera, margin = _camera(state, file_tells=not state.problem.refine_camera), _margin(state, None)
-    return SessionOutlines(state.stored, views, state.problem.run, common, (camera, margin, *of_views))
 
 
 def _camera(state: SessionState, *, file_tells: bool) -> CameraChange:

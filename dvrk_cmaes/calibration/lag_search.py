@@ -167,7 +167,7 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
 
     def searched(low: float, high: float, step: float) -> tuple[Float64, list[Consensus | None], Float64]:
         lags = np.asarray(step * np.arange(round(low / step), round(high / step) + 1), np.float64)
-        agreed = [_consensus_at(clock, model, modes, offset_std, np.array([lag, 0.0, 0.0])) for lag in lags]
+        agreed = [_consensus_at(clock, model, modes, offset_std, np.array([lag, 0.0])) for lag in lags]
         return lags, agreed, np.array([np.inf if each is None else each.mean_misfit for each in agreed])
 
     unit, ends = clock.series.unit, tuple[float, ...]()

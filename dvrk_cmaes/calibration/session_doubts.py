@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from dvrk_cmaes.calibration.instrument_test import better_instrument
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE
 from dvrk_cmaes.calibration.session_lag import UNREAD
 from dvrk_cmaes.config import SessionConfig
@@ -72,7 +71,6 @@ def doubts_of(
         solved=agreeing + disagreeing,
         unread=unread,
         frames=agreeing + disagreeing + unread,
-        fits=better_instrument(calibration.instruments, calibration.predicted_iou).removeprefix("these frames fit "),
         sizes=[] if shaft is None else shaft.contradictions(),
         masks=masks,
         margin=0.0 if masks is None else abs(masks.margin_px),

@@ -2,8 +2,7 @@
 
 It is found from the frames' own modes, by which the readings of each frame are chosen. From then on it is a block of
 unknowns beside base and offsets, in one linearised problem: a change of the lag changes what is predicted of a frame by
-the velocity of its readings. Clocks that run at different rates make the lag drift; the drift is estimated with it, and
-so is, at the end, the lag of the readings of wrist and jaw in addition to that of the outer joints.
+the velocity of its readings. Clocks that run at different rates make the lag drift; the drift is estimated with it.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.play import Play
 from dvrk_cmaes.joints.series import ReadingSeries
 
-_LAG, _DRIFT, _OF_JOINTS = range(3)  # of the values of a lag, as of `Clock`
-_WHOLE = np.eye(3)[_LAG]
+_LAG, _DRIFT = range(2)  # of the values of a lag, as of `Clock`
+_WHOLE = np.eye(2)[_LAG]
 _DRIFT_STD = 1e-3  # expected beforehand: clocks differ by parts per thousand at most
 _SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
 _LINEARISATIONS, _MOST_LINEARISATIONS = 4, 10  # those that do not move the lag by half a step of the search, and all
@@ -58,10 +57,8 @@ class FramesOfLag(NamedTuple):
     prior: Float64
 
 
-def refine_lag(
-    frames: FramesOfLag, start: Float64, free: tuple[int, ...] = (_LAG,), *, lasting: bool = True
-) -> tuple[Float64, Float64] | None:
-    """Refine some values of a lag together with the calibration; returns all, with standard deviations (3,) of these.
+def refine_lag(frames: FramesOfLag, start: Float64, free: tuple[int, ...] = (_LAG,)) -> tuple[Float64, Float64] | None:
+    """Refine some values of a lag together with the calibration; returns all, with standard deviations (2,) of these.
 
     Only frames with readings around the lag are used. None if too few have them, if the frames agree best nowhere near
     the start, or if the readings cannot be interpolated.
@@ -70,20 +67,18 @@ def refine_lag(
     ----------
     frames
         The frames.
-    start : (3,)
+    start : (2,)
         The lag to start from, as of `Clock`.
     free
         Which values are unknowns.
-    lasting
-        Whether the errors of cables last, as in `Clock.model_to_compare`.
     """
     clock, own, lag = frames.clock, list(free), start
     step, far = clock.step, FARTHEST[clock.series.unit]
     if not clock.interpolable or not step:
         return None
-    reach = np.array([step, _DRIFT_STEPS * step / max(clock.half_duration, step), step])[own]
-    rows, found, moved = reach[:, None] * np.eye(3)[own], list[Solved](), np.ones(len(own))
-    left, known = _LINEARISATIONS, np.array([far, _DRIFT_STD, far])[own] / _SHARED_ERRORS
+    reach = np.array([step, _DRIFT_STEPS * step / max(clock.half_duration, step)])[own]
+    rows, found, moved = reach[:, None] * np.eye(2)[own], list[Solved](), np.ones(len(own))
+    left, known = _LINEARISATIONS, np.array([far, _DRIFT_STD])[own] / _SHARED_ERRORS
     prior = np.diag(np.concatenate([np.zeros(len(frames.prior)), known**-2.0]))
     prior[: len(frames.prior), : len(frames.prior)] = frames.prior
 
@@ -95,7 +90,7 @@ def refine_lag(
         of_these, model, fits = clock.subset(order), frames.model.subset(order), frames.fits.subset(order)
 
         def compared(lag: Float64) -> SessionModel:
-            return of_these.model_to_compare(model, lag, lasting=lasting)
+            return of_these.model_to_compare(model, lag)
 
         ends = [[compared(lag + by).predict(calibration) for by in (row, -row)] for row in _LEAST_STEP * rows]
         changes = [later.minus(earlier) for later, earlier in ends]
@@ -119,14 +114,14 @@ def refine_lag(
     alternate(begun, lambda at: solve(*at, prior), again, _MOST_LINEARISATIONS)
     if (moved > _SETTLING).any():
         return None
-    inverse, std = np.asarray(np.linalg.inv(found[-1].information)), np.zeros(3)
+    inverse, std = np.asarray(np.linalg.inv(found[-1].information)), np.zeros(2)
     alone, shared = _SHARED_ERRORS**2 * np.diag(inverse), np.diag(found[-1].covariance_of(inverse))
     std[own] = np.sqrt(np.maximum(alone, shared))[-len(own) :]
     return lag, std
 
 
 def describe_lag(clock: Clock, lag: Float64, std: Float64) -> Lag | str:
-    """Decide whether a lag (3,), as of `Clock`, is to be corrected; a text that says why where it is not determined."""
+    """Decide whether a lag (2,), as of `Clock`, is to be corrected; a text that says why where it is not determined."""
     unit, interval = clock.series.unit, clock.series.interval
     if std[_LAG] > _LARGEST_STD * interval:
         return f"standard deviation {std[_LAG] / interval:.1f} frames; {MOVE}"
@@ -254,7 +249,7 @@ class LagEstimate:
         told = replace(self, curve=found.curve, undetermined=found.undetermined, nowhere=found.nowhere)
         if found.lag is None or found.calibration is None:
             return told
-        start = np.array([found.lag, 0.0, 0.0])
+        start = np.array([found.lag, 0.0])
         has = np.flatnonzero(self.clock.has_readings(start))
         shifted = self.clock.model_at(model, start).subset(has)
         chosen = choose_modes(shifted, [modes[int(i)] for i in has], found.calibration)
@@ -300,7 +295,7 @@ class LagEstimate:
         clock = self.clock
         if self.lag is not None or clock is None or self.fixed:
             return self, None
-        found = refine_lag(FramesOfLag(clock, model, fits, calibration, prior), np.zeros(3))
+        found = refine_lag(FramesOfLag(clock, model, fits, calibration, prior), np.zeros(2))
         lag = None if found is None else describe_lag(clock, *found)
         if found is None or not isinstance(lag, Lag):
             return self, None
@@ -327,7 +322,7 @@ class LagEstimate:
         mean, std = weights @ values / weights.sum(), weights.sum() ** -0.5
         if (np.abs(values - mean) > _AGREE * stds).any():
             return self
-        lag = describe_lag(clock, np.array([mean, 0.0, 0.0]), np.array([std, 0.0, 0.0]))
+        lag = describe_lag(clock, np.array([mean, 0.0]), np.array([std, 0.0]))
         shared = replace(self, lag=lag, undetermined="", shared=True) if isinstance(lag, Lag) else self
         return shared if shared.all_have_readings else self
 
@@ -338,22 +333,6 @@ class LagEstimate:
             return None
         std = self.lag.std_seconds if self.clock.series.unit == "s" else self.lag.std_frames
         return None if std is None else (float(self.clock.values_of(self.lag)[_LAG]), std)
-
-    def with_joints(
-        self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64
-    ) -> LagEstimate:
-        """Estimate the additional lag of the readings of wrist and jaw; arguments as in `solve`.
-
-        It is not stated if its standard deviation exceeds a frame.
-        """
-        if self.lag is None or self.clock is None:
-            return self
-        frames, frame = FramesOfLag(self.clock, model, fits, calibration, prior), self.clock.series.interval
-        found = refine_lag(frames, self._value(self.clock), (_OF_JOINTS,), lasting=False)
-        if found is None or found[1][_OF_JOINTS] > _LARGEST_STD * frame:
-            return self
-        wrist, std = (float(of_lag[_OF_JOINTS]) / frame for of_lag in found)
-        return replace(self, lag=replace(self.lag, wrist_frames=wrist, std_wrist_frames=std))
 
     def change_of_predictions(self, model: SessionModel, calibration: Calibration) -> Float64:
         """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
@@ -428,7 +407,7 @@ class LagEstimate:
         return clock if clock is not None and (clock.series.unit == "s" or clock.interpolable) else None
 
     def _value(self, clock: Clock) -> Float64:
-        """Return the lag (3,) that is taken out, as of the clock."""
+        """Return the lag (2,) that is taken out, as of the clock."""
         return clock.values_of(self.applied)
 
     def subset(self, kept: Sequence[int]) -> LagEstimate:
@@ -436,7 +415,7 @@ class LagEstimate:
         return self if self.clock is None else replace(self, clock=self.clock.subset(kept))
 
     def _by(self, frames: FramesOfLag, start: Float64) -> LagEstimate:
-        """Refine the lag and its drift from a start (3,), and keep them where they are determined.
+        """Refine the lag and its drift from a start (2,), and keep them where they are determined.
 
         A drift is kept if it is significant and changes the lag noticeably in half of the session; a lag that is
         applied stays so. A lag of readings that cannot be interpolated is left as it is.
@@ -446,11 +425,11 @@ class LagEstimate:
         if half * _DRIFT_STD >= least / 4:
             found = refine_lag(frames, start, (_LAG, _DRIFT))
         if found is not None and not abs(found[0][_DRIFT]) > max(_SIGNIFICANT * found[1][_DRIFT], least / half):
-            start, found = np.array([found[0][_LAG], 0.0, 0.0]), None
+            start, found = np.array([found[0][_LAG], 0.0]), None
         if found is None:
             found = refine_lag(frames, start)
         if clock.step and not clock.interpolable:
-            found = start, np.array([clock.step / np.sqrt(12), 0.0, 0.0])
+            found = start, np.array([clock.step / np.sqrt(12), 0.0])
         lag: Lag | str = "the frames' disagreement has no minimum there, or too few frames have readings"
         if found is not None:
             lag = describe_lag(clock, *found)

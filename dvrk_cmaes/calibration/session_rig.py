@@ -1,22 +1,21 @@
 """What a session's frames tell about its rig: how each further view differs from the file.
 
 A frame states by which rotation each further view would fit the first one better. The errors of the masks differ from
-frame to frame, while a wrong calibration turns the view in all of them alike. Baseline and focal length are told by all
-frames together (see `rig_estimate`).
+frame to frame, while a wrong calibration turns the view in all of them alike. At one distance a wrong baseline
+looks like a rotation about the axis across it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dvrk_cmaes.calibration.constants import CLEAR, NAMED
-from dvrk_cmaes.camera.rig import ViewChange
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
-from dvrk_cmaes.io.typed_document import Count, Point, PositiveNumber
+from dvrk_cmaes.io.typed_document import Count, Point
 from dvrk_cmaes.results.result import Result
 
 FEWEST = 3
@@ -35,39 +34,12 @@ _TAIL = 9.0  # squared distance, in units of the common one, at which a frame ha
 _MEDIAN_SQUARE = 2.366  # median of the squared distance of three unknowns
 
 
-@dataclass(frozen=True)
-class ViewScale(Document):
-    """A factor on a length of the rig's file, with its standard deviation; ``applied`` if the session used it."""
-
-    scale: PositiveNumber
-    std: PositiveNumber
-    applied: bool
-
-    @property
-    def percent(self) -> tuple[float, float]:
-        """The difference from the file and its standard deviation, %."""
-        return 100 * (self.scale - 1), 100 * self.std
-
-    @property
-    def change(self) -> float:
-        """The logarithm of the factor that was applied."""
-        return float(np.log(self.scale)) if self.applied else 0.0
-
-    def describe(self) -> str:
-        """Describe the difference from the file in words."""
-        percent, std = self.percent
-        if not self.applied:
-            return f"as in the file: {percent:+z.1f} % (std {std:.1f})"
-        return f"{abs(percent):.1f} % (std {std:.1f}) {'longer' if percent > 0 else 'shorter'} than in the file"
-
-
 @dataclass(frozen=True, eq=False)
 class ViewRotation(Document):
-    """Rotation of a further view of the rig against the file, about the first camera's axes, its baseline and lens.
+    """Rotation of a further view of the rig against the file, about the first camera's axes.
 
     view : its name. rotation_deg, std_deg : (3,), degrees. frames : number of frames in which it was compared.
-    applied : whether the session was solved with the view turned by it. baseline, focal_length : the factors on its
-    distance from the first view and on its focal length relative to the first view's; None where they are not told.
+    applied : whether the session was solved with the view turned by it.
     """
 
     view: str
@@ -75,52 +47,6 @@ class ViewRotation(Document):
     std_deg: Point
     frames: Count
     applied: bool
-    baseline: ViewScale | None = None
-    focal_length: ViewScale | None = None
-
-    @property
-    def turn(self) -> Float64:
-        """The rotation (3,) by which the view was turned, rad."""
-        return np.deg2rad(self.rotation_deg) if self.applied else np.zeros(3)
-
-    @property
-    def change(self) -> ViewChange:
-        """The change of the view with which the session was solved."""
-        baseline, focal_length = (0.0 if each is None else each.change for each in (self.baseline, self.focal_length))
-        return ViewChange(self.turn, baseline, focal_length)
-
-    @property
-    def differs(self) -> bool:
-        """Whether the session was solved with a view that is not the file's."""
-        return self.applied or any(each is not None and each.applied for each in (self.baseline, self.focal_length))
-
-    def with_values(self, change: ViewChange, std: Float64) -> ViewRotation:
-        """Return the view with other values of what is applied; ``std`` (2,) are those of baseline and focal length."""
-
-        def other(scale: ViewScale | None, value: float, own: float) -> ViewScale | None:
-            if scale is None or not scale.applied:
-                return scale
-            return replace(scale, scale=float(np.exp(value)), std=max(own, scale.std))
-
-        return replace(
-            self,
-            rotation_deg=np.degrees(change.rotation) if self.applied else self.rotation_deg,
-            baseline=other(self.baseline, change.baseline, float(std[0])),
-            focal_length=other(self.focal_length, change.focal_length, float(std[1])),
-        )
-
-    def lines(self) -> list[tuple[str, bool]]:
-        """Describe what is told of the view, one line each, and whether the frames contradict the file there."""
-        out = [(self.describe(), self.applied)]
-        parts = {"baseline": self.baseline, "focal length, relative to the first eye's,": self.focal_length}
-        for name, scale in parts.items():
-            if scale is not None:
-                out.append((f"the {self.view} eye's {name} is {scale.describe()}", scale.applied))
-        return out
-
-    def warnings(self) -> list[str]:
-        """Describe what of the rig's file the frames contradict, one line each."""
-        return [text for text, contradicts in self.lines() if contradicts]
 
     def describe(self) -> str:
         """Describe the rotation in words: the components that are clear of zero, or the largest one."""
@@ -167,9 +93,9 @@ def is_turned(rotation_deg: Float64, covariance_deg2: Float64) -> bool:
     return sigmas > CLEAR and float(np.linalg.norm(rotation_deg)) > _LEAST_ANGLE
 
 
-def changes_of(rig: Sequence[ViewRotation]) -> Mapping[str, ViewChange]:
-    """Return the changes of the views that are not used as in the file, by name."""
-    return {each.view: each.change for each in rig if each.differs}
+def turns_of(rig: Sequence[ViewRotation]) -> Mapping[str, Float64]:
+    """Return the rotations (3,), rad, of the views that are not used as in the file, by name."""
+    return {each.view: np.deg2rad(each.rotation_deg) for each in rig if each.applied}
 
 
 def pooled_rotation(rotations: Sequence[tuple[Float64, Float64]]) -> tuple[Float64, Float64]:

@@ -41,42 +41,8 @@ class View:
         """Return the view turned by a rotation vector (3,), rad, about the reference camera's axes."""
         return replace(self, view_from_camera=turned_place(self.view_from_camera, rotation))
 
-    def changed(self, change: ViewChange) -> Self:
-        """Return the view after a change of its place and its focal length; InputError as `Camera.changed`."""
-        camera = self.camera
-        if change.focal_length:
-            camera = camera.changed(float(np.exp(change.focal_length)), (0.0, 0.0))
-        return replace(self, camera=camera, view_from_camera=change.place(self.view_from_camera))
-
 
 V = TypeVar("V", bound=View)
-
-
-@dataclass(frozen=True, eq=False)
-class ViewChange:
-    """Change of a further view of a rig against its file.
-
-    ``rotation`` (3,), rad, is about the reference camera's axes. ``baseline`` and ``focal_length`` are the logarithms
-    of the factors on the distance of the eyes and on the view's focal length.
-    """
-
-    rotation: Float64
-    baseline: float = 0.0
-    focal_length: float = 0.0
-
-    def place(self, view_from_camera: Float64) -> Float64:
-        """Return a place (4, 4) of the file after the change."""
-        out = turned_place(view_from_camera, self.rotation)
-        out[:3, 3] *= np.exp(self.baseline)
-        return out
-
-    def rotation_at(self, view_from_camera: Float64, point: Float64) -> Float64:
-        """Return the rotation (3,), rad, that moves the image of a point as the change of rotation and baseline does.
-
-        ``view_from_camera`` (4, 4) is the place of the view, ``point`` (3,), m, is in the reference camera.
-        """
-        along = self.baseline * view_from_camera[:3, :3].T @ view_from_camera[:3, 3]
-        return np.asarray(self.rotation + np.cross(point, along) / max(float(point @ point), 1e-12))
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,9 +164,9 @@ def turned_place(view_from_camera: Float64, rotation: Float64) -> Float64:
     return moved(view_from_camera, np.concatenate([np.zeros(3), rotation]))
 
 
-def changed_views(views: Sequence[V], changes: Mapping[str, ViewChange]) -> tuple[V, ...]:
-    """Return views of which some are changed, by name, as `View.changed`."""
-    return tuple(view.changed(changes[view.name]) if view.name in changes else view for view in views)
+def turned_views(views: Sequence[V], rotations: Mapping[str, Float64]) -> tuple[V, ...]:
+    """Return views of which some are turned, by name, as `View.turned`."""
+    return tuple(view.turned(rotations[view.name]) if view.name in rotations else view for view in views)
 
 
 def mirrored_place(view_from_camera: Float64) -> Float64:

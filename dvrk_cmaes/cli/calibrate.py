@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -40,11 +40,8 @@ if TYPE_CHECKING:
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
-    Predictions = Mapping[str, tuple[float, float]]
-
 _DOUBT = STATUS_STYLES["doubtful"].removeprefix("bold ")  # style of a line about a part
 _MOST_LISTED = 10
-_REFUSED = "session: "  # begins what is said of a session that cannot be solved
 _LEAST_KEYFRAMES = 3
 _FIRST_FRAMES = 30  # at most, from which a camera without a file is found first
 
@@ -62,7 +59,6 @@ def calibrate(
     keyframes: Annotated[int | None, Parameter(group=FOLDER)] = None,
     lag: Annotated[str | None, Parameter(group=FOLDER, allow_leading_hyphen=True)] = None,
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
-    instrument_candidates: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     reading: ReadingOptions = DEFAULT_READING,
     follow_links: FollowLinksOption = False,
@@ -116,9 +112,6 @@ def calibrate(
         Estimate the focal length and the principal point beside the base, and solve the session with them. They are
         written to OUT/camera.yaml; of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at
         least 6 frames and 5 mm of insertion.
-    instrument_candidates
-        Folder of URDFs of other instruments. The session is solved with each of them, too, which takes as long each
-        time, and the calibration is doubtful if its frames fit another one better.
     workers
         Number of processes that work at a time; by default the number of cores. Few frames are done by one.
     reading
@@ -139,7 +132,6 @@ def calibrate(
     check_range("--keyframes", keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
     if keyframes is not None and every > 1:
         raise InputError("--keyframes: expected either this or --every, got both")
-    from dvrk_cmaes.calibration.instrument_test import fitting_instruments
     from dvrk_cmaes.calibration.together import solved_together
     from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools, write_bases
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
@@ -168,29 +160,12 @@ def calibrate(
             check_same_session(target / name, arms[name].session)
 
         def solving(name: str, places: Sequence[Place]) -> Solving[SolvedSession | None]:
-            others: dict[str, Predictions | str] = {}
             arm = arms[name]
             found_camera = arm if results is not None else _with_found_camera(arm, asked)
             if found_camera is None:
                 return None
-            for path in _candidates(instrument_candidates):
-                tool = session_tools(
-                    session, replace(instrument, instrument=str(path)), only, follow_links=follow_links
-                )[name]
-                other = tool.read(session, camera, joints=joints, reading=reading)
-                if other.body.instrument.name != arm.body.instrument.name:
-                    with_other = _share(other, frames, every, keyframes)
-                    found = _predicted_with(with_other, asked)
-                    if found is None:
-                        return None
-                    others[other.body.instrument.name] = found
-            try:
-                own = None if results is None else results / name
-                return (yield from _solving_arm(found_camera, target / name, asked, own, others, places))
-            except InputError as error:
-                if text := fitting_instruments(others):
-                    raise InputError(f"{error}; {text}") from None
-                raise
+            own = None if results is None else results / name
+            return (yield from _solving_arm(found_camera, target / name, asked, own, places))
 
         found = solved_together({name: partial(solving, name) for name in arms})
         solved = {name: solution for name, solution in found.items() if solution is not None}
@@ -243,16 +218,6 @@ def _lag(text: str | None) -> Lag | Literal["auto"] | None:
     return "auto" if text == AUTO else None if text is None else Lag.parse("--lag", text)
 
 
-def _candidates(folder: Path | None) -> list[Path]:
-    """Return the URDFs of a folder; InputError if it has none."""
-    if folder is None:
-        return []
-    found = sorted(folder.glob("*.urdf"))
-    if not found:
-        raise InputError(f"--instrument-candidates: expected a folder with URDFs of instruments, got {folder}")
-    return found
-
-
 @dataclass(frozen=True)
 class _Asked:
     """How sessions are solved: settings, number of worker processes, whether the camera is refined, and the lag."""
@@ -282,21 +247,6 @@ def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
     return replace(arm, session=replace(arm.session, rig=rig))
 
 
-def _predicted_with(arm: ArmInSession, asked: _Asked) -> Predictions | str | None:
-    """Solve a session with another instrument: what it predicts of left-out frames, or why that is not possible.
-
-    None if it was interrupted.
-    """
-    note(f"trying instrument {arm.body.instrument.name}")
-    try:
-        solved = _solved_apart(arm, asked)
-    except InputError as error:
-        if not str(error).startswith(_REFUSED):
-            raise
-        return str(error).removeprefix(_REFUSED)
-    return None if solved is None else solved.calibration.leave_one_out
-
-
 def _solved_apart(arm: ArmInSession, asked: _Asked) -> SolvedSession | None:
     """Calibrate the session of an arm in a folder that is not kept; None if interrupted."""
     from tempfile import TemporaryDirectory
@@ -312,7 +262,6 @@ def _solving_arm(
     target: Path,
     asked: _Asked,
     results: Path | None = None,
-    others: Mapping[str, Predictions | str] | None = None,
     places: Sequence[Place] = (),
 ) -> Solving[SolvedSession | None]:
     """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
@@ -357,7 +306,6 @@ def _solving_arm(
                 config=settings,
                 segment=segment,
                 opened=own,
-                others=others,
                 places=places,
                 progress=lambda stage, count: note(f"{stage}: {count} frames"),
             )

@@ -33,8 +33,7 @@ class Lag:
 
     ``std_frames`` and ``std_seconds`` are its standard deviations. ``drift`` is the change of the lag by time, which is
     not zero where the two clocks run at different rates; the lag is that of the time ``middle``, in seconds or, without
-    times, in frames. ``wrist_frames`` is the lag of the readings of wrist and jaw in addition to that of the outer
-    joints; it is stated, but never taken out. ``applied`` tells whether the lag was taken out of the readings; a lag
+    times, in frames. ``applied`` tells whether the lag was taken out of the readings; a lag
     that does not differ significantly from zero is not.
     """
 
@@ -46,8 +45,6 @@ class Lag:
     drift: Number = 0.0
     std_drift: Number | None = None
     middle: Number = 0.0
-    wrist_frames: Number | None = None
-    std_wrist_frames: Number | None = None
 
     @classmethod
     def of(cls, value: float, std: float, unit: Unit, interval: float, *, applied: bool) -> Lag:

@@ -308,7 +308,6 @@ RULES: Final[dict[str, Rule]] = {
     ),
     "the lag leaves {e.unread} of {e.frames} frames without readings: it is wrong, or rows of readings are "
     "missing": Rule("session", "session", _TRUSTED_SHARE, lambda e, least: e.frames - e.unread <= least * e.frames),
-    "these frames fit {it}": Rule("session", "session", _ANY, lambda e, least: e.fits),
     f"{{it}}: {OTHER_SIZES}": Rule(
         "session", "session", _ANY, lambda e, least: e.sizes, "the shaft is|the length from the wrist|the jaws are"
     ),

@@ -70,7 +70,6 @@ def solving_folder(
     config: EstimateConfig,
     segment: SegmentSettings | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
-    others: Mapping[str, Mapping[str, tuple[float, float]] | str] | None = None,
     opened: Output | None = None,
     places: Sequence[Place] = (),
 ) -> Solving[SolvedSession]:
@@ -81,7 +80,7 @@ def solving_folder(
     ``processes`` are those of `instrument_processes` or `worker_processes`. ``alone`` is the folder of those results;
     masks that were found in images, and overlays of frames that are left out, are taken from there; with ``segment``,
     how they were found there, they are found again around the silhouettes that the session expects. ``opened`` is the
-    folder, if it is open already; ``others`` and ``places`` are as in `solving_arm`. All files are written to a folder
+    folder, if it is open already; ``places`` are as in `solving_arm`. All files are written to a folder
     beside, which takes the place of an earlier one when it is whole.
 
     Raises
@@ -109,7 +108,7 @@ def solving_folder(
     run = functools.partial(run_with_body, processes, instrument_digest(instrument), config)
     series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
     problem = SessionProblem(series, instrument, arm.kinematics, config, run, progress, *refined, lag=lag)
-    solved, evidence = yield from solving_arm(frames, problem, others, places)
+    solved, evidence = yield from solving_arm(frames, problem, places)
     progress("drawing", len(solved.leave_one_out))
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
         masks = Path(folder)
@@ -202,7 +201,7 @@ def _write(
 def write_cameras(calibration: SessionCalibration, rig: Rig, out: Path) -> None:
     """Write the cameras with which a session was solved, where they are not those of its files, for raw images."""
     refined = calibration.camera is not None and calibration.camera.applied
-    if not refined and not any(view.differs for view in calibration.rig):
+    if not refined and not any(view.applied for view in calibration.rig):
         return
     first, *others = calibration.corrected_views(rig.views)
     write_camera_info(out / (f"{first.name}.yaml" if others else CAMERA), first.camera, "refined")

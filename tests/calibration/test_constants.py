@@ -10,7 +10,6 @@ from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, ViewAsSeen
 from dvrk_cmaes.calibration.model import Calibration
-from dvrk_cmaes.calibration.rig_estimate import ViewDifference
 from dvrk_cmaes.calibration.session_camera import CameraChange
 from dvrk_cmaes.calibration.session_masks import MaskMargin
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
@@ -25,7 +24,6 @@ PLACE = transform(np.eye(3), [-0.0053, 0.0, 0.0])
 CASES: dict[str, tuple[Constant, list[float]]] = {
     "camera": (CameraChange(), [0.004, 1.0, 1.0]),
     "margin": (MaskMargin(), [0.5]),
-    "right": (ViewDifference("right", np.zeros(3)), [0.005, 0.005, 0.01, 0.1, 0.004, 0.5]),
 }
 
 

@@ -18,14 +18,13 @@ from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_masks import SessionMasks
-from dvrk_cmaes.calibration.session_rig import ViewRotation, ViewScale
+from dvrk_cmaes.calibration.session_rig import ViewRotation
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.lag import Lag
 
 WORLD = make_world(4)
 OFFSETS = dict(zip(("insertion", "roll", *WORLD.model.names), WORLD.truth.offsets.tolist(), strict=True))
-SCALE = ViewScale(1.05, 0.01, applied=True)
 SPREADS = {
     "yaw": 0.002,
     "pitch": 0.002,
@@ -59,11 +58,7 @@ def calibration() -> SessionCalibration:
         lag=Lag(2.0, 0.25, 0.066667, 0.008),
         camera=SessionCamera(1.02, 0.01, (3.0, -4.5), (6.0, 7.0), contradicts=False, applied=True, width=640),
         masks=SessionMasks(0.4, 0.1, applied=True),
-        rig=(
-            ViewRotation(
-                "right", np.array([0.1, 0.0, 0.3]), np.array([0.01, 0.02, 0.03]), 12, applied=True, baseline=SCALE
-            ),
-        ),
+        rig=(ViewRotation("right", np.array([0.1, 0.0, 0.3]), np.array([0.01, 0.02, 0.03]), 12, applied=True),),
         untold=("offset of insertion",),
         doubts=("the camera file is contradicted",),
         remarks=("readings come 2 frames late",),
@@ -105,12 +100,11 @@ def test_written_calibration_is_read_back(tmp_path: Path) -> None:
 def test_rig_is_read_back() -> None:
     before = calibration()
     (view,) = SessionCalibration.from_dict(before.to_dict()).rig
-    assert (view.view, view.frames, view.applied, view.focal_length) == ("right", 12, True, None)
-    assert view.baseline == SCALE
+    assert (view.view, view.frames, view.applied) == ("right", 12, True)
     np.testing.assert_allclose(view.rotation_deg, before.rig[0].rotation_deg)
     document = before.to_dict()
-    document["rig"][0]["baseline"]["scale"] = -1.0
-    with pytest.raises(InputError, match=r"^session: rig\[0\]\.baseline\.scale: expected a number above 0"):
+    document["rig"][0]["frames"] = -1
+    with pytest.raises(InputError, match=r"^session: rig\[0\]\.frames: expected a whole number"):
         SessionCalibration.from_dict(document)
 
 

@@ -237,7 +237,7 @@ def test_frames_that_err_alike_make_no_pieces_of_their_own() -> None:
 
 
 def test_frames_while_the_camera_moves_are_no_piece() -> None:
-    """The camera takes some frames for its way: these fit no base, and the cut is amid them."""
+    """The camera takes six frames for its way: these fit no base, and the cut is one of them."""
     world, rng = steered_world(5, frames=100), np.random.default_rng(2)
     modes = [list(of_frame) for of_frame in world.modes]
     for cut in (25, 50, 75):
@@ -248,7 +248,7 @@ def test_frames_while_the_camera_moves_are_no_piece() -> None:
     found = find_pieces(world.model, modes, EXPECTED_OFFSETS, PRIOR, consensus, alike=5.0)
     assert found is not None
     cuts = np.flatnonzero(np.diff(found[0].piece)) + 1
-    np.testing.assert_allclose(cuts, [25, 50, 75], atol=2)
+    np.testing.assert_allclose(cuts, [25, 50, 75], atol=3)
 
 
 def test_a_session_whose_camera_stands_still_is_not_cut() -> None:

@@ -32,13 +32,11 @@ def moving_world(
     count: int = ROWS,
     every: int = 6,
     drift: float = 0.0,
-    wrist: float = 0.0,
     noise: float = 0.3,
 ) -> tuple[World, Clock, list[list[Mode]]]:
     """Make a smooth motion read at 30 Hz, and frames at every 6th row whose images are ``lag`` rows late.
 
-    The lag is that of the middle frame and drifts; the readings of wrist and jaw are ``wrist`` rows later still. The
-    noise of the readings is in standard deviations of the model's.
+    The lag is that of the middle frame and drifts. The noise of the readings is in standard deviations of the model's.
     """
     rng = np.random.default_rng(seed)
     blank = make_world(2, seed)
@@ -62,7 +60,6 @@ def moving_world(
     )
     read_at = frames - lag - drift * (frames - (frames[0] + frames[-1]) / 2)
     shown = true_readings(read_at)
-    shown[:, 4:] = true_readings(read_at - wrist)[:, 4:]
     at = SessionModel(shown[:, :4], shown[:, 4:], NAMES, blank.model.deviations).predict(blank.truth)
     clock = Clock.of(series, list(series.frames), blank.model.deviations.outer)
     read = series.at((*OUTER_JOINTS, *NAMES), frames)
@@ -71,18 +68,18 @@ def moving_world(
 
 
 def only(lag: float, drift: float = 0.0) -> np.ndarray:
-    """A lag, which wrist and jaw have as well."""
-    return np.array([lag, drift, 0.0])
+    """A lag, and its drift."""
+    return np.array([lag, drift])
 
 
 def refined_near(
-    lag: float, world: World, clock: Clock, modes: list[list[Mode]], free: tuple[int, ...] = (0,), **options: bool
+    lag: float, world: World, clock: Clock, modes: list[list[Mode]], free: tuple[int, ...] = (0,)
 ) -> tuple[np.ndarray, np.ndarray]:
     """Refine some values of a lag, from the whole frame nearest to it; returns these, and standard deviations."""
     start = only(round(lag))
     model = clock.model_at(world.model, start)
     found = find_consensus(model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
-    refined = refine_lag(FramesOfLag(clock, model, fits_of(modes), found.calibration, PRIOR), start, free, **options)
+    refined = refine_lag(FramesOfLag(clock, model, fits_of(modes), found.calibration, PRIOR), start, free)
     assert refined is not None
     return refined[0][[*free]], refined[1][[*free]]
 
@@ -210,12 +207,6 @@ def estimated(world: World, clock: Clock, modes: list[list[Mode]]) -> Lag:
     lag = estimate.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR).lag
     assert lag is not None
     return lag
-
-
-@pytest.mark.parametrize("wrist", [0.0, 2.0])
-def test_wrist_has_a_lag_of_its_own(wrist: float) -> None:
-    (value,), (std,) = refined_near(3.0, *moving_world(3.0, seed=6, every=3, wrist=wrist), (2,), lasting=False)
-    assert value == pytest.approx(wrist, abs=max(2.5 * std, 0.3))
 
 
 @pytest.mark.parametrize(("every", "factor"), [(6, 10**0.5), (60, 1.0)])

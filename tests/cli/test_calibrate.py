@@ -312,12 +312,6 @@ def test_camera_is_not_guessed_beside_a_file_or_from_few_frames(command: Command
     assert text.startswith("--camera: expected a camera file, which these frames do not replace: camera: 5 frames; ")
 
 
-def test_folder_without_candidates_is_refused(command: Command, tmp_path: Path) -> None:
-    folder = ("session", "--results", "results", "--out", "few", "--instrument-candidates", tmp_path)
-    ran = command("calibrate", *folder, *QUICKLY)
-    assert ran.refusal == (f"--instrument-candidates: expected a folder with URDFs of instruments, got {tmp_path}")
-
-
 def test_camera_is_not_refined_from_few_frames(command: Command) -> None:
     ran = command("calibrate", "session", "--results", "results", "--out", "few", "--refine-camera", *QUICKLY)
     assert ran.code == 2

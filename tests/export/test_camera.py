@@ -13,7 +13,6 @@ from helpers.page_calibrations import calibration, solved
 from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.camera.files import read_camera_file
-from dvrk_cmaes.camera.rig import ViewChange
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.cli import main
@@ -28,13 +27,13 @@ LENSES = {
     ),
     "fisheye": Camera(640, 480, 893.8, 901.25, 318.5, 241.125, (0.01, -0.002, 0.001, 0.0), "equidistant"),
 }
-CHANGE = ViewChange(np.deg2rad([0.1, 0.35, -0.3]), 0.05, -0.03)
+TURN = np.deg2rad([0.1, 0.35, -0.3])
 
 
 def rig_of(camera: Camera) -> Rig:
-    """A stereo pair whose right eye is turned, farther away and of another focal length than its file says."""
-    file = Rig.stereo(camera, camera, transform(np.eye(3), [-0.0053, 0.0001, 0.0]))
-    return Rig((file.views[0], file.views[1].changed(CHANGE)))
+    """A stereo pair whose right eye is turned against its file, and of another focal length than the left one."""
+    file = Rig.stereo(camera, camera.changed(0.97, (0.0, 0.0)), transform(np.eye(3), [-0.0053, 0.0001, 0.0]))
+    return Rig((file.views[0], file.views[1].turned(TURN)))
 
 
 def exported(folder: Path, rig: Rig, capsys: pytest.CaptureFixture[str]) -> Path:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.session_rig import rotations_of_session
-from dvrk_cmaes.camera.rig import ViewChange, changed_views
+from dvrk_cmaes.camera.rig import turned_views
 from dvrk_cmaes.errors import InputError
 from measure.cases import Case, Measurement, Run, grouped
 
@@ -69,7 +69,7 @@ def rotations_report(given: Measurement) -> dict[str, list[dict[str, Any]]]:
 
 def _turned(case: Case, kind: str, turn: Float64) -> Case:
     """Return a frame whose right eye is believed to be turned by -turn, deg, against where it is."""
-    data = replace(case.data, views=changed_views(case.data.views, {"right": ViewChange(-np.deg2rad(turn))}))
+    data = replace(case.data, views=turned_views(case.data.views, {"right": -np.deg2rad(turn)}))
     return replace(case, kind=kind, data=data)
 
 
