@@ -177,7 +177,7 @@ def _bases_of_runs(
     count, found = len(modes), list[Calibration]()
     length = max(_LEAST_WINDOW, -(-count // _MOST_WINDOWS))
     for first in range(0, max(count - length, 0) + 1, max(length // 2, 1)):
-        index = np.arange(first, min(first + length, count))
+        index = list(range(first, min(first + length, count)))
         own, own_modes = model.subset(index), [modes[i] for i in index]
         start = find_consensus(own, own_modes, offset_std, roll=roll).calibration
         solution = solve_with_modes(own, own_modes, start, prior)
