@@ -16,17 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.done_once import done_once
+from helpers.files import read_mask
 from helpers.named_failures import NamedFailures
 from helpers.places import SHARED
 from helpers.processes_here import processes_here, real_processes
 from helpers.shared_estimates import shared_estimates
 from hypothesis import settings
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.camera.files import read_camera
-from dvrk_cmaes.frames.images import read_mask
-from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes import Body, Camera, load_instrument, read_camera
 
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")

@@ -11,17 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.places import SCRIPTS
+from helpers.files import read_image, read_mask
+from helpers.places import SCRIPTS, bundled_path
 from numpy.typing import NDArray
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.camera.files import read_camera
-from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
-from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes import Body, Camera, Renderer, load_instrument, read_camera
+from dvrk_cmaes.frames.images import read_ignore
 from dvrk_cmaes.instrument.arm import base_from_root
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.joints.reading import OUTER_JOINTS, WRIST_JOINTS, read_joints
-from dvrk_cmaes.silhouette import Body, Renderer
 
 DEMO = bundled_path("demo")
 GOLDEN = bundled_path("golden")

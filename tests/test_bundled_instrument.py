@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from helpers.places import SCRIPTS
+from helpers.places import SCRIPTS, bundled_path
 
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes import Body, Renderer
 
 FOLDER = bundled_path("instruments", "lnd")
 SCRIPT = SCRIPTS / "make_instrument.py"

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import EstimateConfig, InputError
 from dvrk_cmaes.io.toml_file import leaves, read_config, updated
 from dvrk_cmaes.pose.config_check import check_config
 

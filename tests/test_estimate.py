@@ -10,22 +10,31 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.places import bundled_path
+from helpers.transforms import inverse, rotation_angle
 
-from dvrk_cmaes import Camera, EstimateConfig, Result, estimate
+from dvrk_cmaes import (
+    Body,
+    Camera,
+    DvrkCmaesError,
+    EstimateConfig,
+    FrameData,
+    InputError,
+    Renderer,
+    Result,
+    Session,
+    estimate,
+    load_instrument,
+    read_frame,
+    read_session,
+)
 from dvrk_cmaes.camera.critical import WRONG
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.frames.frame import FrameData, read_frame
-from dvrk_cmaes.frames.session_folder import Session, read_session
-from dvrk_cmaes.geometry import inverse, rotation_angle
-from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose import find_pose
-from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
+from dvrk_cmaes.pose.search import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
 from dvrk_cmaes.pose.search.modes import PoseCandidate
-from dvrk_cmaes.silhouette import Body, Renderer
 
 QUICK = EstimateConfig()
 QUICK = replace(QUICK, search=replace(QUICK.search, samples=128, starts=3, evaluations=65))

@@ -12,14 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.files import read_mask
+from helpers.places import bundled_path
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes import Body, Camera, Result, estimate
 from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance, compare_poses
-from dvrk_cmaes.frames.images import read_ignore, read_mask
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.frames.images import read_ignore
 
 GOLDEN = bundled_path("golden")
 CASES: dict[str, Any] = json.loads((GOLDEN / "golden.json").read_text(encoding="utf-8"))["cases"]

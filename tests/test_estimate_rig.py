@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.transforms import exp_rotation, lookat_pose, rotation_angle, transform
 
-from dvrk_cmaes import Camera, EstimateConfig, Result, Rig, estimate
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import exp_rotation, rotation_angle, transform
+from dvrk_cmaes import Body, Camera, EstimateConfig, InputError, Renderer, Result, Rig, estimate
 from dvrk_cmaes.io.encode import encoded
-from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.silhouette import Body, Renderer
 
 LEFT = Camera(640, 480, 1025.0, 1025.0, 320.0, 240.0)
 RIGHT = Camera(720, 540, 1150.0, 1140.0, 400.0, 260.0)

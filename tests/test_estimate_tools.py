@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG
 from helpers.crossing_tools import APART, ARMS, CAMERA, FAR, NEAR, CrossingTools
+from helpers.transforms import transform
 
-from dvrk_cmaes import EstimateConfig, Result, Rig, ToolInFrame, estimate, estimate_tools
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import Body, EstimateConfig, InputError, Result, Rig, ToolInFrame, estimate, estimate_tools
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import with_tool
-from dvrk_cmaes.geometry import transform
-from dvrk_cmaes.silhouette import Body
 
 QUICK = EstimateConfig()
 QUICK = replace(QUICK, threads=1, search=replace(QUICK.search, samples=128, starts=3, evaluations=65))

@@ -12,10 +12,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.commands import main
 from helpers.places import ROOT, SCRIPTS
 
 import dvrk_cmaes
-from dvrk_cmaes.cli import main
 
 OF_ROS = {"__init__", "live_launch", "play_session", "sam2_mask_node"}  # of tests/live/test_page.py
 EXAMPLES = sorted(path for path in (SCRIPTS / "examples").glob("*.py") if path.stem not in OF_ROS)

@@ -19,10 +19,10 @@ import pytest
 import yaml
 from helpers.canned_results import canned
 from helpers.commands import run_command
+from helpers.places import bundled_path
 from helpers.plain_pictures import plain_pictures
 from numpy.typing import NDArray
 
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.results.result import ExpectedError
 

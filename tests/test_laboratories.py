@@ -8,13 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from dvrk_cmaes import estimate, load_instrument, read_camera
+from dvrk_cmaes import FrameFiles, estimate, load_instrument, read_camera, read_frame, read_session
 from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
-from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.images import read_image, read_mask
-from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.segment import segment
 
 

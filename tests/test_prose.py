@@ -8,7 +8,7 @@ from importlib import import_module
 import pytest
 from helpers.places import HELPERS, ROOT
 
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes import EstimateConfig
 from dvrk_cmaes.io.toml_file import leaves
 
 PAGES = sorted((ROOT / "data" / "reference").glob("*.md"))

@@ -14,17 +14,16 @@ import numpy as np
 import pytest
 import yaml
 from cyclopts import App
+from helpers.commands import main
 from helpers.places import ROOT, TESTS
 
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.cli import main
+from dvrk_cmaes import EstimateConfig, Result, SessionCalibration
 from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.cli.help import topic_pages
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.export.table import FORMATS
 from dvrk_cmaes.io.toml_file import leaves, updated
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.results.result import Alternative, Quality, Result, ViewCheck
+from dvrk_cmaes.results.result import Alternative, Quality, ViewCheck
 
 PAGES = ROOT / "data" / "reference"
 REFERENCE = {path.stem: path.read_text(encoding="utf-8") for path in sorted(PAGES.glob("*.md"))}

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from helpers.files import read_mask
 from helpers.made_examples import make_examples
 from helpers.places import ROOT
 from helpers.plain_pictures import plain_pictures
@@ -25,7 +26,6 @@ from helpers.shared_estimates import shared_estimates
 
 from dvrk_cmaes import EstimateConfig, prepare, read_camera
 from dvrk_cmaes.cli.app import app
-from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.io.toml_file import updated
 from dvrk_cmaes.synth import session as made_sessions

@@ -7,9 +7,9 @@ import re
 from helpers.places import ROOT
 
 import dvrk_cmaes
+from dvrk_cmaes import DvrkCmaesError, InputError
 from dvrk_cmaes.calibration import document
 from dvrk_cmaes.cli.app import COMMANDS, app
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.results import result
 from dvrk_cmaes.runs import summary
 

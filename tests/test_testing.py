@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.canned_results import canned, failed
+from helpers.transforms import moved
 
+from dvrk_cmaes import Body, Instrument, Result
 from dvrk_cmaes.frames.truth import FrameTruth
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.testing import assert_pose_close
 
 pytest_plugins = ["pytester"]

@@ -13,20 +13,16 @@ import numpy as np
 import pytest
 from helpers.canned_results import canned
 from helpers.commands import Ran, run_command
+from helpers.places import bundled_path
 
+from dvrk_cmaes import FrameData, InputError, ReadingSeries, SessionFrame, read_session
 from dvrk_cmaes.calibration.calibrate import find_lag
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lasting_errors import LastingSize
 from dvrk_cmaes.camera.files import read_camera_file, read_intrinsics
 from dvrk_cmaes.camera.rig_files import read_rig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.images import read_mask
-from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.truth import read_golden
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.joints.reading import ReadAs, read_joint_file, read_joints
-from dvrk_cmaes.joints.series import ReadingSeries
 
 Run = Callable[..., Ran]
 Table = list[dict[str, str]]

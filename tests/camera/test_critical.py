@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from dvrk_cmaes import read_camera
 from dvrk_cmaes.camera.critical import known_mistakes, remarks_on
-from dvrk_cmaes.camera.files import read_camera
 
 CAMERA = """image_width: 640
 image_height: 480

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dvrk_cmaes.camera.files import read_camera
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError, read_camera
 
 CALIBRATION = """\
 image_width: 640
@@ -84,13 +83,6 @@ def message(path: Path, *, rectified: bool = False) -> str:
     return text.removeprefix(f"{path}: ")
 
 
-def test_raw_camera_uses_k_and_d(tmp_path: Path) -> None:
-    camera = read_camera(written(tmp_path, CALIBRATION))
-    assert (camera.width, camera.height, camera.model) == (640, 480, "plumb_bob")
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (800.5, 810, 320.25, 240)
-    assert camera.distortion == (-0.25, 0.27, 0.001, -0.003, 0)
-
-
 def test_rectified_camera_uses_p_without_distortion(tmp_path: Path) -> None:
     for text in (CALIBRATION, ROS_1, ROS_2):
         camera = read_camera(written(tmp_path, text), rectified=True)
@@ -109,32 +101,6 @@ def test_model_name_is_optional_without_distortion(tmp_path: Path) -> None:
     for coefficients in ("[]", "[0, 0, 0, 0, 0]"):
         text = ROS_1.replace("[0.5, 0.2, 0.001, 0.001, 0.05, 0.7, 0.3, 0.05]", coefficients)
         assert read_camera(written(tmp_path, text.replace("rational_polynomial", ""))).is_pinhole
-
-
-def test_unicode_file_name_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "kamera räumlich 内視鏡.yaml"
-    path.write_text(CALIBRATION, encoding="utf-8")
-    assert read_camera(str(path)).width == 640
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_real_ros_calibrations_are_read(shared: Path, side: str) -> None:
-    path = shared / "formats" / "camera" / f"ros_camera_info_{side}.yaml"
-    raw, rectified = read_camera(path), read_camera(path, rectified=True)
-    assert (raw.width, raw.height) == (rectified.width, rectified.height) == (1300, 1024)
-    assert raw.cx == pytest.approx(608.875 if side == "left" else 728.018, abs=1e-3)
-    assert len(raw.distortion) == 5
-    assert raw.lens_radius < 0.7
-    assert (rectified.fx, rectified.cx) == pytest.approx((1849.1407, 856.1752), abs=1e-4)
-    assert rectified.is_pinhole
-
-
-def test_cameras_of_real_sessions_are_vga_pinholes(shared: Path) -> None:
-    paths = sorted(shared.glob("frames/real/*/camera.yaml"))
-    assert paths
-    for path in paths:
-        camera = read_camera(path)
-        assert (camera.width, camera.height, camera.is_pinhole) == (640, 480, True)
 
 
 K = "[800.5, 0, 320.25, 0, 810, 240, 0, 0, 1]"
@@ -220,12 +186,6 @@ def test_region_of_interest_is_refused(tmp_path: Path) -> None:
     assert message(written(tmp_path, text)).startswith(
         "roi.x_offset: expected images of the whole sensor, got 16: for "
     )
-
-
-def test_unknown_layout_is_refused_with_its_fields(tmp_path: Path) -> None:
-    found = message(written(tmp_path, "lens:\n  values: [1, 2, 3, 4]\n"))
-    assert found.startswith("expected a camera file: camera_matrix or K with distortion_coefficients or D (ROS ")
-    assert found.endswith("got the fields lens")
 
 
 @pytest.mark.parametrize(

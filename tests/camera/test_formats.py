@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dvrk_cmaes.camera.files import Side, read_camera, read_camera_file, read_intrinsics
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError, read_camera
+from dvrk_cmaes.camera.files import Side, read_camera_file, read_intrinsics
 
 LEFT = np.array([[800.5, 0, 320.25], [0, 810, 240], [0, 0, 1]])
 RIGHT = np.array([[801.5, 0, 168.25], [0, 811, 241], [0, 0, 1]])
@@ -67,34 +67,6 @@ def focal(path: Path, *, rectified: bool = False, side: Side = "left") -> tuple[
 
 
 # OpenCV
-
-
-@pytest.mark.parametrize("name", ["stereo.yaml", "stereo.yml", "stereo.xml", "stereo.json"])
-@pytest.mark.parametrize("letter", ["K", "M"])
-def test_opencv_stereo_file_holds_both_cameras(tmp_path: Path, name: str, letter: str) -> None:
-    fields = {f"{letter}1": LEFT, f"{letter}2": RIGHT, "D1": BENT, "D2": BENT[:, None] * 0, "T": np.ones((3, 1)) * 5.7}
-    path = storage(tmp_path / name, **fields)
-    left, right = (read_camera_file(path, side=side, size=(640, 480)) for side in ("left", "right"))
-    assert (left.camera.fx, left.camera.fy, left.camera.cx, left.camera.cy) == (800.5, 810, 320.25, 240)
-    assert left.camera.distortion == (-0.25, 0.27, 0.001, -0.003, 0)
-    assert (right.camera.fx, right.camera.cx, right.camera.is_pinhole) == (801.5, 168.25, True)
-    assert left.kind == f"OpenCV, stereo, left camera, raw images ({letter}1 and distortion)"
-    assert left.notes == ("the camera file states no image size: taken to be 640 x 480, that of the frames",)
-
-
-def test_opencv_yaml_without_document_marker_is_read(tmp_path: Path) -> None:
-    text = storage(tmp_path / "new.yaml", K1=LEFT, D1=BENT).read_text().split("---\n")[1]
-    assert text.startswith("K1: !!opencv-matrix")
-    text = "%YAML:1.0\n" + text
-    assert focal(written(tmp_path, text)) == (800.5, 810, 320.25, 240)
-
-
-def test_file_of_opencv_calibration_sample_is_read(tmp_path: Path) -> None:
-    fields = {"image_width": 640, "image_height": 480, "camera_matrix": LEFT, "distortion_coefficients": BENT}
-    for case in (lambda name: name, str.title):
-        found = read_camera_file(storage(tmp_path / "mono.xml", **{case(name): v for name, v in fields.items()}))
-        assert (found.camera.width, found.camera.height, found.camera.fy) == (640, 480, 810)
-        assert (found.camera.model, found.notes) == ("plumb_bob", ())
 
 
 @pytest.mark.parametrize(
@@ -248,24 +220,6 @@ def test_unusable_kalibr_field_is_named(tmp_path: Path, old: str, new: str, expe
 # plain
 
 
-def test_plain_yaml_takes_size_of_frames_with_note(tmp_path: Path) -> None:
-    path = written(tmp_path, PLAIN)
-    found = read_camera_file(path, size=(720, 480))
-    assert (found.camera.width, found.camera.height, found.camera.fx, found.camera.fy) == (720, 480, 828, 902)
-    assert found.notes == ("the camera file states no image size: taken to be 720 x 480, that of the frames",)
-    assert message(path) == "image size: not stated in the file; expected it to be given, in pixels"
-    assert message(path, size=(360, 240)) == (
-        "principal point: expected one within images of 360 x 240, got 399.5, 244.1: "
-        "the calibration is of another size, which the file does not state"
-    )
-
-
-def test_real_plain_file_is_read(shared: Path) -> None:
-    camera = read_camera(shared / "formats" / "camera" / "plain_intrinsic_distortion.yaml", size=(720, 576))
-    assert (camera.fx, camera.fy, camera.cx) == pytest.approx((827.8918, 901.8823, 399.4858), abs=1e-4)
-    assert len(camera.distortion) == 5
-
-
 # the side of a file of one camera
 
 
@@ -284,44 +238,6 @@ def test_real_left_camera_is_refused_as_right(shared: Path) -> None:
     assert message(folder / "ros_camera_info_left.yaml", side="right") == (
         "--side right: expected the right camera, got 'left'"
     )
-
-
-@pytest.mark.parametrize(
-    ("matrix", "distortion"),
-    [
-        ("cameraMatrixL", "distCoeffsL"),
-        ("K_left", "D_left"),
-        ("left_K", "left_D"),
-        ("leftCameraMatrix", "leftDistCoeffs"),
-        ("intrinsics_left", "distortion_left"),
-    ],
-)
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_names_of_stereo_pairs_are_known(tmp_path: Path, matrix: str, distortion: str, side: Side) -> None:
-    other = {"L": "R", "left": "right"}
-    lines = []
-    for name, values in ((matrix, (LEFT, RIGHT)), (distortion, (BENT, -BENT))):
-        mark = "left" if "left" in name else "L"
-        lines += [f"{name}: {values[0].tolist()}", f"{name.replace(mark, other[mark])}: {values[1].tolist()}"]
-    path = tmp_path / "stereo.yaml"
-    path.write_text("\n".join([*lines, "image_size: [640, 480]"]))
-    camera = read_camera(path, side=side)
-    expected = LEFT if side == "left" else RIGHT
-    np.testing.assert_allclose(camera.matrix, expected)
-    np.testing.assert_allclose(camera.distortion, BENT if side == "left" else -BENT)
-
-
-def test_pair_of_mappings_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "stereo.yaml"
-    fields = "image_width: 640, image_height: 480, distortion_model: plumb_bob"
-    path.write_text(
-        "\n".join(
-            f"{side}: {{{fields}, camera_matrix: {matrix.tolist()}, distortion_coefficients: {BENT.tolist()}}}"
-            for side, matrix in (("left", LEFT), ("right", RIGHT))
-        )
-    )
-    np.testing.assert_allclose(read_camera(path).matrix, LEFT)
-    np.testing.assert_allclose(read_camera(path, side="right").matrix, RIGHT)
 
 
 ROWS = [[1042.6, 0, 326.3], [0, 1042.6, 235.1], [0, 0, 1]]

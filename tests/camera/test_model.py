@@ -12,8 +12,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import Camera, InputError
 
 REAL_LENSES = [
     Camera(1300, 1024, 1609.5, 1610.2, 608.9, 548.1, (-0.3931, 0.8277, -0.00156, -0.00293, 0.0)),

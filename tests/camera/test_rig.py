@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import yaml
 from helpers.places import SHARED
+from helpers.transforms import apply, exp_rotation, inverse, transform
 
-from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes import Camera, InputError, Rig
 from dvrk_cmaes.camera.rig_files import read_rig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import apply, exp_rotation, inverse, transform
 
 LEFT = Camera(640, 480, 1000.0, 1010.0, 300.0, 250.0)
 RIGHT = Camera(720, 576, 900.0, 900.0, 380.0, 290.0)

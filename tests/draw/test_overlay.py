@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.transforms import moved
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera, Renderer, Result
 from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas
 from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.draw.panels import footer, header
 from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.results.result import Quality, Result
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.results.result import Quality
 
 PINHOLE = Camera(640, 480, 1030.0, 1030.0, 318.2, 243.7)
 LENS = Camera(640, 480, 600.0, 600.0, 318.2, 243.7, (-0.28, 0.09, 0.0, 0.0))

@@ -8,19 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.commands import main
+from helpers.places import bundled_path
+from helpers.transforms import transform
 
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import Body, FrameFiles, InputError, read_frame, read_results, read_session
 from dvrk_cmaes.estimation.pnp.frame import pose_from_markers, pose_from_tips
 from dvrk_cmaes.estimation.pnp.points import solve_points
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.markers import Marker, place_markers, read_detections, read_marker_table
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.geometry import transform
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.silhouette import Body
 
 DEMO = bundled_path("demo")
 TABLE = read_marker_table(bundled_path("markers", "lnd.json"))

@@ -10,15 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.canned_results import canned, failed, write_results
+from helpers.places import bundled_path
+from helpers.transforms import moved
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import Body, InputError, Result
 from dvrk_cmaes.evaluate.compared_set import read_compared_set
 from dvrk_cmaes.evaluate.comparison import Comparison, compare_sets
 from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth, write_golden
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.results.result import ExpectedError, Result
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.results.result import ExpectedError
 
 NAMES = ("a", "b", "c")
 

@@ -10,17 +10,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from helpers.commands import main
+from helpers.places import bundled_path
+from helpers.transforms import transform
 
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError, read_session
 from dvrk_cmaes.evaluate.agreement import measure_agreement
 from dvrk_cmaes.evaluate.consistency import base_spread, converge, converge_shafts, rcm_spread
 from dvrk_cmaes.evaluate.result_set import read_result_set
 from dvrk_cmaes.frames.published_poses import read_published_poses
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.geometry import frame_along, rotation_about_z, transform
+from dvrk_cmaes.geometry import frame_along, rotation_about_z
 from dvrk_cmaes.instrument.arm import base_from_root
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.report.consistency_picture import draw_axes
 
 DEMO = bundled_path("demo")
@@ -41,18 +41,6 @@ def true_results(tmp_path: Path) -> Path:
 def change(folder: Path, frame: str, **fields: Any) -> None:
     path = folder / "frames" / f"{frame}.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **fields}))
-
-
-def truth_as_session(tmp_path: Path) -> Path:
-    """Write a joints.csv for the demo session whose readings are the true joint positions."""
-    names = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw")
-    rows = [
-        ",".join([frame, *(f"{truth.joints[name]:.12f}" for name in names)])
-        for frame, truth in read_session(DEMO).truth.frames.items()
-    ]
-    path = tmp_path / "joints.csv"
-    path.write_text("\n".join([",".join(["frame", *names]), *rows]) + "\n")
-    return path
 
 
 # the measures
@@ -117,36 +105,6 @@ def test_parallel_or_too_few_axes_are_refused() -> None:
 
 
 # sets of results
-
-
-def test_results_with_three_fields_are_read(true_results: Path) -> None:
-    found = measure_agreement(read_result_set(true_results))
-    assert found.axes.rms < 1e-8
-    assert (found.results.solved, found.rcm, found.base) == ("one by one", None, None)
-
-
-def test_readings_are_taken_from_given_session(true_results: Path, tmp_path: Path) -> None:
-    by_truth = measure_agreement(read_result_set(true_results, truth_as_session(tmp_path)))
-    by_readings = measure_agreement(read_result_set(true_results, DEMO))
-    assert by_truth.rcm is not None
-    assert by_truth.base is not None
-    assert by_readings.base is not None
-    assert by_truth.rcm.rms < 1e-8
-    assert by_truth.base.largest_deg < 1e-5
-    assert by_readings.base.largest_deg > 1
-
-
-def test_kinematics_are_those_of_results_unless_given(true_results: Path, tmp_path: Path) -> None:
-    for k in range(5):
-        change(true_results, f"000{k}", config={"instrument": {"arm": "si", "roll_offset": 0.467}})
-    found = read_result_set(true_results, truth_as_session(tmp_path))
-    assert (found.arm, found.roll_offset) == ("si", 0.467)
-    same_reach = measure_agreement(found)
-    exact = measure_agreement(found, arm="classic", roll_offset=0.4162)
-    assert exact.rcm is not None
-    assert same_reach.rcm is not None
-    assert exact.rcm.rms < 1e-8
-    assert np.linalg.norm(same_reach.rcm.centre - exact.rcm.centre) < 1e-3
 
 
 def test_frames_without_pose_are_listed_as_failed(true_results: Path) -> None:

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.transforms import moved
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dvrk_cmaes import Body
 from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance, compare_poses
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.silhouette import Body
 
 TRUTH = moved(np.eye(4), [0.01, -0.02, 0.12, 0.4, 2.0, -0.3])
 JOINTS = {"wrist_pitch": 0.5, "wrist_yaw": -0.2, "jaw": 0.7}

@@ -5,16 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from helpers.transforms import lookat_pose
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import Body, Camera, InputError, Renderer
 from dvrk_cmaes.evidence.distance_field import FIELDS, distance_field
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
 from dvrk_cmaes.evidence.shaft_edges import ShaftEdges, axis_tilt_error, find_contour, shaft_axis
 from dvrk_cmaes.geometry import project_cylinder
-from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERAS = {
     "pinhole": Camera(640, 480, 880, 880, 330, 250),

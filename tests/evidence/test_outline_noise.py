@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Camera
 from dvrk_cmaes.evidence.distance_field import distance_within
 from dvrk_cmaes.evidence.outline_noise import distances_to, less_margin, measure_noise, sampled, signed_distance
 from dvrk_cmaes.evidence.shaft_edges import find_contour

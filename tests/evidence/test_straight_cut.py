@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.places import bundled_path
+from helpers.transforms import lookat_pose, transform
 
-from dvrk_cmaes import Camera, EstimateConfig, estimate
+from dvrk_cmaes import Body, Camera, EstimateConfig, Renderer, estimate, read_frame, read_session
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.evidence.gather import Evidence, gather_evidence
 from dvrk_cmaes.evidence.outline_noise import sampled, signed_distance
 from dvrk_cmaes.evidence.straight_cut import largest_bend, shaft_width
-from dvrk_cmaes.frames.frame import read_frame
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.geometry import Posed, transform
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.judge import doubts_in_views
-from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.results.result import ExpectedError, Quality
-from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250)
 POSE = lookat_pose(0.5, 1.0, 0.7, 0.11)

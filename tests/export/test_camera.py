@@ -8,16 +8,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.commands import main
+from helpers.files import write_json
 from helpers.page_calibrations import calibration, solved
+from helpers.transforms import transform
 
-from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes import Camera, Rig, read_calibration
 from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.camera.view_document import ViewDocument
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.geometry import transform
-from dvrk_cmaes.io.atomic import write_json
 
 LENSES = {
     "pinhole": Camera(640, 480, 893.8, 901.25, 318.5, 241.125),

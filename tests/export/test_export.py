@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from helpers.canned_results import BASE, canned, failed, write_results
 from helpers.commands import Ran, run_command
+from helpers.files import write_json
+from helpers.transforms import moved, rotation_angle
 
 from dvrk_cmaes.export.base_choice import median_pose
-from dvrk_cmaes.export.table import FORMATS
-from dvrk_cmaes.geometry import moved, rotation_angle
-from dvrk_cmaes.io.atomic import write_json
 
 OTHER = moved(BASE, [0.01, 0.02, 0.0, 0.0, 0.0, 0.3])
 
@@ -44,32 +43,11 @@ def results(tmp_path: Path) -> Path:
     return write_results(tmp_path / "out", *(canned(f"000{k}", k) for k in range(3)), wrong, failed("0004"))
 
 
-@pytest.mark.parametrize("to", sorted({*FORMATS} - {"joint-correction", "camera"}))  # these have no frames
-def test_every_format_is_written(to: str, results: Path, run: Run) -> None:
-    ran = run(results, "--to", to, "--json", *(["--out", results / "exports"] if to == "tf" else []))
-    assert ran.code == 0
-    assert ran.result["direction"] == FORMATS[to].direction
-    assert ran.result["written"]
-    for path in map(Path, ran.result["written"]):
-        assert path.stat().st_size > 0
-        assert (results / "exports") in path.parents
-    assert len(ran.result["written"]) == sum(path.is_file() for path in (results / "exports").rglob("[!.]*"))
-
-
 def test_calibration_is_preferred_to_frames(results: Path, run: Run) -> None:
     write_json(results / "session.json", session())
     ran = run(results, "--to", "dvrk", "--json")
     np.testing.assert_allclose(exported_base(ran), OTHER, atol=1e-8)
     assert ran.result["base"]["origin"] == f"the session calibration {results / 'session.json'} of 2 frames"
-
-
-def test_calibration_without_results_is_exported(tmp_path: Path, run: Run) -> None:
-    write_json(tmp_path / "session.json", session())
-    for source in (tmp_path, tmp_path / "session.json"):
-        np.testing.assert_allclose(exported_base(run(source, "--to", "tf", "--json")), OTHER, atol=1e-8)
-    ran = run(tmp_path, "--to", "bop")
-    assert ran.code == 2
-    assert ran.err == f"dvrk-cmaes: {tmp_path}: expected results of frames, got a session calibration only\n"
 
 
 def test_named_frame_is_preferred_to_calibration(results: Path, run: Run) -> None:
@@ -110,20 +88,6 @@ def test_single_doubtful_frame_gives_warning(results: Path, run: Run) -> None:
     assert ran.err == "dvrk-cmaes: warning: frame 0003 is doubtful: tiny\n"
 
 
-def test_single_result_is_exported_beside_frames_folder(results: Path, run: Run) -> None:
-    ran = run(results / "frames" / "0001.json", "--to", "csv", "--json")
-    assert ran.result["written"] == [str(results / "exports" / "poses.csv")]
-
-
-def test_stdout_holds_tf_command_only(results: Path, run: Run) -> None:
-    ran = run(results, "--to", "tf", "--arm", "PSM3")
-    (line,) = ran.out.splitlines()
-    assert line.startswith("ros2 run tf2_ros static_transform_publisher --x 0.0")
-    assert line.endswith("--frame-id camera --child-frame-id PSM3_base")
-    assert ran.err.startswith("dvrk-cmaes: camera_from_base: the median of 3 of 5 frames, ")
-    assert not (results / "exports").exists()
-
-
 def test_frames_without_pose_are_left_out_with_warning(results: Path, run: Run) -> None:
     ran = run(results, "--to", "tracker", "--json")
     assert ran.result["left_out"] == ["0004"]
@@ -143,20 +107,6 @@ def test_results_without_base_are_refused(tmp_path: Path, run: Run) -> None:
     )
     assert run(out, "--to", "tf", "--frame", "0002").refusal.endswith("got none: frame 0002 failed")
     assert not (out / "exports").exists()
-
-
-def test_wrong_input_is_refused(results: Path, run: Run) -> None:
-    assert run(results, "--to", "csv", "--frame", "0009").refusal.startswith(
-        f"{results}: frame: expected one of 5 frames (0000"
-    )
-    single = results / "frames" / "0001.json"
-    assert run(single, "--to", "csv", "--frame", "0002").refusal == f"{single}: frame: expected '0002', got '0001'"
-    assert run(results / "x", "--to", "csv").refusal.startswith(f"{results / 'x'}: no such file; expected")
-    assert run(results, "--to", "bop", "--scene", "-1").refusal.startswith("--scene, --object-id: expected")
-    write_json(results / "session.json", {"camera_from_base": [[1, 2]]})
-    assert run(results, "--to", "dvrk").refusal == (
-        f"{results / 'session.json'}: camera_from_base: expected 4 rows of 4 finite numbers, got [[1, 2]]"
-    )
 
 
 def test_frame_name_with_slash_is_refused(tmp_path: Path, run: Run) -> None:

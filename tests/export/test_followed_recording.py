@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import run_command
+from helpers.files import write_json
 from helpers.track_rows import row
 
+from dvrk_cmaes import read_results
 from dvrk_cmaes.geometry import quaternion_wxyz
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.track_files import TRACKS, line_of
 
 ROWS = [row(0), row(1), row(2, "lost", "no mask"), row(3, "gone")]

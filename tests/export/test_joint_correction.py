@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.commands import main
+from helpers.files import write_json
 from helpers.page_calibrations import OFFSETS, cables_of, calibration, solved
 
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.joint_correction import correction_files
-from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.joints.cables import PARAMETERS, CableModel
 from dvrk_cmaes.joints.play import play_of
 

@@ -12,14 +12,12 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL
 from helpers.track_rows import row
+from helpers.transforms import exp_rotation, inverse, transform
 from rerun.chunk import RrdReader
 
-from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes import Body, DvrkCmaesError, InputError, Rig
 from dvrk_cmaes.export.rerun_file import check_rerun, rerun_file
-from dvrk_cmaes.geometry import exp_rotation, inverse, transform
 from dvrk_cmaes.results.tracked import TrackView
-from dvrk_cmaes.silhouette import Body
 
 SHAPE = (SMALL.height, SMALL.width)
 SIZE = (SMALL.width, SMALL.height)

@@ -6,11 +6,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+from helpers.places import bundled_path
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError, read_session
 from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.runs.digests import frame_digests
 
 

@@ -12,9 +12,9 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from dvrk_cmaes.frames.frame import read_frame, read_frame_image
+from dvrk_cmaes import read_frame, read_session
+from dvrk_cmaes.frames.frame import read_frame_image
 from dvrk_cmaes.frames.overlays import OVERLAID, overlaid, with_overlaid
-from dvrk_cmaes.frames.session_folder import read_session
 
 Image = NDArray[np.uint8]
 HEIGHT, WIDTH, IMAGES = 240, 320, 10

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 from helpers.commands import run_command
+from helpers.places import bundled_path
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.session_folder import find_images, read_session
+from dvrk_cmaes import InputError, read_session
+from dvrk_cmaes.frames.session_folder import find_images
 from dvrk_cmaes.inspection import Options, inspect_path
-from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
 PLACES = ("images/0001.jpg", "images", "masks/0001.png", "masks", "joints.csv", "camera.yaml", "golden.json")

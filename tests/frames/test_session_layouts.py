@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.files import write_image
+from helpers.places import bundled_path
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import read_frame
-from dvrk_cmaes.frames.session_folder import Session, read_session
-from dvrk_cmaes.io.atomic import write_image
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes import InputError, Session, read_frame, read_session
 
 CAMERA = bundled_path("demo") / "camera.yaml"
 MASK = np.zeros((480, 640), np.uint8)
@@ -46,24 +44,6 @@ def jaws(session: Session) -> list[float | None]:
 def state(stamp: float, jaw: float) -> str:
     sec, rest = divmod(round(stamp * 1e9), 10**9)
     return f"header:\n  stamp:\n    sec: {sec}\n    nanosec: {rest}\nname:\n- jaw\nposition:\n- {jaw}\n---\n"
-
-
-def test_published_frames_are_named_by_number(tmp_path: Path) -> None:
-    published(tmp_path, "1", 30, [0.1, 0.2, 0.15, 0.4, 0.5, 0.6])
-    published(tmp_path, "0", 26, [0.2, 0.2, 0.15, 0.4, 0.5, 0.6], jaw=0.75)
-    session = read_session(tmp_path, camera=CAMERA)
-    first = session.frames[0]
-    assert [frame.name for frame in session.frames] == ["0026", "0030"]
-    assert (first.image, first.mask) == (tmp_path / "0" / "frame0026.png", tmp_path / "0" / "00026.jpg")
-    assert first.readings == {
-        **dict(zip(("yaw", "pitch", "insertion", "roll"), (0.2, 0.2, 0.15, 0.4), strict=True)),
-        "wrist_pitch": 0.5,
-        "wrist_yaw": 0.6,
-        "jaw": 0.75,
-    }
-    assert session.notes[0] == "frames in the published layout, a folder each"
-    np.testing.assert_array_equal(read_frame(first, session.camera).mask, MASK > 127)
-    assert [frame.name for frame in read_session(tmp_path / "0", camera=CAMERA).frames] == ["0026"]
 
 
 def test_folder_name_disambiguates_equal_numbers(tmp_path: Path) -> None:
@@ -100,14 +80,6 @@ def test_published_frame_agrees_with_converted_session(shared: Path) -> None:
     assert one.image.shape == (480, 640, 3)
 
 
-def test_readings_are_interpolated_to_image_times(folder: Path) -> None:
-    (folder / "joints.csv").write_text("time,jaw\n10.00,0.2\n10.04,0.4\n10.08,0.8\n")
-    (folder / "images.csv").write_text("frame,time\n0000,10.00\n0001,10.03\n0002,10.05\n")
-    session = read_session(folder)
-    assert jaws(session) == pytest.approx([0.2, 0.35, 0.5])
-    assert "readings interpolated to the images' times, from at most 0.03 s away (0.05 s are allowed)" in session.notes
-
-
 def test_image_outside_recording_is_unusable(folder: Path) -> None:
     (folder / "joints.csv").write_text("time,jaw\n10.00,0.2\n10.04,0.4\n")
     (folder / "images.csv").write_text("frame,time\n0000,10.02\n0001,10.05\n")
@@ -125,17 +97,6 @@ def test_image_outside_recording_is_unusable(folder: Path) -> None:
         read_session(folder)
 
 
-def test_row_of_exact_time_is_used_unchanged(folder: Path) -> None:
-    (folder / "joints.csv").write_text("frame,time,jaw,roll\n0000,10,0.2,\n0001,11,,0.1\n0002,12,0.4,0.2\n")
-    (folder / "images.csv").write_text("frame,time\n0000,10.0\n0001,11.0\n0002,12.0\n")
-    session = read_session(folder)
-    assert [dict(frame.readings) for frame in session.frames] == [
-        {"jaw": 0.2},
-        {"roll": 0.1},
-        {"jaw": 0.4, "roll": 0.2},
-    ]
-
-
 def test_topic_dumps_are_found_by_name(folder: Path) -> None:
     (folder / "PSM1_jaw_measured_js.yaml").write_text(state(10.0, 0.2) + state(10.04, 0.4))
     (folder / "PSM1_measured_js.csv").write_text(
@@ -146,16 +107,6 @@ def test_topic_dumps_are_found_by_name(folder: Path) -> None:
     session = read_session(folder)
     assert session.frames[0].readings == pytest.approx({"jaw": 0.3, "roll": 0.14})
     assert "readings: JointState messages (YAML)" in session.notes
-
-
-def test_camera_without_size_takes_size_of_frames_with_note(folder: Path) -> None:
-    (folder / "joints.csv").write_text("frame,jaw\n0000,0.1\n")
-    (folder / "camera.yaml").write_text("intrinsic: [[800, 0, 320], [0, 800, 240], [0, 0, 1]]\ndistortion: []\n")
-    session = read_session(folder)
-    note = "the camera file states no image size: taken to be 640 x 480, that of the frames"
-    assert (session.camera.width, session.camera.height) == (640, 480)
-    assert all(frame.notes == (note,) for frame in session.frames)
-    assert note in session.notes
 
 
 def test_frame_may_have_image_only(folder: Path) -> None:

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import make_session
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import OtherTool, read_frame
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes import InputError, read_frame, read_session
+from dvrk_cmaes.frames.frame import OtherTool
 from dvrk_cmaes.frames.session_toml import CameraEntry, SessionEntries, ToolEntry, read_session_toml, session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import cv2
 
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.images import read_mask
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes import EstimateConfig
 from dvrk_cmaes.io.toml_file import updated
+from helpers.files import read_mask
+from helpers.places import bundled_path
 
 QUICK = """
 [search]

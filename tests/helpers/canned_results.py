@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes import Result
 from dvrk_cmaes.instrument.arm import base_from_root
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.results.result import Quality, Result
+from dvrk_cmaes.results.result import Quality
+from helpers.files import write_json
+from helpers.transforms import moved
 
 BASE = moved(np.eye(4), [0.07, -0.07, 0.055, 0.9, 1.8, -0.4])
 """camera_from_base of every frame."""

@@ -3,11 +3,27 @@
 from __future__ import annotations
 
 import json
+import signal
+import sys
+from collections.abc import Sequence
+from importlib.metadata import entry_points
 from typing import Any
 
 import pytest
 
-from dvrk_cmaes.cli import main
+_MAIN = next(iter(entry_points(group="console_scripts", name="dvrk-cmaes"))).load()
+
+
+def main(arguments: Sequence[object]) -> int:
+    """Run a command line by the program's entry point, which replaces the handlers of signals; gives the exit code."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["dvrk-cmaes", *map(str, arguments)])
+        try:
+            return int(_MAIN())
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
 
 
 class Ran:

@@ -7,12 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import transform
-from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes import Body, Camera
 from dvrk_cmaes.synth.truth import Truth
 from dvrk_cmaes.synth.two_arms import tool_depth
+from helpers.transforms import lookat_pose, transform
 
 CAMERA = Camera(320, 240, 513.0, 513.0, 161.0, 119.0)
 ARMS = ("PSM1", "PSM2")

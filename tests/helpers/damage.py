@@ -20,10 +20,10 @@ import pytest
 import trimesh
 
 from dvrk_cmaes.cli.options import InstrumentOptions
-from dvrk_cmaes.io.bundled import bundled_path
 from helpers.canned_results import canned
 from helpers.instrument_files import TETRA_OBJ, mesh_link, write_urdf
 from helpers.made_recordings import good, write_bag, write_video
+from helpers.places import bundled_path
 
 DEMO = bundled_path("demo")
 MASK, IMAGE, CAMERA, JOINTS = (DEMO / p for p in ("masks/0000.png", "images/0000.jpg", "camera.yaml", "joints.csv"))

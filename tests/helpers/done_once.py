@@ -18,10 +18,11 @@ import pytest
 from cyclopts import App, core
 from cyclopts.argument import Argument, ArgumentCollection
 
+from dvrk_cmaes import Body, Instrument
 from dvrk_cmaes import segment as segmentation
-from dvrk_cmaes.instrument import Instrument, measure
+from dvrk_cmaes.instrument import measure
 from dvrk_cmaes.runs.digests import instrument_digest
-from dvrk_cmaes.silhouette import Body, prepare
+from dvrk_cmaes.silhouette import prepare
 
 _BODIES = 8
 """Most prepared instruments that are kept."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.geometry import Posed
@@ -15,7 +15,6 @@ from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Term
 from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.silhouette import Body, Renderer
 
 SPREAD = np.deg2rad([10, 10, 15])
 

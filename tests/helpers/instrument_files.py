@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from dvrk_cmaes.instrument import Instrument, load_instrument
+from dvrk_cmaes import Instrument, load_instrument
 from helpers.places import SHARED
 
 INSTRUMENTS = SHARED / "instruments"

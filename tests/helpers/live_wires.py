@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Camera
 from dvrk_cmaes.live.connection import Connection
 
 SECOND = 10**9

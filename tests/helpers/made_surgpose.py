@@ -13,16 +13,14 @@ import cv2
 import numpy as np
 import yaml
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera, prepare
 from dvrk_cmaes.frames.markers import place_markers, read_marker_table
-from dvrk_cmaes.geometry import apply, exp_rotation, moved, transform
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
-from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.moving_arm import MotionLevel, moving_arm
 from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, RecordingImages
 from dvrk_cmaes.synth.truth import Truth, exact_coverage
+from helpers.places import bundled_path
+from helpers.transforms import apply, exp_rotation, moved, transform
 
 CAMERA = Camera(350, 246, 453.0, 452.5, 171.5, 120.25, (-0.05, 0.02, 0.001, -0.0005, 0.0))
 RIGHT_FROM_LEFT = transform(exp_rotation(np.array([0.002, -0.003, 0.001])), [-0.0053, 0.0001, 0.0])

@@ -8,17 +8,12 @@ from functools import cache
 
 import numpy as np
 
-from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.silhouette.prepare import prepare
+from dvrk_cmaes import Body, Camera, EstimateConfig, Rig, Tracker, TrackResult, prepare
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MotionLevel, moving_arm, read_moving
 from dvrk_cmaes.synth.truth import Truth, exact_mask
-from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.view_segmenter import ViewSegmenter
+from helpers.transforms import moved
 
 SMALL = Camera(320, 240, 513, 513, 161, 119)
 OFFSETS_ONLY = MotionLevel(1.5, 0.0, 4.0, 0.0, 0.0, 0.0, False, False)

@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes import Result, SessionCalibration
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_cables import CablesAlone, SessionCables
 from dvrk_cmaes.draw.left_out_overlay import draw_left_out
-from dvrk_cmaes.geometry import exp_rotation, moved, transform
 from dvrk_cmaes.instrument.arm import base_from_root
-from dvrk_cmaes.io.atomic import write_image, write_json
 from dvrk_cmaes.results.paths import left_out_path
-from dvrk_cmaes.results.result import Result
+from helpers.files import write_image, write_json
 from helpers.page_results import JOINTS, result, write_results
+from helpers.transforms import exp_rotation, moved, transform
 
 BASE = transform(exp_rotation([0.9, 1.8, -0.4]), [0.07, -0.07, 0.055])
 OFFSETS = {"insertion": 4e-4, **dict(zip(("roll", *JOINTS), np.deg2rad([2, -8, 3, 5]).tolist(), strict=True))}

@@ -13,11 +13,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dvrk_cmaes import Result
 from dvrk_cmaes.draw.panels import footer, header
-from dvrk_cmaes.geometry import exp_rotation, transform
 from dvrk_cmaes.report.page import write_page
 from dvrk_cmaes.results.paths import write_frame
-from dvrk_cmaes.results.result import Alternative, Quality, Result
+from dvrk_cmaes.results.result import Alternative, Quality
+from helpers.transforms import exp_rotation, transform
 
 JOINTS = {"wrist_pitch": 0.5, "wrist_yaw": -0.25, "jaw": 0.75}
 OUTER = {"yaw": 0.1, "pitch": -0.2, "insertion": 0.15, "roll": 1.0}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from dvrk_cmaes import Instrument
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.silhouette.moving_points import FixedPoints
 
 

@@ -13,3 +13,8 @@ SCRIPTS = ROOT / "scripts"
 
 SHARED = ROOT.parent / "shared"
 """Real meshes, frames and files beside the checkout. Tests that read them use the fixture or mark ``shared``."""
+
+
+def bundled_path(*parts: str) -> Path:
+    """Give the path of a bundled file or folder, such as ``bundled_path("instruments", "lnd")``."""
+    return ROOT.joinpath("data", *parts)

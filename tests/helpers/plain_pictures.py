@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import pytest
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 from dvrk_cmaes.report import compare_page, template, track_page
 
 ONE_PIXEL: Final = "data:image/webp;base64,UklGRhoAAABXRUJQVlA4TA0AAAAvAAAAEAcQERGIiP4HAA=="

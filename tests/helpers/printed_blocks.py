@@ -10,7 +10,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import NamedTuple
 
-from dvrk_cmaes.cli import main
+from helpers.commands import main
 
 PROGRAM = re.compile(r"^(?:\$ )?(?:\.venv/bin/)?dvrk-cmaes ")
 LEFT_OUT = "..."

@@ -11,25 +11,21 @@ from typing import Any
 import cv2
 import numpy as np
 
+from dvrk_cmaes import Body, Camera, EstimateConfig, FrameData, Instrument, Result, SessionCalibration, SessionFrame
 from dvrk_cmaes.calibration.consensus import Mode
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import BASE_AXES, Calibration, Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
-from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import Posed, moved
-from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
-from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.results.result import Alternative, Quality, Result
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.results.result import Alternative, Quality
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.session import SessionPlan, make_frames, make_truths
 from dvrk_cmaes.synth.truth import Truth
+from helpers.files import write_json
+from helpers.transforms import moved
 
 NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 BASE = moved(np.eye(4), [0.07, -0.07, 0.055, 0.9, 1.8, -0.4])

@@ -13,11 +13,10 @@ from typing import Any
 
 import pytest
 
+from dvrk_cmaes import Body, Result
 from dvrk_cmaes.estimation.one_tool import FrameMethod
-from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs import frame as frames
 from dvrk_cmaes.runs.digests import instrument_digest
-from dvrk_cmaes.silhouette import Body
 
 _KNOWN: dict[str, Result] = {}
 

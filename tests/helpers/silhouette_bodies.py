@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 
-from dvrk_cmaes.instrument import Chain, Instrument, Joint, Link
+from dvrk_cmaes import Instrument
+from dvrk_cmaes.instrument import Chain, Joint, Link
 
 
 def rigid_instrument(*meshes: trimesh.Trimesh, poses: Sequence[np.ndarray] = ()) -> Instrument:

@@ -10,10 +10,8 @@ import cv2
 import numpy as np
 import yaml
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import transform
-from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes import Body, Camera, Renderer
+from helpers.transforms import lookat_pose, transform
 
 CAMERA = Camera(160, 120, 256.0, 256.0, 79.5, 59.5)
 BASELINE = 0.0053

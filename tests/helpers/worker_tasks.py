@@ -9,7 +9,7 @@ from pathlib import Path
 
 import cv2
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 
 
 def prepare_nothing() -> None:

@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.transforms import change_between
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import change_between
-from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes import InputError, load_instrument
 from dvrk_cmaes.instrument.arm import (
     OUTER_JOINTS,
     ROLL_OFFSET_LONG,

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.instrument_files import TETRA_OBJ, gripper, write_urdf
+from helpers.places import bundled_path
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument import load_instrument, urdf
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes import InputError, load_instrument
+from dvrk_cmaes.instrument import urdf
 
 
 def plain(value: Any) -> Any:

@@ -8,21 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.instrument_files import loaded
+from helpers.places import bundled_path
 from helpers.waiting import within
 
-from dvrk_cmaes import estimate
-from dvrk_cmaes.config import EstimateConfig, SearchConfig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import read_frame
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.instrument import load_instrument
+from dvrk_cmaes import Body, EstimateConfig, InputError, estimate, load_instrument, read_frame, read_session
+from dvrk_cmaes.config import SearchConfig
 from dvrk_cmaes.instrument.arm import ROLL_OFFSET_LONG, base_from_root
 from dvrk_cmaes.instrument.dvrk_description import read_kinematics, read_tool
 from dvrk_cmaes.instrument.tool import with_tool
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.joints.prior import LIMIT_SIGMA
-from dvrk_cmaes.silhouette import Body
 
 TOOL = """\
 /* a tool // with comments */

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.transforms import change_between
 
-from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.instrument.endoscope import ECM_LIMITS, ecm_from_tip_and_jacobian, joints_of_ecm_tip
 

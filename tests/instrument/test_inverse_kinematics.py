@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.transforms import change_between
 from numpy.typing import NDArray
 
-from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import ROLL_OFFSET, ROLL_OFFSET_LONG, TOOLTIP_OFFSET, Arm, base_from_root, root_from_tip
 from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS, find_joints
 

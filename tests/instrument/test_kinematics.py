@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 import yourdfpy
 from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, loaded, write_urdf
+from helpers.places import bundled_path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument import Instrument, load_instrument
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes import InputError, Instrument, load_instrument
 
 BUNDLED = bundled_path("instruments", "lnd", "lnd.urdf")
 

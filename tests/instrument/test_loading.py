@@ -13,8 +13,8 @@ import trimesh
 from helpers.instrument_files import ALL_SHARED, SCANNED, TETRA_OBJ, box_link, gripper, loaded, mesh_link, write_urdf
 from plyfile import PlyData, PlyElement
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument import Link, bundled_names, load_instrument
+from dvrk_cmaes import InputError, load_instrument
+from dvrk_cmaes.instrument import Link, bundled_names
 from dvrk_cmaes.instrument.meshes import read_mesh, weld
 
 

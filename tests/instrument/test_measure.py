@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, loaded, write_urdf
+from helpers.places import bundled_path
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.instrument import Shaft, load_instrument
+from dvrk_cmaes import InputError, load_instrument
+from dvrk_cmaes.instrument import Shaft
 from dvrk_cmaes.instrument.symmetry import twin_distance
-from dvrk_cmaes.io.bundled import bundled_path
 
 LND = bundled_path("instruments", "lnd", "lnd.urdf")
 FRACTION = st.floats(0.0, 1.0)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, SessionConfig
+from dvrk_cmaes import EstimateConfig
+from dvrk_cmaes.config import ReadingSigmas, SessionConfig
 from dvrk_cmaes.joints.commanded import commanded_in, commanded_joints, describe_commanded, with_commanded
 
 FRAMES = 30

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 from dvrk_cmaes.joints.reading import frame_readings, read_joint_file, read_joints
 from dvrk_cmaes.joints.times import parse_time, read_image_times, time_in_name
 
@@ -27,33 +27,12 @@ velocity: []
 effort: [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
 ---
 """
-ROS_2_JAW = """\
-header:
-  stamp:
-    sec: 100
-    nanosec: 250000000
-  frame_id: ''
-name:
-- jaw
-position:
-- 1.34
-velocity:
-- 0.0
-effort:
-- 1e-05
----
-"""
 COLLECTED = """\
 # Topic: /PSM1/measured_js
 # Type: sensor_msgs/msg/JointState
 timestamp,effort.0,header.frame_id,header.stamp.nanosec,header.stamp.sec,name.0,name.1,position.0,position.1
 1755000000000000000,0,,0,1755000000,wrist_pitch,insertion,0.1,0.15
 1755000000020000000,0,,20000000,1755000000,wrist_pitch,insertion,0.3,0.17
-"""
-MEASURED = """\
-traj_index,measured_q1,measured_q2,measured_q3,measured_q4,measured_q5,measured_q6,measured_x
-0.0,-0.7,0.03,0.168,-0.007,-0.018,0.002,-0.1
-26.0,-0.6,0.04,0.169,-0.008,-0.019,0.003,-0.1
 """
 
 
@@ -80,16 +59,6 @@ def message(path: Path, frame: str | None = None) -> str:
 # messages of a topic
 
 
-def test_printed_ros_1_and_ros_2_messages_are_read(tmp_path: Path) -> None:
-    assert read_joints(written(tmp_path, ROS_1)) == dict(zip(ARM, VALUES, strict=True))
-    assert read_joints(written(tmp_path, ROS_2_JAW)) == {"jaw": 1.34}
-
-
-def test_arm_and_jaw_messages_are_combined(tmp_path: Path) -> None:
-    found = read_joints(written(tmp_path, ROS_1 + ROS_2_JAW))
-    assert found == dict(zip((*ARM, "jaw"), (*VALUES, 1.34), strict=True))
-
-
 def test_older_and_prefixed_joint_names_are_known(tmp_path: Path) -> None:
     for old, new in (("yaw, pitch", "outer_yaw, PSM1_pitch"), ("insertion", "PSM1_outer_insertion")):
         assert read_joints(written(tmp_path, ROS_1.replace(old, new))) == dict(zip(ARM, VALUES, strict=True))
@@ -101,21 +70,6 @@ def test_unnamed_values_are_in_dvrk_order_with_note(tmp_path: Path) -> None:
     )
     assert frame_readings([file], "x", single=True).readings == dict(zip(ARM, VALUES, strict=True))
     assert file.notes == ("joints are not named: taken in the dVRK's order, by their number",)
-
-
-def test_messages_are_interpolated_to_image_time(tmp_path: Path) -> None:
-    later = ROS_1.replace("nsecs: 250000000", "nsecs: 290000000").replace("-0.68", "-0.60")
-    files = [read_joint_file(written(tmp_path, ROS_1 + later + ROS_2_JAW))]
-    jaw = ROS_2_JAW.replace("250000000", "300000000").replace("1.34", "1.24")
-    files = [read_joint_file(written(tmp_path, ROS_1 + ROS_2_JAW + later + jaw))]
-    found = frame_readings(files, "0026", time=parse_time("", "100.26"))
-    assert found.readings["wrist_pitch"] == pytest.approx(-0.66)
-    assert found.readings["jaw"] == pytest.approx(1.32)
-    assert found.farthest == 40_000_000
-    with pytest.raises(InputError, match=r"frame 0026: yaw: expected readings before and after the image's time 100.3"):
-        frame_readings(files, "0026", time=parse_time("", "100.3"))
-    with pytest.raises(InputError, match=r"expected the image's time \(images.csv, or --time\)"):
-        frame_readings(files, "0026")
 
 
 def test_gap_beyond_tolerance_is_refused(tmp_path: Path) -> None:
@@ -162,13 +116,6 @@ def test_unusable_message_is_refused_with_field(tmp_path: Path, old: str, new: s
 # tables of recorders
 
 
-def test_data_collection_csv_is_read_by_time(tmp_path: Path) -> None:
-    file = read_joint_file(written(tmp_path, COLLECTED))
-    assert file.kind == "JointState topic /PSM1/measured_js (data_collection CSV)"
-    found = frame_readings([file], "left_1755000000.015", time=parse_time("", "1755000000.015"))
-    assert found.readings == pytest.approx({"wrist_pitch": 0.25, "insertion": 0.165})
-
-
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
@@ -186,30 +133,11 @@ def test_unusable_recording_is_refused(tmp_path: Path, old: str, new: str, expec
     assert message(written(tmp_path, COLLECTED.replace(old, new))).startswith(expected)
 
 
-def test_numbered_rows_match_frame_numbers_with_note(tmp_path: Path) -> None:
-    file = read_joint_file(written(tmp_path, MEASURED, "measured.csv"))
-    found = frame_readings([file], "image_0026")
-    assert found.readings == dict(zip(ARM, (-0.6, 0.04, 0.169, -0.008, -0.019, 0.003), strict=True))
-    assert found.notes == ("frame image_0026 is taken for row 26 of measured.csv, by its number",)
-    assert frame_readings([file], "0027").readings == {}
-    assert file.notes == (
-        "measured_q1 to measured_q6 are taken as yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw; "
-        "the jaw is not among them",
-    )
-
-
 def test_real_recording_of_arm_is_read(shared: Path) -> None:
     file = read_joint_file(shared / "formats" / "recording" / "classic_measured.csv")
     assert len(file.rows) == 299
     assert file.joints == ARM
     assert file.rows["0"].readings()["insertion"] == pytest.approx(0.168949, abs=1e-6)
-
-
-def test_arm_and_jaw_files_are_combined_without_common_joints(tmp_path: Path) -> None:
-    arm, jaw = read_joint_file(written(tmp_path, MEASURED, "a.csv")), read_joint_file("jaw=0.5")
-    assert frame_readings([arm, jaw], "26", single=True).readings["jaw"] == 0.5
-    with pytest.raises(InputError, match=r"joints: yaw: expected each joint in one file, got it in .*a\.csv too"):
-        frame_readings([arm, read_joint_file("yaw=0.5")], "26", single=True)
 
 
 # NumPy

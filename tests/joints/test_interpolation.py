@@ -28,17 +28,6 @@ def distances(series: TimedReadings, time: int) -> tuple[int, int]:
     return int(nearest[0]), int(farther[0])
 
 
-def test_interpolation_is_linear() -> None:
-    jaw = readings([0, 10 * MS], [[1.0, 0.0], [2.0, -1.0]], ("jaw", "roll"))
-    assert at(jaw, 4 * MS, 10 * MS) == [1.4, -0.4]
-
-
-def test_exact_time_gives_exact_reading() -> None:
-    jaw = readings([0, 10 * MS, 900 * MS], [[np.nan], [2.0], [-0.0]])
-    assert at(jaw, 10 * MS, 1) == [2.0]
-    assert str(at(jaw, 900 * MS, 1)) == "[-0.0]"
-
-
 def test_no_extrapolation() -> None:
     jaw = readings([0, 10 * MS], [[1.0], [2.0]])
     assert at(jaw, -1, 10 * MS) is None
@@ -50,19 +39,6 @@ def test_distances_are_those_of_the_nearest_and_of_the_farther_reading_used() ->
     assert distances(jaw, 4 * MS) == (4 * MS, 6 * MS)
     assert distances(jaw, 10 * MS) == (0, 0)
     assert (distances(jaw, -7)[0], distances(jaw, 20 * MS + 3)[0]) == (7, 3)
-
-
-def test_unknown_reading_stays_unknown() -> None:
-    found = at(readings([0, 10], [[1.0, 3.0], [np.nan, 4.0]], ("jaw", "roll")), 5, 10)
-    assert found is not None
-    assert np.isnan(found[0])
-    assert found[1] == 3.5
-
-
-def test_readings_are_sorted_and_last_duplicate_is_used() -> None:
-    jaw = readings([20, 0, 20, 10], [[1.0], [2.0], [3.0], [4.0]])
-    assert jaw.times.tolist() == [0, 10, 20]
-    assert jaw.values.ravel().tolist() == [2.0, 4.0, 3.0]
 
 
 def test_nanoseconds_since_1970_are_resolved() -> None:
@@ -107,12 +83,3 @@ def test_readings_beyond_the_ends_are_held_or_change_by_a_rate(curve: Curve) -> 
     moving = series.at(times, extrapolated(1.0), curve, np.array([2.0, np.nan]))
     np.testing.assert_array_equal(moving[:, 0], [np.nan, -1.0, 2.0, 5.0, np.nan])
     assert np.isnan(moving[:, 1]).all()
-
-
-@pytest.mark.parametrize("curve", [weighted_mean, straight_line, smooth_spline])
-def test_series_of_no_or_one_reading(curve: Curve) -> None:
-    times = np.array([0.0, 1.0])
-    nothing = TimedReadings(("yaw",), np.zeros(0), np.zeros((0, 1)))
-    assert np.isnan(nothing.at(times, longest(1.0), curve)).all()
-    one = TimedReadings(("yaw",), np.ones(1), np.full((1, 1), 0.3))
-    np.testing.assert_array_equal(one.at(times, longest(1.0), curve), [[np.nan], [0.3]])

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError, Lag
 from dvrk_cmaes.io.typed_document import convert_document
-from dvrk_cmaes.joints.lag import Lag, current_document
+from dvrk_cmaes.joints.lag import current_document
 
 
 def read(document: dict[str, object]) -> Lag:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from dvrk_cmaes import Body
 from dvrk_cmaes.joints.prior import LIMIT_SIGMA, Readings
-from dvrk_cmaes.silhouette import Body
 
 
 def test_without_readings_only_limits_count(bundled_body: Body) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 from dvrk_cmaes.frames.keypoints import parse_keypoints
 from dvrk_cmaes.joints.reading import read_joints
 
@@ -31,34 +31,10 @@ def message(source: str | Path, frame: str | None = None, known: tuple[str, ...]
     return text.removeprefix(f"{source}: ")
 
 
-def test_inline_readings_are_read() -> None:
-    assert read_joints("wrist_pitch=-0.68, wrist_yaw = -0.36,jaw=1.34") == {
-        "wrist_pitch": -0.68,
-        "wrist_yaw": -0.36,
-        "jaw": 1.34,
-    }
-
-
-def test_table_row_of_frame_is_read(tmp_path: Path) -> None:
-    assert read_joints(table(tmp_path), frame="0026") == {
-        "yaw": 0.59,
-        "pitch": -0.48,
-        "insertion": 0.1697,
-        "roll": 0.39,
-        "wrist_pitch": -0.68,
-        "wrist_yaw": -0.36,
-        "jaw": 1.34,
-    }
-
-
 def test_blank_cell_and_missing_column_are_unknown(tmp_path: Path) -> None:
     readings = read_joints(str(table(tmp_path)), frame="0030")
     assert set(readings) == {"yaw", "pitch", "insertion", "wrist_pitch", "jaw"}
     assert read_joints(table(tmp_path, "frame\n7\n"), frame="7") == {}
-
-
-def test_single_row_needs_no_frame_name(tmp_path: Path) -> None:
-    assert read_joints(table(tmp_path, "frame,jaw\nx,0.5\n")) == {"jaw": 0.5}
 
 
 def test_byte_order_mark_blank_lines_and_times_are_accepted(tmp_path: Path) -> None:
@@ -66,31 +42,11 @@ def test_byte_order_mark_blank_lines_and_times_are_accepted(tmp_path: Path) -> N
     assert read_joints(table(tmp_path, text), frame="a b") == {"jaw": 0.5}
 
 
-def test_bad_cell_of_other_frame_is_ignored(tmp_path: Path) -> None:
-    path = table(tmp_path, TABLE + "0040,x,90,0,0,0,0,0\n")
-    assert read_joints(path, frame="0026")["jaw"] == 1.34
-    assert message(path, "0040") == "frame 0040: yaw: expected a finite number in rad, got 'x'"
-
-
 def test_existing_path_with_equals_sign_is_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "jaw=1.csv").write_text("frame,jaw\n1,0.25\n")
     assert read_joints("jaw=1.csv") == {"jaw": 0.25}
     assert message(Path("jaw=2.csv")).startswith("no such file; expected joint readings")
-
-
-def test_joints_of_instrument_are_known(tmp_path: Path) -> None:
-    assert read_joints("grip=0.1", known=["grip"]) == {"grip": 0.1}
-    assert read_joints(table(tmp_path, "frame,grip\n1,0.1\n"), known=("grip",)) == {"grip": 0.1}
-
-
-def test_real_readings_are_read(shared: Path) -> None:
-    readings = read_joints(shared / "frames" / "real" / "easy" / "joints.csv", frame="0026")
-    assert readings["insertion"] == 0.169726
-    assert readings["wrist_pitch"] == -0.683729
-    assert len(readings) == 7
-    clean = read_joints(shared / "frames" / "made" / "clean" / "joints.csv", frame="0000")
-    assert set(clean) == {"wrist_pitch", "wrist_yaw", "jaw"}
 
 
 @pytest.mark.parametrize(
@@ -155,27 +111,6 @@ def test_reading_just_below_full_turn_is_accepted() -> None:
 )
 def test_unusable_table_is_refused_with_line(tmp_path: Path, text: str, frame: str | None, expected: str) -> None:
     assert message(table(tmp_path, text), frame) == expected
-
-
-def test_message_lists_few_of_many_frames(tmp_path: Path) -> None:
-    text = "frame,jaw\n" + "".join(f"{i:04d},0.5\n" for i in range(100))
-    assert message(table(tmp_path, text)) == (
-        "frame: expected the name of one of its 100 frames (0000, 0001, 0002, 0003, 0004, ...), got none"
-    )
-
-
-def test_text_without_readings_or_file_is_refused(tmp_path: Path) -> None:
-    assert message("none.csv") == "no such file; expected joint readings (joints.csv, or name=value,name=value)"
-    assert message(tmp_path) == "expected joint readings (joints.csv, or name=value,name=value), got a directory"
-    binary = tmp_path / "joints.bin"
-    binary.write_bytes(b"\x89PNG\x01\x00")
-    assert message(binary) == (
-        "expected joint readings (joints.csv, or name=value,name=value) in UTF-8, got other bytes at 0"
-    )
-
-
-def test_keypoints_are_parsed() -> None:
-    assert parse_keypoints("1,2.5, 3e2 ,-4").tolist() == [[1, 2.5], [300, -4]]
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError, Lag, ReadingSeries
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
-from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.reading import read_joint_file
-from dvrk_cmaes.joints.series import ReadingSeries
 
 
 def series_of(folder: Path, text: str, images: dict[str, int | None]) -> ReadingSeries | None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from helpers.transforms import lookat_pose
 
-from dvrk_cmaes import _kernel
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera, Renderer, _kernel
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.terms.sized_view import REACH, blur_filter
-from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250)

@@ -13,7 +13,7 @@ import pytest
 from helpers.live_wires import Stage
 from helpers.moving_worlds import SMALL, moving_world
 
-from dvrk_cmaes.camera import Rig
+from dvrk_cmaes import Rig
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import header
 from dvrk_cmaes.live.apart import Process, TrackerApart

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, image, info, stamp
+from helpers.transforms import moved
 
-from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes import Camera, Rig
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.frames.frame import with_tool
-from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.live.arm import LiveArm
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics, LiveFrame
 from dvrk_cmaes.live.loop import LiveLoop

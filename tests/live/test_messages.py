@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 from dvrk_cmaes.live.messages import read_pixels
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (6, 8, 3), dtype=np.uint8)

@@ -23,15 +23,13 @@ from examples.play_session import main as play
 from helpers.fake_rclpy import Bus, get_message
 from helpers.live_wires import info, stamp
 from helpers.moving_worlds import SMALL
-from helpers.places import ROOT
+from helpers.places import ROOT, bundled_path
 from helpers.printed_blocks import PROGRAM, blocks, run
 from helpers.waiting import wait_for
 
-from dvrk_cmaes import prepare
+from dvrk_cmaes import prepare, read_session
 from dvrk_cmaes.cli import live as cli_live
 from dvrk_cmaes.cli.app import app
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from helpers.fake_rclpy import Bus, get_message
 from helpers.made_recordings import ARM, BEGIN, SECOND, pixels, sweep
+from helpers.transforms import moved
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 from dvrk_cmaes.export.ros_messages import header, joint_message, pose_message, tf_message
-from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.rclpy_node import RclpyConnection, filled_message, plain_fields
 

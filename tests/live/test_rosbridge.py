@@ -15,13 +15,11 @@ import roslibpy
 from examples.play_session import RosbridgeServer
 from helpers.live_wires import NothingBeside
 from helpers.made_recordings import ARM, BEGIN, HEIGHT, SECOND, WIDTH, pixels, sweep
+from helpers.transforms import moved
 from helpers.waiting import wait_for
-from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import Camera, InputError, Rig
 from dvrk_cmaes.export.frames import FrameNames
-from dvrk_cmaes.geometry import moved
 from dvrk_cmaes.live import arm as live_arm
 from dvrk_cmaes.live import loop as live_loop
 from dvrk_cmaes.live.arm import LiveArm
@@ -151,58 +149,6 @@ def follow(live: Live, time: int, number: int = 0, ros1: bool = False) -> None:
     wait_for(lambda: len(live.tracker.steps) > before)
 
 
-def test_topics_are_subscribed_and_advertised_with_types(live: Live) -> None:
-    wait_for(lambda: len(live.server.advertised) == 5)
-    assert {topic: one["type"] for topic, one in live.server.subscribed.items()} == {
-        IMAGE: "sensor_msgs/CompressedImage",
-        CAMERA: "sensor_msgs/CameraInfo",
-        JOINTS: "sensor_msgs/JointState",
-        JAW: "sensor_msgs/JointState",
-    }
-    assert live.server.subscribed[IMAGE]["queue_length"] == 1
-    assert live.server.advertised == {
-        f"{FOUND}/camera_from_root": "geometry_msgs/msg/PoseStamped",
-        f"{FOUND}/measured_js": "sensor_msgs/msg/JointState",
-        f"{FOUND}/overlay/compressed": "sensor_msgs/msg/CompressedImage",
-        "/tf": "tf2_msgs/msg/TFMessage",
-        "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-    }
-
-
-def test_tracker_gets_image_and_readings(live: Live) -> None:
-    follow(live, BEGIN, number=3)
-    ((time, mask, seen),) = live.tracker.steps
-    assert time == pytest.approx(BEGIN / SECOND, abs=1e-6)
-    assert np.array_equal(seen["left"], pixels(3))
-    assert mask is None  # there is no topic of masks
-    arm, own = (dict(found) for _, found in live.tracker.readings)
-    assert arm == pytest.approx(dict(zip(ARM, sweep(BEGIN), strict=True)))
-    assert own == {"jaw": 0.5}
-
-
-@pytest.mark.parametrize("ros1", [False, True])
-def test_pose_joints_and_overlay_are_published_at_time_of_image(live: Live, ros1: bool) -> None:
-    follow(live, BEGIN, number=4, ros1=ros1)
-    wait_for(lambda: live.received(f"{FOUND}/overlay/compressed"))
-    seconds, rest = ("secs", "nsecs") if ros1 else ("sec", "nanosec")
-    expected = {seconds: BEGIN // SECOND, rest: BEGIN % SECOND}
-    (pose,) = live.received(f"{FOUND}/camera_from_root")
-    assert pose["header"] == {"stamp": expected, "frame_id": "camera"}
-    orientation = [pose["pose"]["orientation"][axis] for axis in "xyzw"]
-    np.testing.assert_allclose(Rotation.from_quat(orientation).as_matrix(), POSE[:3, :3], atol=1e-9)
-    np.testing.assert_allclose([pose["pose"]["position"][axis] for axis in "xyz"], POSE[:3, 3], atol=1e-9)
-    ((transform,),) = (one["transforms"] for one in live.received("/tf"))
-    assert (transform["header"]["stamp"], transform["child_frame_id"]) == (expected, "PSM1_roll_link")
-    (found,) = live.received(f"{FOUND}/measured_js")
-    assert dict(zip(found["name"], found["position"], strict=True)) == pytest.approx(
-        {"wrist_pitch": sweep(BEGIN)[4], "jaw": 0.5}
-    )
-    (overlay,) = live.received(f"{FOUND}/overlay/compressed")
-    drawn = cv2.imdecode(np.frombuffer(base64.b64decode(overlay["data"]), np.uint8), cv2.IMREAD_COLOR)
-    assert drawn.shape == (HEIGHT, WIDTH, 3)
-    assert live.server.refused == []
-
-
 def test_lost_instrument_has_status_and_no_pose(live: Live) -> None:
     live.tracker.lost = True
     follow(live, BEGIN)
@@ -211,24 +157,6 @@ def test_lost_instrument_has_status_and_no_pose(live: Live) -> None:
     assert (status["level"], status["name"], status["message"]) == (2, "dvrk_cmaes: PSM1", "lost")
     assert {"key": "reasons", "value": "no edge can be seen"} in status["values"]
     assert live.received(f"{FOUND}/camera_from_root") == []
-
-
-def test_camera_is_received(live: Live) -> None:
-    matrix = [80.25, 0, 31.5, 0, 81.75, 22.125, 0, 0, 1]
-    live.server.send(
-        CAMERA,
-        {
-            "header": stamp(BEGIN),
-            "width": 64,
-            "height": 48,
-            "distortion_model": "plumb_bob",
-            "d": [0.0] * 5,
-            "k": matrix,
-        },
-    )
-    rig = live.inputs.rigs.take(60)
-    assert rig is not None
-    assert rig.camera == Camera(64, 48, 80.25, 81.75, 31.5, 22.125, (0.0,) * 5)
 
 
 def test_only_newest_image_is_followed(live: Live) -> None:
@@ -253,73 +181,6 @@ def test_only_newest_image_is_followed(live: Live) -> None:
     wait_for(lambda: len(live.tracker.steps) == 2)
     assert [round(time - BEGIN / SECOND) for time, _, _ in live.tracker.steps] == [0, 5]
     assert len(live.tracker.readings) == 5
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("no json", "a message that cannot be read: "),
-        ('{"topic": "/left"}', "a message that cannot be read: "),
-        ('{"op": "sing"}', "a message that cannot be read: expected the operation publish or status, got 'sing'"),
-        ('{"op": "status", "level": "error", "msg": "no such type"}', ": no such type"),
-    ],
-)
-def test_message_outside_protocol_is_reported_in_one_line(live: Live, text: str, line: str) -> None:
-    before = len(live.lines)
-    live.server.send_text(text)
-    wait_for(lambda: len(live.lines) > before)
-    (said,) = live.lines[before:]
-    assert said.startswith(f"rosbridge 127.0.0.1:{live.server.port}")
-    assert line in said
-    assert "\n" not in said
-    follow(live, BEGIN)
-
-
-@pytest.mark.parametrize(
-    ("topic", "fields", "line"),
-    [
-        (JOINTS, {}, f"{JOINTS}: header: expected an object, got nothing"),
-        (JOINTS, {"header": stamp(1), "name": ["jaw"], "position": ["x"]}, f"{JOINTS}: position[0]: expected a finite"),
-        (JOINTS, {"header": stamp(1), "name": ["jaw"], "position": [90]}, f"{JOINTS}: jaw: expected radians"),
-        (
-            JOINTS,
-            {"header": stamp(1), "name": ["jaw"], "position": [0.1, 0.2]},
-            f"{JOINTS}: position: expected 1 numbers, one for each name, got 2",
-        ),
-        (
-            JOINTS,
-            {"header": {"stamp": {}}, "name": ["jaw"], "position": [0.1]},
-            f"{JOINTS}: header.stamp: expected sec",
-        ),
-        (IMAGE, {"header": stamp(1), "data": "???"}, f"{IMAGE}: data: expected bytes in base64, got '???'"),
-        (IMAGE, {"header": stamp(1), "data": "AAAA"}, f"{IMAGE}: expected a PNG or JPEG, got something else"),
-        (IMAGE, {"data": "AAAA"}, f"{IMAGE}: header: expected an object, got nothing"),
-        (
-            IMAGE,
-            {"header": stamp(1), "width": 9, "height": 9, "step": 27, "encoding": "bgr8", "data": "AAAA"},
-            f"{IMAGE}: expected 9 x 9 pixels of bgr8, got 3 bytes in rows of 27",
-        ),
-        (CAMERA, {"width": 64}, f"{CAMERA}: "),
-    ],
-)
-def test_wrong_message_is_reported_in_one_line_and_loop_goes_on(
-    live: Live, topic: str, fields: dict[str, Any], line: str
-) -> None:
-    before = len(live.lines)
-    live.server.send(topic, fields)
-    wait_for(lambda: len(live.lines) > before)
-    (said,) = live.lines[before:]
-    assert said.startswith(line)
-    follow(live, BEGIN)
-
-
-def test_image_out_of_order_is_reported(live: Live) -> None:
-    follow(live, BEGIN)
-    live.server.send(IMAGE, image(BEGIN - SECOND))
-    wait_for(lambda: live.loop.counts.refused == 1)
-    follow(live, BEGIN + SECOND)
-    assert f"{IMAGE}: header.stamp: images that are -1.0 s from the last one are left out" in live.lines
-    assert live.loop.counts.refused == 1
 
 
 def test_topic_that_stops_is_reported_once_and_when_it_is_back(live: Live) -> None:
@@ -394,24 +255,6 @@ def mask(time: int, number: int) -> dict[str, Any]:
     data = base64.b64encode(seen.tobytes()).decode()
     size = {"width": WIDTH, "height": HEIGHT, "step": WIDTH, "encoding": "mono8"}
     return {"header": stamp(time), **size, "data": data}
-
-
-def test_masks_of_topic_are_followed_with_their_images() -> None:
-    topics = InputTopics({"left": EyeTopics.of(IMAGE, CAMERA, {"PSM1": "/left/mask"})}, {"PSM1": (JOINTS,)})
-    lines: list[str] = []
-    inputs = Inputs(topics, lines.append)
-    for k in range(12):
-        inputs._on_part("left", IMAGE, image(BEGIN + k, k))
-    assert inputs.frames.take(0.0) is None
-    for k, kept in ((3, False), (5, True), (11, True)):  # the last eight images are kept
-        inputs._on_part("left", "/left/mask", mask(BEGIN + k, k))
-        frame = inputs.frames.take(1.0)
-        assert frame is not None
-        assert frame.time == BEGIN + k
-        arrays = frame.decoded()
-        assert ("left" in arrays.images) == kept
-        assert np.array_equal(arrays.masks["PSM1"]["left"], pixels(k)[:, :, 1] > 127)
-    assert lines == []
 
 
 def test_readings_that_nobody_takes_do_not_pile_up() -> None:

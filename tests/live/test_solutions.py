@@ -9,10 +9,9 @@ from typing import Any, cast
 import pytest
 from helpers.page_calibrations import calibration
 
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes import DvrkCmaesError, InputError, prepare
 from dvrk_cmaes.live.solutions import LiveSolutions
 from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
-from dvrk_cmaes.silhouette.prepare import prepare
 
 
 @dataclass

@@ -14,7 +14,7 @@ from examples.play_session import RosbridgeServer
 from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, stamp
 from helpers.waiting import wait_for
 
-from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes import Camera, Rig
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.live import arm as live_arm
 from dvrk_cmaes.live import loop as live_loop

@@ -6,18 +6,17 @@ import cv2
 import numpy as np
 import pytest
 from helpers.frame_terms import Terms, readings_of, view_of
+from helpers.transforms import lookat_pose
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise, signed_distance
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
-from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250)
 TRUE = Posed(lookat_pose(0.2, 0.3, 1.0, 0.12), np.array([0.4, -0.3, 0.5]))

@@ -10,16 +10,15 @@ import numpy as np
 import pytest
 from helpers.frame_terms import SPREAD, readings_of, view_at
 from helpers.places import ROOT
+from helpers.transforms import apply, lookat_pose
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera
 from dvrk_cmaes.config import SessionConfig, TrustConfig
-from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import RULES, Kind, Rule, doubts
 from dvrk_cmaes.pose.judge import doubts_in_views, exchanged_readings, judge
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
-from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.results.result import ExpectedError, Quality, ViewCheck
-from dvrk_cmaes.silhouette import Body
 
 CAMERA = Camera(320, 240, 440, 440, 160, 120)
 TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))

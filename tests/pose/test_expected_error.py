@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.transforms import apply, lookat_pose, moved
 from scipy.special import gammaincinv
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed, apply, moved
+from dvrk_cmaes import Body, Camera
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.expected_error import expected_error, largest_distance, locate_tips
-from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.silhouette import Body
 
 POSE, JOINTS = lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.8])
 SPREAD = np.array([3e-4, 2e-4, 8e-4, 0.006, 0.01, 0.02, 0.03, 0.02, 0.04])

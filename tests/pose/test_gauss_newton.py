@@ -8,15 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.frame_terms import Terms, readings_of, view_at
+from helpers.transforms import lookat_pose, rotation_angle
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed, rotation_angle
+from dvrk_cmaes import Body, Camera
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.refine.selection import Selection
-from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.silhouette import Body
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250)
 TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))

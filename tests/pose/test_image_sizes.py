@@ -8,15 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG
+from helpers.transforms import lookat_pose, rotation_angle
 
-from dvrk_cmaes import estimate
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera, Renderer, estimate
 from dvrk_cmaes.evidence.gather import gather_evidence, shrunk
-from dvrk_cmaes.geometry import rotation_angle
 from dvrk_cmaes.pose.search.global_search import search_size
 from dvrk_cmaes.pose.search.screening import screening_size
-from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.silhouette import Body, Renderer
 
 SEARCH = QUICK_CONFIG.search
 JOINTS = np.array([[0.2, -0.3, 0.5]])

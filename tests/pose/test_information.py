@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.frame_terms import readings_of, view_at, view_of
+from helpers.transforms import apply, lookat_pose
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
-from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views, outline_information
-from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERA = Camera(320, 240, 440, 440, 160, 120)
 TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))

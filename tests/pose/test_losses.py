@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.silhouette_bodies import rigid_instrument
+from helpers.transforms import exp_rotation, transform
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.config import LossWeights
-from dvrk_cmaes.geometry import exp_rotation, project_cylinder, transform
+from dvrk_cmaes.geometry import project_cylinder
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import (
     Terms,
@@ -24,7 +25,7 @@ from dvrk_cmaes.pose.search.losses import (
     polar_lines,
     scale_loss,
 )
-from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
+from dvrk_cmaes.silhouette import PixelSums
 
 OFF_CENTRE = Camera(640, 480, 858.9, 934.9, 168.0, 284.2)
 OFFSET_WEIGHT = 0.005

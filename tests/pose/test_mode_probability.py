@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.transforms import moved
 
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
-from dvrk_cmaes.geometry import Posed, moved
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.covariance import pose_covariance, rough_covariance
 from dvrk_cmaes.pose.mode_probability import mode_probability
 from dvrk_cmaes.pose.refine.gauss_newton import Fit

@@ -7,16 +7,14 @@ import sys
 
 import numpy as np
 import pytest
+from helpers.transforms import lookat_pose
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import Body, Camera, InputError
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.direct import refine_direct
 from dvrk_cmaes.pose.search import METHODS, minimise, minimise_each
 from dvrk_cmaes.pose.search.global_search import search_size
-from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.silhouette import Body
 
 CAMERA = Camera(640, 480, 800.0, 800.0, 319.5, 239.5)
 GOAL = np.array([0.7, -0.4, 1.1])

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from helpers.frame_terms import view_at
 from helpers.placed_points import placed_points
+from helpers.transforms import apply, lookat_pose
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
-from dvrk_cmaes.geometry import Posed, apply
-from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.coverage import Coverage, of_camera
 from dvrk_cmaes.pose.terms.shared_errors import LASTING, SharedErrors, shared_errors, without_last
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.silhouette import Body, OutlinePoints
+from dvrk_cmaes.silhouette import OutlinePoints
 
 CAMERA = Camera(320, 240, 440, 440, 160, 120)
 TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers.frame_terms import readings_of, view_at
+from helpers.transforms import exp_rotation, lookat_pose, transform
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera
 from dvrk_cmaes.config import OutlineConfig
-from dvrk_cmaes.geometry import Posed, exp_rotation, transform
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.search.objective import project_tips
-from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
@@ -21,7 +21,6 @@ from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Term
 from dvrk_cmaes.pose.terms.tips_term import TipsTerm
-from dvrk_cmaes.silhouette import Body
 
 CAMERA = Camera(640, 480, 880, 880, 330, 250, (-0.2, 0.05, 0.001, 0.0, 0.0))
 RIGHT_FROM_LEFT = transform(exp_rotation([0.01, -0.02, 0.01]), [-0.005, 0.0, 0.0003])

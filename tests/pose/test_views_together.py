@@ -7,17 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.frame_terms import Terms, readings_of, view_at
+from helpers.transforms import exp_rotation, lookat_pose, moved, rotation_angle, transform
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed, exp_rotation, moved, rotation_angle, transform
+from dvrk_cmaes import Body, Camera
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.refine.information import ViewAtFullSize
 from dvrk_cmaes.pose.refine.rig_rotation import Rotation, rotations_of_views
-from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.silhouette import Body
 
 CAMERA = Camera(320, 240, 480, 480, 160, 120)
 RIGHT_FROM_LEFT = transform(exp_rotation([0.01, -0.02, 0.01]), [-0.005, 0.0, 0.0003])

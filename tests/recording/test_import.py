@@ -14,7 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from helpers.commands import run_command
+from helpers.commands import main, run_command
+from helpers.files import read_image, write_json
 from helpers.made_recordings import (
     ARM,
     BEGIN,
@@ -25,33 +26,25 @@ from helpers.made_recordings import (
     compressed,
     good,
     image,
-    jaw,
     joints,
     pixels,
     stamped,
     sweep,
     write_bag,
-    write_video,
 )
 from helpers.page_calibrations import calibration, solved
+from helpers.transforms import moved
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.frames.session_toml import read_session_toml
-from dvrk_cmaes.geometry import moved, quaternion_xyzw
+from dvrk_cmaes import Camera, Lag, read_session
+from dvrk_cmaes.geometry import quaternion_xyzw
 from dvrk_cmaes.instrument.endoscope import ecm_from_tip_and_jacobian
 from dvrk_cmaes.instrument.setup_joints import read_setup_joints
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.recording.messages import ecm_values
 from dvrk_cmaes.recording.recording import ImageFile, RecordedImage, Recording
 from dvrk_cmaes.recording.write_session import ImageSelection, write_session
 
 CAMERA = Camera(64, 48, 80.25, 81.75, 31.5, 22.125, (-0.21, 0.1, 1e-05, -2e-05, 0.0))
-WRITTEN = [".written.json", "camera.yaml", "images", "images.csv", "joints.csv", "session.toml"]
 
 Import = Callable[..., dict[str, Any]]
 
@@ -77,57 +70,6 @@ def rows(name: str) -> list[dict[str, str]]:
 
 
 # ROS recordings
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_recording_is_imported_as_session(imported: Import, tmp_path: Path, kind: str) -> None:
-    summary = imported(write_bag(tmp_path / "bag", kind, good()))
-    assert sorted(path.name for path in Path("session").iterdir()) == WRITTEN
-    assert sorted(tmp_path.glob(".*")) == []
-    session = read_session("session")
-    assert session.camera == CAMERA
-    assert [frame.name for frame in session.frames] == [f"{k:06d}" for k in range(5)]
-    for k, frame in enumerate(session.frames):
-        time = BEGIN + k * SECOND // 10
-        assert frame.mask is None
-        assert frame.image is not None
-        assert np.array_equal(read_image(frame.image), pixels(k))
-        expected = {**dict(zip(ARM, sweep(time), strict=True)), "jaw": 0.25 * (time - BEGIN) / SECOND}
-        # the jaw's messages are 3 ms late, and are interpolated to the images' times too
-        assert frame.readings == pytest.approx({**expected, "jaw": expected["jaw"] - 0.25 * 0.003}, abs=1e-8)
-    assert [row["time"] for row in rows("images.csv")] == [f"1795000000.{k}23456789" for k in range(1, 6)]
-    assert [row["time"] for row in rows("joints.csv")] == [row["time"] for row in rows("images.csv")]
-    assert (summary["images"], summary["frames"], summary["size"]) == (5, 5, [64, 48])
-    arm, own = summary["readings"]
-    assert (arm["source"], arm["frames"], arm["without"]) == ("/PSM1/measured_js", 5, 0)
-    assert own["joints"] == ["jaw"]
-    assert arm["farthest_s"] == pytest.approx(0.013)
-    assert "times: those of the headers" in summary["notes"]
-    entries = read_session_toml("session")
-    assert entries is not None
-    assert entries.camera.file == Path("session/camera.yaml")
-    assert [tool.arm for tool in entries.tools] == ["PSM1"]  # as the topics say
-
-
-def test_summary_lists_topics_and_reading_distances(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    write_bag(tmp_path / "run", "ros1", good())
-    assert main(["import", "run.bag", "--out", "session"]) == 0
-    assert capsys.readouterr() == (
-        """5 frames of 5 images, 64 x 48
-  images: /left/image_raw
-  camera: /left/camera_info
-  times: those of the headers
-  yaw pitch insertion roll wrist_pitch wrist_yaw: /PSM1/measured_js
-  jaw: /PSM1/jaw/measured_js
-  /PSM1/measured_js: 5 frames with readings, 0 without, from readings at most 13.0 ms away
-  /PSM1/jaw/measured_js: 5 frames with readings, 0 without, from readings at most 16.0 ms away
-written: session
-""",
-        "",
-    )
 
 
 def test_lag_gives_images_earlier_readings(imported: Import, tmp_path: Path) -> None:
@@ -224,16 +166,6 @@ def test_frames_without_near_readings_are_counted(imported: Import, tmp_path: Pa
     assert arm["nearest_s"] == pytest.approx(0.007)
     assert summary["said"] == ("dvrk-cmaes: warning: /PSM1/measured_js: 3 of 5 frames have no readings within 0.05 s\n")
     assert read_session("session").frames[1].readings.keys() == {"jaw"}
-
-
-@pytest.mark.parametrize(("tolerance", "without"), [(0.0161, 0), (0.0159, 5)])
-def test_tolerance_applies_to_both_neighbouring_readings(
-    imported: Import, tmp_path: Path, tolerance: float, without: int
-) -> None:
-    exact = jaw(BEGIN + SECOND, 0.1)
-    far = image(BEGIN + SECOND, pixels(7))
-    bag = write_bag(tmp_path / "bag", "mcap", [*good(), far, exact, joints(BEGIN + SECOND, sweep(BEGIN))])
-    assert [one["without"] for one in imported(bag, "--tolerance", tolerance)["readings"]] == [0, without]
 
 
 @pytest.mark.parametrize(
@@ -375,22 +307,6 @@ def test_camera_and_readings_from_files(imported: Import, tmp_path: Path) -> Non
     assert [row["jaw"] for row in rows("joints.csv")] == ["0.546913578", "", "", "", ""]
 
 
-def test_file_of_ros_2_folder_is_read(imported: Import, tmp_path: Path) -> None:
-    for kind, suffix in (("mcap", ".mcap"), ("sqlite3", ".db3")):
-        folder = write_bag(tmp_path / kind, kind, good())
-        assert imported(folder / f"{kind}{suffix}", "--overwrite")["frames"] == 5
-
-
-def test_unicode_names_are_read(imported: Import, tmp_path: Path) -> None:
-    for kind in KINDS:
-        assert imported(write_bag(tmp_path / f"щипцы {kind}", kind, good()), "--overwrite")["frames"] == 5
-    video = write_video(tmp_path / "镜 头.avi")
-    (tmp_path / "t.csv").write_text("time,jaw\n0,0.5\n1,0.5\n")
-    arguments = ("--camera", "session/camera.yaml", "--joints", "t.csv", "--tolerance", 1)
-    (tmp_path / "camera.yaml").write_bytes(Path("session/camera.yaml").read_bytes())
-    assert imported(video, *arguments, "--overwrite")["frames"] == 10
-
-
 def test_one_image_is_in_memory_at_a_time(tmp_path: Path) -> None:
     loaded: list[weakref.ref[ImageFile]] = []
 
@@ -408,33 +324,6 @@ def test_one_image_is_in_memory_at_a_time(tmp_path: Path) -> None:
 
 
 # videos
-
-
-def test_video_is_imported_with_readings(imported: Import, tmp_path: Path) -> None:
-    imported(write_bag(tmp_path / "bag", "mcap", good()))
-    camera = tmp_path / "camera.yaml"
-    camera.write_bytes(Path("session/camera.yaml").read_bytes())
-    video = write_video(tmp_path / "video.avi")
-    table = [
-        "time,wrist_pitch,jaw",
-        *(f"{100 + 0.01 * k:.3f},{0.01 * k:.4f},{'' if k > 30 else 0.2}" for k in range(60)),
-    ]
-    (tmp_path / "readings.csv").write_text("\n".join(table))
-    arguments = ("--camera", camera, "--joints", tmp_path / "readings.csv", "--video-start", 100.005, "--every", 3)
-    summary = imported(video, *arguments, "--overwrite")
-    assert [row["time"] for row in rows("images.csv")] == [f"100.{ms}000000" for ms in ("005", "125", "245", "365")]
-    frames = read_session("session").frames
-    assert [frame.name for frame in frames] == ["000000", "000003", "000006", "000009"]
-    assert [frame.readings.get("wrist_pitch") for frame in frames] == pytest.approx([0.005, 0.125, 0.245, 0.365])
-    assert [frame.readings.get("jaw") for frame in frames] == [0.2, 0.2, 0.2, None]
-    assert [(one["joints"], one["frames"], one["without"]) for one in summary["readings"]] == [
-        (["wrist_pitch"], 4, 0),
-        (["jaw"], 3, 1),
-    ]
-    for frame in frames:
-        assert frame.image is not None
-        assert np.array_equal(read_image(frame.image), pixels(int(frame.name)))
-    assert "times: the video's, its first frame at 100.005 s of the readings' clock" in summary["notes"]
 
 
 def test_masks_that_were_drawn_in_an_imported_session_are_never_removed(

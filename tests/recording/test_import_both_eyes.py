@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import Ran, run_command
+from helpers.files import read_image
 from helpers.made_clips import write_clip
 from helpers.made_recordings import BEGIN, KINDS, SECOND, Message, camera_info, good, image, pixels, write_bag
+from helpers.transforms import exp_rotation, transform
 
-from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes import read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
-from dvrk_cmaes.geometry import exp_rotation, transform
 
 Import = Callable[..., Ran]
 BASELINE = 0.0052

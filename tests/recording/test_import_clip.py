@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -11,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.commands import run_command
+from helpers.files import read_image
 from helpers.made_clips import image_time, jaw_position, kinematic, positions, times, write_camera, write_clip
 from helpers.made_recordings import ARM, SECOND, pixels, write_video
 
-from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes import read_session
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
 Import = Callable[..., dict[str, Any]]
@@ -48,38 +47,7 @@ def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pyt
     return go
 
 
-def frame_numbers() -> list[str]:
-    with open("session/images.csv", newline="", encoding="utf-8") as file:
-        return [row["frame"] for row in csv.DictReader(file)]
-
-
 # SurgSync's raw layout
-
-
-@pytest.mark.parametrize("recorder", ["online", "offline"])
-@pytest.mark.parametrize("arm", ["PSM1", "PSM2"])
-def test_readings_are_interpolated_to_images(imported: Import, tmp_path: Path, recorder: Any, arm: str) -> None:
-    imported(write_clip(tmp_path / "clip", recorder), "--arm", arm)
-    session = read_session("session")
-    assert [frame.name for frame in session.frames] == [f"{k:06d}" for k in range(4)]
-    late = {"PSM1": 3_000_000, "PSM2": 7_000_000}[arm]
-    for k, frame in enumerate(session.frames):
-        assert frame.image is not None
-        assert np.array_equal(read_image(frame.image), pixels(k))
-        # the first image is earlier than all readings: it keeps those of its own frame
-        time = image_time(k) + (late if k == 0 else 0)
-        expected = {**dict(zip(ARM, positions(arm, time), strict=True)), "jaw": jaw_position(time)}
-        expected |= dict(zip(ECM_JOINTS, positions("ECM", image_time(k))[:4], strict=True))
-        assert frame.readings == pytest.approx(expected, abs=1e-8)
-    assert dict(session.image_times) == {f"{k:06d}": image_time(k) for k in range(4)}
-
-
-def test_images_are_copied_unchanged_and_numbers_kept(imported: Import, tmp_path: Path) -> None:
-    clip = write_clip(tmp_path / "clip", numbers=[2, 10, 11])
-    summary = imported(clip, "--arm", "PSM1")
-    assert frame_numbers() == ["000002", "000010", "000011"]
-    assert (summary["images"], summary["frames"], summary["size"]) == (3, 3, [64, 48])
-    assert Path("session/images/000010.png").read_bytes() == (clip / "image/left/10.png").read_bytes()
 
 
 def test_right_camera_is_chosen(imported: Import, tmp_path: Path) -> None:
@@ -104,11 +72,6 @@ def test_registrations_are_kept(imported: Import, tmp_path: Path) -> None:
 def test_only_patient_side_arm_needs_no_name(imported: Import, tmp_path: Path) -> None:
     summary = imported(write_clip(tmp_path / "clip", arms=("ECM", "PSM2")))
     assert "jaw: kinematic/PSM2" in summary["notes"]
-
-
-def test_part_of_clip_is_imported(imported: Import, tmp_path: Path) -> None:
-    imported(write_clip(tmp_path / "clip", numbers=range(8)), "--arm", "PSM1", "--start", 0.15, "--every", 3)
-    assert frame_numbers() == ["000002", "000005"]
 
 
 def test_frame_without_readings_is_counted(imported: Import, tmp_path: Path) -> None:
@@ -245,17 +208,6 @@ def stereo_folder(path: Path) -> Path:
     rows = [f"{0.02 * k:.2f},{0.01 * k:.2f}" for k in range(60)]
     (path / "joints.csv").write_text("\n".join(["time,jaw", *rows]))
     return path
-
-
-@pytest.mark.parametrize(("side", "frames", "focal"), [("left", 10, 80), ("right", 20, 81)])
-def test_one_eye_of_stereo_videos_is_imported(
-    imported: Import, tmp_path: Path, side: str, frames: int, focal: float
-) -> None:
-    summary = imported(stereo_folder(tmp_path / "videos"), "--side", side)
-    session = read_session("session")
-    assert (len(session.frames), session.camera.fx) == (frames, focal)
-    assert session.frames[3].readings["jaw"] == pytest.approx(0.06)
-    assert summary["notes"][0] == f"images: suturing_{side}.avi"
 
 
 def test_camera_readings_and_start_of_stereo_videos_may_be_given(imported: Import, tmp_path: Path) -> None:

@@ -13,13 +13,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from helpers.commands import run_command
+from helpers.files import read_image
 from helpers.made_clips import RIGHT_LATE, image_time, jaw_position, positions, write_file
 from helpers.made_packed import COUNT, arm_table, times_table, write_ffv1, write_packed, write_table
 from helpers.made_recordings import ARM, pixels, write_video
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes import InputError, read_session
 from dvrk_cmaes.recording import parquet_file
 from dvrk_cmaes.recording.parquet_file import read_columns
 

@@ -15,9 +15,8 @@ from helpers.made_recordings import write_video
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes import read_results, read_session
 from dvrk_cmaes.instrument.arm import base_from_root, root_from_tip
-from dvrk_cmaes.results.folder import read_results
 
 pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
 

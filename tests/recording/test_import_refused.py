@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.commands import main
 from helpers.made_recordings import (
     BEGIN,
     KINDS,
@@ -27,8 +28,6 @@ from helpers.made_recordings import (
     write_bag,
     write_video,
 )
-
-from dvrk_cmaes.cli import main
 
 CAMERA = "width: 64\nheight: 48\nK: [70, 0, 32, 0, 70, 24, 0, 0, 1]\nD: []\n"
 TABLE = "time,jaw\n0,0.5\n0.4,0.5\n"

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 import yaml
 from helpers.commands import Ran, run_command
+from helpers.files import write_json
 from helpers.made_surgpose import (
     ARMS,
     CAMERA,
     FRAMES,
-    JOINTS,
     NUMBERS,
-    RIGHT_FROM_LEFT,
     MadeArms,
     calibration_ini,
     made_arms,
@@ -26,15 +25,10 @@ from helpers.made_surgpose import (
     write_yaml,
 )
 
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.images import read_image
+from dvrk_cmaes import EstimateConfig, prepare, read_session
 from dvrk_cmaes.frames.markers import read_detections
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.frames.session_toml import read_session_toml
-from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.runs.recorded_images import segment_task
 from dvrk_cmaes.segment.segmentation import Hints
-from dvrk_cmaes.silhouette.prepare import prepare
 
 Run = Callable[..., Ran]
 
@@ -77,39 +71,6 @@ def refused(run: Run) -> Callable[..., str]:
 # import
 
 
-@pytest.mark.parametrize("arm", ARMS)
-def test_readings_of_frame_n_belong_to_image_n(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
-    ran = run("import", made, "--arm", arm, "--out", "session", "--json")
-    assert ran.code == 0, ran.err
-    session = read_session("session")
-    assert [frame.name for frame in session.frames] == [f"{k:06d}" for k in range(FRAMES)]
-    for k, frame in enumerate(session.frames):
-        assert frame.readings == pytest.approx(dict(zip(JOINTS, arms.readings(arm, k), strict=True)), abs=1e-8)
-        assert session.image_times[frame.name] == round(k * 1e9 / 30)
-    assert frame.image is not None
-    difference = read_image(frame.image).astype(float) - arms.image(FRAMES - 1)
-    assert np.abs(difference).mean() < 6  # the video is compressed
-    entries = read_session_toml("session")
-    assert entries is not None
-    assert [tool.arm for tool in entries.tools] == [arm]
-
-
-def test_camera_is_that_of_the_ini_file(run: Run, made: Path) -> None:
-    run("import", made, "--arm", "PSM1", "--out", "session")
-    camera = read_session("session").camera
-    assert (camera.width, camera.height, camera.fx, camera.fy) == (CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy)
-    assert (camera.cx, camera.cy) == (CAMERA.cx, CAMERA.cy)
-    assert camera.distortion == CAMERA.distortion
-
-
-def test_both_eyes_have_the_pose_between_them(run: Run, made: Path) -> None:
-    ran = run("import", made, "--arm", "PSM1", "--out", "session", "--side", "both", "--json")
-    session = read_session("session")
-    np.testing.assert_allclose(session.rig.views[1].view_from_camera, RIGHT_FROM_LEFT, atol=1e-9)
-    assert all(frame.others["right"].image is not None for frame in session.frames)
-    assert "right eye: camera: the eyes are 5.3 apart: taken for millimetres" in ran.result["notes"]
-
-
 def test_eight_coefficients_are_a_rational_model(run: Run, folder: Path) -> None:
     (folder / "StereoCalibrationDVRK.ini").write_text(calibration_ini(kc_5=0.01), encoding="utf-8")
     run("import", folder, "--arm", "PSM1", "--out", "session")
@@ -146,13 +107,6 @@ def test_seventh_value_is_the_jaw(run: Run, folder: Path) -> None:
     write_yaml(folder / "api_jp_data.yaml", {k: {"PSM1": [*own["PSM1"], 0.25]} for k, own in by_frame.items()})
     run("import", folder, "--out", "session")  # of one arm
     assert read_session("session").frames[3].readings["jaw"] == 0.25
-
-
-def test_folder_without_labels_is_imported(run: Run, folder: Path) -> None:
-    (folder / "keypoints_left.yaml").unlink()
-    (folder / "bbox_left.json").unlink()
-    assert run("import", folder, "--arm", "PSM1", "--out", "session").code == 0
-    assert not Path("session/markers.csv").exists()
 
 
 def test_readings_of_a_thousand_frames_are_read(run: Run, folder: Path, arms: MadeArms) -> None:

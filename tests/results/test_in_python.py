@@ -14,10 +14,19 @@ import numpy as np
 import pytest
 from helpers.places import ROOT
 
-from dvrk_cmaes import InputError, Renderer, Result, Tracker, estimate, prepare, read_camera, read_results
+from dvrk_cmaes import (
+    InputError,
+    Renderer,
+    Result,
+    Tracker,
+    TrackResult,
+    estimate,
+    prepare,
+    read_camera,
+    read_result,
+    read_results,
+)
 from dvrk_cmaes.export.pose_texts import table_text
-from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.results.tracked import TrackResult
 
 DEMO = ROOT / "data" / "demo"
 READINGS = {"wrist_pitch": -0.223, "wrist_yaw": 0.557, "jaw": 0.835}

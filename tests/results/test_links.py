@@ -9,14 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.canned_results import canned, failed
+from helpers.places import bundled_path
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.frames.frame import read_frame
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes import Body, InputError, estimate, read_frame, read_result, read_session
 
 
 def test_estimated_result_knows_its_links(bundled_body: Body, tmp_path: Path) -> None:

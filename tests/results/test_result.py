@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.transforms import moved
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.results.folder import read_results
-from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality, Result
+from dvrk_cmaes import InputError, Result, read_result, read_results
+from dvrk_cmaes.results.result import Alternative, ExpectedError, Quality
 
 POSE = moved(np.eye(4), [0.01, -0.02, 0.1, 0.3, -0.2, 0.9])
 JOINTS = {"wrist_pitch": -0.2, "wrist_yaw": 0.5, "jaw": 0.8}

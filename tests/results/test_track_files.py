@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from helpers.track_rows import JOINTS, row
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 from dvrk_cmaes.results.track_files import line_of, read_tracks
 
 

@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 import pytest
 from helpers.drawn_tools import Drawing, draw_tool
+from helpers.files import read_image, write_image
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.io.atomic import write_image
+from dvrk_cmaes import InputError
 from dvrk_cmaes.runs.backgrounds import learned_backgrounds
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.background import learn_background, segment_before, smooth_background

@@ -7,16 +7,15 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from helpers.transforms import transform
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z, transform
+from dvrk_cmaes import Camera, Renderer, prepare
+from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z
 from dvrk_cmaes.segment import Segmentation, by_model, model_masks, segment
 from dvrk_cmaes.segment.by_model import find_instruments
 from dvrk_cmaes.segment.model_masks import segment_by_model
 from dvrk_cmaes.segment.segmentation import GUESS, Hints
 from dvrk_cmaes.segment.sizes import resized
-from dvrk_cmaes.silhouette import Renderer
-from dvrk_cmaes.silhouette.prepare import prepare
 
 CAMERA = Camera(480, 384, 500.0, 500.0, 239.5, 191.5)
 BODY = prepare("lnd")

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 from helpers.drawn_tools import DRAPE, TISSUE, Drawing, draw_tool
+from helpers.files import read_image, read_mask
+from helpers.places import bundled_path
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.images import read_image, read_mask
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes import InputError
 from dvrk_cmaes.segment import segment
 from dvrk_cmaes.segment.segmentation import GUESS, Segmentation
 

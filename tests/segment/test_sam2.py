@@ -11,7 +11,7 @@ import pytest
 from helpers.sam2_graphs import ALL_IOUS, FAMILIES, REACH, TOOL, decoder, write_export
 from onnx import helper
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.sam2 import Sam2
 from dvrk_cmaes.segment.sam2_files import OnnxModel

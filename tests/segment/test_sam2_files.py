@@ -15,7 +15,7 @@ import pytest
 from helpers.places import SCRIPTS
 from helpers.sam2_graphs import FAMILIES, decoder, encoder, write_export
 
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes import DvrkCmaesError, InputError
 from dvrk_cmaes.segment.sam2 import Sam2
 from dvrk_cmaes.segment.sam2_files import open_export
 

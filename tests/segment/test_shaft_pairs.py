@@ -5,13 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from helpers.transforms import exp_rotation, transform
 
-from dvrk_cmaes.camera import Camera, View
-from dvrk_cmaes.geometry import exp_rotation, frame_along, transform
+from dvrk_cmaes import Camera, Renderer, prepare
+from dvrk_cmaes.camera import View
+from dvrk_cmaes.geometry import frame_along
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.segment.shaft_pairs import find_pairs, prompt_in
-from dvrk_cmaes.silhouette import Renderer
-from dvrk_cmaes.silhouette.prepare import prepare
 
 CAMERA = Camera(480, 384, 500.0, 500.0, 239.5, 191.5)
 BODY = prepare("lnd")

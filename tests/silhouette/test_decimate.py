@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from helpers.silhouette_bodies import rigid_instrument
 
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes import Body, Renderer
 from dvrk_cmaes.silhouette.decimate import decimate
 
 

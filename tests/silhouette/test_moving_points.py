@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.placed_points import placed_points
+from helpers.transforms import lookat_pose
 
-from dvrk_cmaes.camera import Camera
+from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.silhouette import Body, OutlinePoints, Renderer
+from dvrk_cmaes.silhouette import OutlinePoints
 from dvrk_cmaes.silhouette.moving_points import moving_points
 
 PINHOLE = Camera(640, 480, 880, 880, 330, 250)

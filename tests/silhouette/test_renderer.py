@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.silhouette_bodies import rigid_instrument, surface
+from helpers.transforms import apply, exp_rotation, transform
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.geometry import apply, exp_rotation, transform
-from dvrk_cmaes.silhouette import NEAR, Body, Renderer
+from dvrk_cmaes import Body, Camera, DvrkCmaesError, Renderer
+from dvrk_cmaes.silhouette import NEAR
 
 CAMERAS = {
     "pinhole": Camera(160, 120, 220.7, 220.7, 110.9, 47.2),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes import Body
 from dvrk_cmaes.silhouette.scenes import LinkScenes
 
 

@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.transforms import lookat_pose, moved
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.pose.search.starts import lookat_pose
-from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
+from dvrk_cmaes import Body, Camera, Renderer
+from dvrk_cmaes.silhouette import PixelSums
 from dvrk_cmaes.silhouette.prepare import body_by
 
 CAMERAS = {

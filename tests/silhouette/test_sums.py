@@ -6,11 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from helpers.transforms import exp_rotation, moved, transform
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.geometry import exp_rotation, moved, transform
-from dvrk_cmaes.instrument import load_instrument
-from dvrk_cmaes.silhouette import Body, PixelSums, Renderer
+from dvrk_cmaes import Body, Camera, Renderer, load_instrument
+from dvrk_cmaes.silhouette import PixelSums
 
 PINHOLE = Camera(160, 120, 220.7, 220.7, 110.9, 47.2)
 LENS = Camera(160, 120, 206, 225, 99, 61, (-0.3517, 0.7089, 0.0044, -0.0008, -0.9176))

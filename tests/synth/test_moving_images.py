@@ -9,13 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.commands import main
 from helpers.moving_worlds import SMALL
 
+from dvrk_cmaes import Body, Renderer, read_frame, read_session
 from dvrk_cmaes.camera.ros import write_camera_info
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.frames.frame import read_frame
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS, moving_arm
 from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, ImageLevel, RecordingImages

@@ -8,20 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.commands import main
 from helpers.moving_worlds import SMALL
 
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes import Body, read_session
 from dvrk_cmaes.synth.cable_motion import draw_cables
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
-from dvrk_cmaes.synth.moving_arm import (
-    MOTION_LEVELS,
-    cable_joints,
-    level_offsets,
-    moving_arm,
-    read_moving,
-)
+from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS, cable_joints, level_offsets, moving_arm, read_moving
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan
 

@@ -10,21 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.commands import main
+from helpers.places import bundled_path
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.cli import main
+from dvrk_cmaes import Body, Camera, InputError, Renderer, Session, load_instrument, read_frame, read_session
 from dvrk_cmaes.cli.synth import synth
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation.pnp.frame import pose_from_markers
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.markers import read_detections, read_marker_table
-from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.frames.session_toml import read_session_toml
-from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.instrument.arm import Arm, base_from_root
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.readings import level_errors, sample_readings
 from dvrk_cmaes.synth.session import SessionPlan, default_camera, make_frames, make_truths, write_session

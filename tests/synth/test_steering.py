@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL
+from helpers.transforms import inverse
 
-from dvrk_cmaes.geometry import inverse, log_rotation
+from dvrk_cmaes import Body
+from dvrk_cmaes.geometry import log_rotation
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.instrument.endoscope import ecm_from_tip_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan

@@ -7,12 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.files import read_mask
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.frames.frame import read_frame
-from dvrk_cmaes.frames.images import read_mask
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes import Body, Camera, Renderer, read_frame, read_session
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.session import SessionPlan, write_session
 

@@ -7,14 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes import Body, Camera, Renderer, read_frame, read_session
 from dvrk_cmaes.frames.images import read_mask
-from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.frames.truth import read_golden
-from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.session import SessionPlan
 from dvrk_cmaes.synth.two_arms import ARMS, hidden_shares, write_two_arms

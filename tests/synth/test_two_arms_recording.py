@@ -12,14 +12,12 @@ import pytest
 from helpers.commands import run_command
 from helpers.moving_worlds import SMALL
 
+from dvrk_cmaes import Body, Renderer, Session, read_frame, read_session
 from dvrk_cmaes.camera.ros import write_camera_info
-from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.images import read_image, read_mask
-from dvrk_cmaes.frames.session_folder import Session, read_session
 from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 from dvrk_cmaes.frames.tool_frames import frames_of_tool
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
-from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan

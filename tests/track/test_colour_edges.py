@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL, moving_world
 
-from dvrk_cmaes.camera import Rig
+from dvrk_cmaes import InputError, Rig, prepare
 from dvrk_cmaes.config import TrackConfig
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import LIMIT_SIGMA
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE, clearance_of
 from dvrk_cmaes.track.colour_edges import ColourEdges, EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned

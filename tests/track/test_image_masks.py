@@ -6,16 +6,10 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
 
-from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes import Renderer
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_masks import (
-    colours_document,
-    learned_colours,
-    mask_around,
-    pooled_colours,
-    read_colours,
-)
+from dvrk_cmaes.track.image_masks import colours_document, learned_colours, mask_around, pooled_colours, read_colours
 
 FRAMES = 3
 

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
 
-from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes import Result, Rig, Tracker, TrackResult, estimate
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.synth.images import draw_image
-from dvrk_cmaes.track import Tracker
 
 FRAMES = 20
 

@@ -9,17 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL, MovingWorld, followed, moving_world
+from helpers.transforms import moved
 
-from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes import EstimateConfig, KeyframeProblem, Rig, SessionCalibration, Solution, Tracker, TrackResult
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, lag_of
-from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig, TrustConfig
-from dvrk_cmaes.geometry import moved
+from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.confirmed_image import confirmed_by
-from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, Solution
 from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT
 from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES
 from dvrk_cmaes.track.known_base import CalibratedFollower

@@ -8,15 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL, MovingWorld, moving_world
+from helpers.transforms import transform
 
-from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.geometry import transform
-from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes import Camera, InputError, Result, Rig, Tracker, TrackResult, estimate
 from dvrk_cmaes.synth.truth import Truth, exact_mask
-from dvrk_cmaes.track import Tracker
 
 FRAMES = 24
 RIGHT = Camera(400, 300, 620, 640, 190, 152)

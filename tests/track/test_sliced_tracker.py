@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes import InputError, Tracker, TrackResult
 from dvrk_cmaes.silhouette import sliced_call
 from dvrk_cmaes.synth.images import draw_image
-from dvrk_cmaes.track import Tracker
 from dvrk_cmaes.track.unknown_base import STEP_OF_SEARCH
 
 

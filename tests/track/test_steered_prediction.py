@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from helpers.session_worlds import BASE, NAMES, OFFSETS, make_world
 
-from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes import InputError, SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration
 from dvrk_cmaes.calibration.prediction import Prediction, endoscope_at
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 

@@ -8,15 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.moving_worlds import MovingWorld, moving_world
+from helpers.transforms import moved
 
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.results.result import Alternative, Result
-from dvrk_cmaes.results.tracked import TrackResult
+from dvrk_cmaes import EstimateConfig, InputError, Result, Tracker, TrackResult, estimate
+from dvrk_cmaes.results.result import Alternative
 from dvrk_cmaes.synth.truth import exact_mask
-from dvrk_cmaes.track import Tracker
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,13 @@ import cv2
 import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL, moving_world
+from helpers.transforms import transform
 
+from dvrk_cmaes import Body, Camera, EstimateConfig, FrameData, Rig
 from dvrk_cmaes.calibration.session_masks import SessionMasks, ViewMargin, margins_of
-from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import seen_views
-from dvrk_cmaes.geometry import Posed, transform
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import exact_mask
 from dvrk_cmaes.track.image_frames import fit_block
 from dvrk_cmaes.track.recorded_frames import PredictedFrame, fit_near, views_that_show

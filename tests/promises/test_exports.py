@@ -1,0 +1,196 @@
+"""Exports, read back in the way of the programs that they are for: the same transform in the documented direction."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from dvrk_cmaes import read_camera, read_result, read_results
+from promises.program import DEMO, OUT, Kept, Ran, distance, matrix, results, run
+
+FLIP = np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+@pytest.fixture
+def calibrated(kept: Kept) -> Path:
+    """The calibration of the bundled session."""
+    return kept("calibrate", DEMO, "--out", OUT).folder
+
+
+@pytest.fixture
+def base(calibrated: Path) -> np.ndarray:
+    """camera_from_base of the calibration."""
+    return matrix(json.loads((calibrated / "session.json").read_text()), "camera_from_base")
+
+
+def export(source: Path, to: str, out: Path, *more: object) -> Ran:
+    """Export to a folder."""
+    ran = run("export", source, "--to", to, "--arm", "PSM1", "--out", out, *more)
+    assert ran.code == 0, ran.err
+    return ran
+
+
+def pose(translation: Any, quaternion: Any) -> np.ndarray:
+    """Give a transform of a translation and a quaternion, mappings or objects of x, y, z, w."""
+    get = (lambda one, name: one[name]) if isinstance(translation, dict) else getattr
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_quat([get(quaternion, axis) for axis in "xyzw"]).as_matrix()
+    out[:3, 3] = [get(translation, axis) for axis in "xyz"]
+    return out
+
+
+def test_registration_of_the_dvrk(calibrated: Path, base: np.ndarray, tmp_path: Path) -> None:
+    ran = export(calibrated, "dvrk", tmp_path, "--dvrk-version", "2.3")
+    opencv, dvrk = (
+        json.loads((tmp_path / f"PSM1-registration-{axes}.json").read_text())["base-frame"]
+        for axes in ("open-cv", "dVRK")
+    )
+    np.testing.assert_allclose(matrix(opencv, "transform"), base, atol=1e-6)
+    np.testing.assert_allclose(matrix(dvrk, "transform"), FLIP @ base, atol=1e-6)
+    assert "camera_from_base" in ran.out
+    current = export(calibrated, "dvrk", tmp_path / "new")
+    assert current.code == 0
+    entry = json.loads((tmp_path / "new" / "PSM1-registration-dVRK.json").read_text())["base_frame"]
+    np.testing.assert_allclose(matrix(entry, "transform"), FLIP @ base, atol=1e-6)
+
+
+def test_fixed_setup_joints_of_the_dvrk(calibrated: Path, base: np.ndarray, tmp_path: Path) -> None:
+    (tmp_path / "ecm.yaml").write_text(
+        "header: {frame_id: ECM}\npose:\n  position: {x: 0.01, y: 0.02, z: 0.1}\n"
+        "  orientation: {x: 0, y: 0.6, z: 0, w: 0.8}\n"
+    )
+    export(calibrated, "dvrk", tmp_path / "out", "--ecm-pose", tmp_path / "ecm.yaml")
+    arms = json.loads((tmp_path / "out" / "suj-fixed.json").read_text())["arms"]
+    arm = next(arm for arm in arms if arm["name"] == "PSM1")
+    ecm = pose({"x": 0.01, "y": 0.02, "z": 0.1}, {"x": 0.0, "y": 0.6, "z": 0.0, "w": 0.8})
+    np.testing.assert_allclose(matrix(arm, "measured_cp"), ecm @ FLIP @ base, atol=1e-6)
+
+
+def test_easy_handeye(calibrated: Path, base: np.ndarray, tmp_path: Path) -> None:
+    export(calibrated, "easy-handeye", tmp_path)
+    (path,) = tmp_path.glob("*.calib")
+    document = yaml.safe_load(path.read_text())
+    assert document["parameters"]["calibration_type"] == "eye_on_base"
+    found = pose(document["transform"]["translation"], document["transform"]["rotation"])
+    np.testing.assert_allclose(found, np.linalg.inv(base), atol=1e-6)
+
+
+def test_tf_line_is_alone_on_stdout(calibrated: Path, base: np.ndarray) -> None:
+    ran = run("export", calibrated, "--to", "tf", "--arm", "PSM3")
+    words = shlex.split(ran.out)
+    assert words[:4] == ["ros2", "run", "tf2_ros", "static_transform_publisher"]
+    given = dict(zip(words[4::2], words[5::2], strict=True))
+    assert (given["--frame-id"], given["--child-frame-id"]) == ("camera", "PSM3_base")
+    numbers = [float(given[f"--{name}"]) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    found = pose(dict(zip("xyz", numbers[:3], strict=True)), dict(zip("xyzw", numbers[3:], strict=True)))
+    np.testing.assert_allclose(found, base, atol=1e-6)
+
+
+def test_bop_table(calibrated: Path, tmp_path: Path) -> None:
+    export(calibrated, "bop", tmp_path)
+    (path,) = tmp_path.glob("*.csv")
+    header, *rows = path.read_text().splitlines()
+    assert header == "scene_id,im_id,obj_id,score,R,t,time"
+    found = results(calibrated)
+    for row in rows:
+        _, image, _, _, rotation, translation, _ = row.split(",")
+        expected = matrix(found[f"{int(image):04d}"], "camera_from_root")
+        np.testing.assert_allclose(np.array(rotation.split(), float).reshape(3, 3), expected[:3, :3], atol=1e-6)
+        np.testing.assert_allclose(np.array(translation.split(), float), expected[:3, 3] * 1e3, atol=1e-3)
+    assert len(rows) == len(found)
+
+
+def test_tables_of_poses(calibrated: Path, tmp_path: Path) -> None:
+    export(calibrated, "csv", tmp_path)
+    with open(tmp_path / "poses.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    found = results(calibrated)
+    assert [row["frame"] for row in rows] == list(found)
+    for row in rows:
+        numbers = [float(value) for name, value in row.items() if re.fullmatch(r".*root.*_[xyz]_mm|[xyz]_mm", name)]
+        expected = matrix(found[row["frame"]], "camera_from_root")[:3, 3] * 1e3
+        np.testing.assert_allclose(numbers[:3], expected, atol=1e-3)
+
+
+def test_tum_trajectory_by_times(calibrated: Path, tmp_path: Path) -> None:
+    times = "\n".join(["frame,time", *(f"{k:04d},{100 + k / 30!r}" for k in range(5))])
+    (tmp_path / "images.csv").write_text(times + "\n")
+    export(calibrated, "tum", tmp_path / "out", "--times", tmp_path / "images.csv")
+    lines = [line for line in (tmp_path / "out" / "PSM1.tum").read_text().splitlines() if not line.startswith("#")]
+    for line, (frame, result) in zip(lines, results(calibrated).items(), strict=True):
+        time, *numbers = map(float, line.split())
+        assert time == pytest.approx(100 + int(frame) / 30, abs=1e-6)
+        found = pose(dict(zip("xyz", numbers[:3], strict=True)), dict(zip("xyzw", numbers[3:], strict=True)))
+        assert distance(found, matrix(result, "camera_from_root")) < (1e-3, 1e-3)
+
+
+@pytest.mark.parametrize("kind", ["ros1-bag", "ros2-bag"])
+def test_ros_recording(calibrated: Path, base: np.ndarray, tmp_path: Path, kind: str) -> None:
+    times = "\n".join(["frame,time", *(f"{k:04d},{1795000000 + k}.5" for k in range(5))])
+    (tmp_path / "images.csv").write_text(times + "\n")
+    export(calibrated, kind, tmp_path / "out", "--times", tmp_path / "images.csv")
+    path = tmp_path / "out" / ("PSM1.bag" if kind == "ros1-bag" else "PSM1")
+    messages: dict[str, list[Any]] = {}
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        for connection, time, data in reader.messages():
+            messages.setdefault(connection.topic, []).append((time, reader.deserialize(data, connection.msgtype)))
+    found = results(calibrated)
+    for (time, message), result in zip(messages["/dvrk_cmaes/PSM1/camera_from_root"], found.values(), strict=True):
+        assert time == (1795000000 + int(result["frame"])) * 10**9 + 5 * 10**8
+        read = pose(message.pose.position, message.pose.orientation)
+        np.testing.assert_allclose(read, matrix(result, "camera_from_root"), atol=1e-6)
+        assert message.header.frame_id == "camera"
+    for (_, message), result in zip(messages["/PSM1/measured_js"], found.values(), strict=True):
+        read = dict(zip(message.name, message.position, strict=True))
+        assert read == pytest.approx({name: result["readings"][name] for name in read})
+    transforms = {one.child_frame_id: one.transform for _, message in messages["/tf"] for one in message.transforms}
+    placed = pose(transforms["PSM1_base"].translation, transforms["PSM1_base"].rotation)
+    np.testing.assert_allclose(placed, base, atol=1e-6)
+
+
+def test_cameras_are_read_back(calibrated: Path, tmp_path: Path) -> None:
+    export(calibrated, "camera", tmp_path)
+    expected = read_camera(DEMO / "camera.yaml")
+    for name in ("ros/camera.yaml", "opencv/camera.xml", "plain/camera.yaml"):
+        np.testing.assert_allclose(read_camera(tmp_path / name, size=(640, 480)).matrix, expected.matrix, atol=1e-6)
+
+
+def test_corrections_of_joints(calibrated: Path, tmp_path: Path) -> None:
+    export(calibrated, "joint-correction", tmp_path)
+    offsets = json.loads((calibrated / "session.json").read_text())["offsets"]
+    with open(tmp_path / "PSM1-joint-correction.csv", encoding="utf-8") as file:
+        text = file.read()
+    for joint in ("roll", "wrist_pitch", "wrist_yaw", "jaw"):
+        assert f"{np.degrees(offsets[joint]):.1f}" in text or f"{np.degrees(offsets[joint]):.2f}" in text, text
+        assert joint in text
+
+
+def test_results_are_read_back_in_python(calibrated: Path) -> None:
+    folder = read_results(calibrated)
+    assert folder
+    for frame, document in results(calibrated).items():
+        result = read_result(calibrated / "frames" / f"{frame}.json")
+        np.testing.assert_allclose(result.camera_from_root, matrix(document, "camera_from_root"), atol=1e-12)
+        assert result.to_dict()["joints"] == document["joints"]
+        assert result.status == document["status"]
+
+
+def test_results_of_another_program_are_read(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    for frame, one in json.loads((DEMO / "golden.json").read_text())["frames"].items():
+        document = {"camera_from_root": one["T_camera_roll_link"], "joints": one["joints"]}
+        (tmp_path / "frames" / f"{frame}.json").write_text(json.dumps(document))
+    ran = run("compare", DEMO / "golden.json", tmp_path)
+    assert ran.code == 0, ran.err
+    assert "5 of 5" in ran.out or "5 frames" in ran.out

@@ -1,0 +1,183 @@
+"""Followed recordings against the truth: whole, causal, by images, both eyes, two arms, a steered endoscope."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from dvrk_cmaes import Tracker, prepare, read_calibration, read_camera, read_session
+from promises.program import OUT, Kept, distance, matrix, median, run, synth, tip_errors, tracks, truth
+
+VIDEO = ("--motion", "video", "--level", "easy", "--no-images")
+ONE = (*VIDEO, "--frames", 40, "--seed", 5, "--lag", "2frames")
+STEERED = (*VIDEO, "--frames", 48, "--seed", 7, "--ecm")
+PAIR = (*VIDEO, "--frames", 20, "--seed", 3, "--arms", 2, "--stereo")
+IMAGES = ("--motion", "video", "--level", "easy", "--frames", 16, "--seed", 8)
+PLAIN = ("--no-video", "--no-page")
+
+
+def check(found: Mapping[str, Mapping[str, Any]], true: Mapping[str, Any], *, frames: Iterable[str] = ()) -> float:
+    """Check statuses and stated errors of a followed recording; gives the median error of the tips, mm."""
+    errors, stated = [], []
+    for frame in frames or found:
+        row = found[frame]
+        assert row["status"] in ("ok", "doubtful", "lost")
+        assert bool(row["reasons"]) == (row["status"] != "ok"), row
+        if row["camera_from_root"] is None:
+            assert row["status"] == "lost"
+            continue
+        error = tip_errors(row, true[frame])
+        if row["status"] == "ok":
+            assert error.max() < 3.0, frame  # ok and wrong
+        if row["status"] != "lost":
+            errors.append(error.max())
+            stated.append(row["std"]["tip_mm"])
+    assert np.mean(np.array(errors) < 2.0 * np.array(stated)) > 0.8
+    return median(errors)
+
+
+def test_recording_is_followed_and_states_its_errors(kept: Kept) -> None:
+    session = synth(kept, *ONE)
+    ran = kept("track", session, "--out", OUT)
+    found, true = tracks(ran.folder), truth(session)
+    assert list(found) == list(true)
+    assert check(found, true) < 1.2
+    assert np.mean([row["status"] == "ok" for row in found.values()]) > 0.9
+    document = json.loads((ran.folder / "session.json").read_text())
+    lag = document["lag"]
+    assert lag["frames"] == pytest.approx(2.0, abs=max(0.5, 3 * lag["std_frames"]))
+    assert (lag["applied"], lag["sign"]) == (True, "images late")
+    true_base = matrix(json.loads((session / "golden.json").read_text()), "camera_from_base")
+    assert distance(matrix(document, "camera_from_base"), true_base) < (8.0, 6.0)
+    names = {path.name for path in ran.folder.iterdir()}
+    assert names >= {"tracks.jsonl", "tracks.csv", "tracks.mp4", "report.html"}
+    video = cv2.VideoCapture(str(ran.folder / "tracks.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == len(true)
+
+
+def test_table_has_the_same_poses_in_mm(kept: Kept) -> None:
+    folder = kept("track", synth(kept, *ONE), "--out", OUT).folder
+    header, *rows = (folder / "tracks.csv").read_text().splitlines()
+    for row, found in zip(rows, tracks(folder).values(), strict=True):
+        named = dict(zip(header.split(","), row.split(","), strict=True))
+        assert (named["frame"], named["status"]) == (found["frame"], found["status"])
+        tip = [float(named[f"tip_1_{axis}_mm"]) for axis in "xyz"]
+        assert tip == pytest.approx(np.array(found["tips"][0]) * 1e3, abs=1e-3)
+
+
+def test_no_result_of_a_causal_run_uses_later_frames(kept: Kept, tmp_path: Path) -> None:
+    session = synth(kept, *ONE)
+    whole = tracks(kept("track", session, "--causal", "--out", OUT, *PLAIN).folder)
+    check(whole, truth(session))
+    assert not any(row["status"] == "ok" for row in list(whole.values())[:10])  # the base is not known yet
+    shutil.copytree(session, tmp_path / "short")
+    for path in sorted((tmp_path / "short" / "masks").iterdir())[20:]:
+        path.unlink()
+    run("track", tmp_path / "short", "--causal", "--out", tmp_path / "out", *PLAIN)
+    for frame, row in tracks(tmp_path / "out").items():
+        if frame < "0020":
+            for key in ("status", "camera_from_root", "joints"):
+                assert row[key] == whole[frame][key], (frame, key)
+
+
+def test_known_calibration_is_used_from_the_first_frame(kept: Kept) -> None:
+    session = synth(kept, *ONE)
+    calibration = kept("track", session, "--out", OUT).folder / "session.json"
+    found = tracks(kept("track", session, "--session", calibration, "--causal", "--out", OUT, *PLAIN).folder)
+    assert check(found, truth(session)) < 1.5
+    assert np.mean([row["status"] == "ok" for row in found.values()]) > 0.7
+
+
+def test_instrument_is_lost_and_found_again(kept: Kept, tmp_path: Path) -> None:
+    session = synth(kept, *ONE)
+    calibration = kept("track", session, "--out", OUT).folder / "session.json"
+    shutil.copytree(session, tmp_path / "gap")
+    for k in range(20, 26):
+        path = tmp_path / "gap" / "masks" / f"{k:04d}.png"
+        cv2.imwrite(str(path), np.zeros((240, 320), np.uint8))
+    run("track", tmp_path / "gap", "--session", calibration, "--causal", "--out", tmp_path / "out", *PLAIN)
+    found, true = tracks(tmp_path / "out"), truth(session)
+    assert {found[f"{k:04d}"]["status"] for k in range(20, 26)} == {"lost"}
+    assert all(found[f"{k:04d}"]["reasons"] for k in range(20, 26))
+    after = [f"{k:04d}" for k in range(32, 40)]
+    assert check(found, true, frames=after) < 1.5
+
+
+def test_recording_of_images_alone_is_followed(kept: Kept, tmp_path: Path) -> None:
+    session = synth(kept, *IMAGES)
+    shutil.copytree(session, tmp_path / "session")
+    first = tmp_path / "first.png"
+    shutil.copy(session / "masks" / "0000.png", first)
+    shutil.rmtree(tmp_path / "session" / "masks")
+    run("track", tmp_path / "session", "--out", tmp_path / "out", "--causal", "--first-mask", first, *PLAIN)
+    found = tracks(tmp_path / "out")
+    assert not any(row["status"] == "ok" for row in found.values())
+    assert check(found, truth(session)) < 3.0
+
+
+def test_recording_without_readings_is_followed_and_never_ok(kept: Kept) -> None:
+    session = synth(kept, *ONE)
+    found = tracks(kept("track", session, "--joints", "none", "--every", 3, "--out", OUT, *PLAIN).folder)
+    assert len(found) == 14
+    assert not any(row["status"] == "ok" for row in found.values())
+
+
+def test_two_arms_are_followed_by_both_eyes(kept: Kept) -> None:
+    session = synth(kept, *PAIR)
+    out = kept("track", session, "--out", OUT, *PLAIN).folder
+    for arm in ("PSM1", "PSM2"):
+        found = tracks(out / arm)
+        assert len(found) == 20
+        assert check(found, truth(session, arm)) < 1.5
+    arms = json.loads((out / "arms.json").read_text())
+    bases = [matrix(json.loads((session / f"golden_PSM{k}.json").read_text()), "camera_from_base") for k in (1, 2)]
+    found_base = matrix(arms["arms"]["PSM2"], "reference_from_base")
+    assert distance(found_base, np.linalg.inv(bases[0]) @ bases[1]) < (15.0, 8.0)
+
+
+def test_steered_endoscope_has_a_base_in_each_place(kept: Kept) -> None:
+    session = synth(kept, *STEERED)
+    out = kept("track", session, "--out", OUT, *PLAIN).folder
+    found, true = tracks(out), truth(session)
+    assert check(found, true) < 1.5
+    document = json.loads((out / "session.json").read_text())
+    assert len(document["endoscope"]["bases"]) >= 2
+    for place in document["endoscope"]["bases"]:
+        expected = true[place["first"]].get("camera_from_base")
+        if expected is not None:
+            assert distance(matrix(place, "camera_from_base"), np.array(expected)) < (10.0, 6.0)
+
+
+def test_tracker_in_python_follows_as_the_command_does(kept: Kept) -> None:
+    session = synth(kept, *ONE)
+    calibration = read_calibration(kept("track", session, "--out", OUT).folder / "session.json")
+    tracker = Tracker(read_camera(session / "camera.yaml"), prepare("lnd"), calibration=calibration)
+    true, errors = truth(session), []
+    for files in list(read_session(session).frames)[:25]:
+        assert files.time is not None
+        assert files.mask is not None
+        mask = cv2.imread(str(files.mask), cv2.IMREAD_GRAYSCALE) > 127
+        tracker.add_readings(files.time, dict(files.readings))
+        result = tracker.step(files.time, mask)
+        if result.tips is not None:
+            errors.append(np.linalg.norm(result.tips - true[files.name]["tips_camera_m"], axis=1).max() * 1e3)
+    assert len(errors) > 20
+    assert median(errors) < 1.5
+
+
+def test_same_input_gives_the_same_tracks(kept: Kept, tmp_path: Path) -> None:
+    session = synth(kept, *ONE)
+    calibration = kept("track", session, "--out", OUT).folder / "session.json"
+    words = ("track", session, "--session", calibration, "--causal", "--out")
+    first = tracks(kept(*words, OUT, *PLAIN).folder)
+    run(*words, tmp_path / "again", *PLAIN)
+    for frame, row in tracks(tmp_path / "again").items():
+        del row["seconds"], first[frame]["seconds"]
+        assert row == first[frame]
