@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.transforms import apply, change_between, exp_rotation, inverse, moved, rotation_angle, transform
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.geometry import Posed, adjoint, cross, frame_along, log_rotation, rotation_about_z
+from dvrk_cmaes.geometry import (
+    Posed,
+    adjoint,
+    apply,
+    change_between,
+    cross,
+    exp_rotation,
+    frame_along,
+    inverse,
+    log_rotation,
+    moved,
+    rotation_about_z,
+    rotation_angle,
+    transform,
+)
 
 
 def vectors(largest: float, shape: int | tuple[int, ...] = 3) -> st.SearchStrategy[np.ndarray]:

@@ -9,9 +9,9 @@ import pytest
 from helpers.transforms import moved
 
 from dvrk_cmaes import Body, Camera, Renderer, Result
-from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW, Canvas
+from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW
 from dvrk_cmaes.draw.overlay import draw_overlay
-from dvrk_cmaes.draw.panels import footer, header
+from dvrk_cmaes.draw.panels import header
 from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.results.result import Quality
 
@@ -167,33 +167,3 @@ def test_skeleton_ends_at_projected_tips(bundled_body: Body) -> None:
     expected = PINHOLE.project(bundled_body.instrument.tips(joints) @ POSE[:3, :3].T + POSE[:3, 3])
     np.testing.assert_allclose(tips, expected)
     np.testing.assert_allclose(line[-2], PINHOLE.project(POSE[:3, 3]), atol=0.5)  # the wrist's pitch axis
-
-
-def test_strips_grow_with_text_up_to_limit() -> None:
-    none, few = header(result(), 1280, 1.0), header(result(reasons=("one", "two")), 1280, 1.0)
-    many = header(result(reasons=tuple("word " * 60 for _ in range(9))), 1280, 1.0)
-    assert none.shape[0] < few.shape[0] < many.shape[0] < 200
-    assert footer(result(), 300, 1.0).shape[0] > footer(result(), 1280, 1.0).shape[0]
-
-
-def test_long_name_does_not_cover_figures() -> None:
-    long, short = (header(result(frame=name), 1280, 1.0) for name in ("x" * 300, "0026"))
-    np.testing.assert_array_equal(long[:, 900:], short[:, 900:])
-
-
-def test_lines_outside_or_not_finite_are_skipped() -> None:
-    canvas = Canvas(np.zeros((100, 100, 3), dtype=np.uint8), 1.0)
-    canvas.line(np.array([[50.0, 50.0], [np.nan, 0.0], [1e12, 1e12], [20.0, 20.0], [20.0, 80.0]]), WHITE, width=1.0)
-    canvas.cross(np.array([np.nan, 5.0]), WHITE)
-    assert canvas.image[50, 20].min() > 200
-    assert canvas.image[50, 50].max() == 0
-
-
-def test_dashes_of_opposite_phase_do_not_overlap() -> None:
-    lines = []
-    for phase in (0.0, 10.0):
-        canvas = Canvas(np.zeros((20, 200, 3), dtype=np.uint8), 1.0)
-        canvas.line(np.array([[0.0, 10.0], [199.0, 10.0]]), WHITE, width=1.0, dash=(6, 14), phase=phase, rim=False)
-        lines.append(canvas.image[10, :, 0] > 128)
-    assert 40 < lines[0].sum() < 90
-    assert not (lines[0] & lines[1]).any()

@@ -10,35 +10,37 @@ import cv2
 import numpy as np
 
 
-def write_text(path: Path, text: str) -> None:
+def write_text(path: str | Path, text: str) -> None:
     """Write a text, in folders that need not exist."""
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
 
 
-def write_json(path: Path, document: Any) -> None:
+def write_json(path: str | Path, document: Any) -> None:
     """Write plain values as JSON, in folders that need not exist."""
     write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
-def write_image(path: Path, image: np.ndarray) -> None:
+def write_image(path: str | Path, image: np.ndarray) -> None:
     """Write an image or a mask (bool: 0 and 255), in folders that need not exist."""
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     pixels = image.astype(np.uint8) * 255 if image.dtype == bool else image
     path.write_bytes(cv2.imencode(path.suffix, pixels)[1].tobytes())
 
 
-def read_image(path: Path) -> np.ndarray:
+def read_image(path: str | Path) -> np.ndarray:
     """Read an image as (H, W, 3) BGR."""
     return _decoded(path, cv2.IMREAD_COLOR)
 
 
-def read_mask(path: Path) -> np.ndarray:
+def read_mask(path: str | Path) -> np.ndarray:
     """Read a mask (H, W) bool: pixels above 127 are instrument."""
     return _decoded(path, cv2.IMREAD_GRAYSCALE) > 127
 
 
-def _decoded(path: Path, mode: int) -> np.ndarray:
+def _decoded(path: str | Path, mode: int) -> np.ndarray:
     pixels = cv2.imdecode(np.frombuffer(Path(path).read_bytes(), np.uint8), mode | cv2.IMREAD_IGNORE_ORIENTATION)
     assert pixels is not None, path
     return np.asarray(pixels)

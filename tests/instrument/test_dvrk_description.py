@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.instrument_files import loaded
 from helpers.places import bundled_path
 from helpers.waiting import within
 
 from dvrk_cmaes import Body, EstimateConfig, InputError, estimate, load_instrument, read_frame, read_session
 from dvrk_cmaes.config import SearchConfig
 from dvrk_cmaes.instrument.arm import ROLL_OFFSET_LONG, base_from_root
-from dvrk_cmaes.instrument.dvrk_description import read_kinematics, read_tool
+from dvrk_cmaes.instrument.dvrk_description import read_tool
 from dvrk_cmaes.instrument.tool import with_tool
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.joints.prior import LIMIT_SIGMA
@@ -42,13 +41,6 @@ def written(folder: Path, text: str = TOOL) -> Path:
     path = folder / "TOOL.json"
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def test_tool_states_limits_and_roll_offset(tmp_path: Path) -> None:
-    tool = read_tool(written(tmp_path))
-    assert (tool.roll_offset, tool.wrist_length) == (0.467, 0.0091)
-    assert tool.tooltip_offset.tolist() == np.eye(4).tolist()
-    assert tool.limits == {"roll": (-1, 1), "wrist_pitch": (-1.2, 1.2), "wrist_yaw": (-1.3, 1.3), "jaw": (-0.7, 1.4)}
 
 
 def test_tool_limits_replace_urdf_limits(tmp_path: Path) -> None:
@@ -84,41 +76,6 @@ def test_tool_limits_bound_search_and_give_warning(tmp_path: Path) -> None:
     assert found.camera_from_base is not None
     reached = np.linalg.inv(found.camera_from_base) @ found.camera_from_root
     np.testing.assert_allclose(reached, base_from_root(readings, roll_offset=ROLL_OFFSET_LONG), atol=1e-9)
-
-
-def test_tool_of_other_instrument_is_refused(tmp_path: Path) -> None:
-    tool = read_tool(written(tmp_path, TOOL.replace("0.0091", "0.0107")))
-    with pytest.raises(InputError) as caught:
-        with_tool(load_instrument("lnd"), tool)
-    assert str(caught.value) == "TOOL.json: wrist_yaw: expected A 9.10 mm as in lnd, got 10.70 mm: another tool"
-
-
-@pytest.mark.parametrize(
-    ("number", "urdf"),
-    [
-        ("LARGE_NEEDLE_DRIVER_400006", "instrument_400006"),
-        ("LARGE_NEEDLE_DRIVER_420006", "instrument_400006"),
-        ("MARYLAND_BIPOLAR_FORCEPS_400172", "instrument_400172"),
-        ("MEGA_NEEDLE_DRIVER_400194", "instrument_400194"),
-        ("PERMANENT_CAUTERY_HOOK_400183", "instrument_400183"),
-        ("PROGRASP_FORCEPS_400093", "instrument_400093"),
-    ],
-)
-def test_real_tools_fit_their_instruments(shared: Path, number: str, urdf: str) -> None:
-    tool = read_tool(shared / "formats" / "tool" / f"{number}.json")
-    assert tool.roll_offset == (0.467 if "_42" in number else 0.4162)
-    instrument = loaded(shared / "instruments" / "dvrk_model" / "urdf" / f"{urdf}.urdf")
-    fitted = with_tool(instrument, tool)
-    assert fitted.limits_from == f"{number}.json"
-    for name, pair in zip(fitted.joint_names, fitted.limits, strict=True):
-        assert tuple(pair) == tool.limits[name]
-    assert ("jaw" in fitted.joint_names) == ("HOOK" not in number)
-
-
-@pytest.mark.parametrize(("file", "arm", "longest"), [("PSM.json", "classic", 0.24), ("PSM_Si.json", "si", 0.29)])
-def test_real_kinematics_are_recognised(shared: Path, file: str, arm: str, longest: float) -> None:
-    found = read_kinematics(shared / "formats" / "kinematic" / file)
-    assert (found.arm, found.limits["insertion"]) == (arm, (0.0, longest))
 
 
 @pytest.mark.parametrize(

@@ -83,12 +83,6 @@ def test_all_joint_types_agree_with_yourdfpy(mixed: Path, fractions: np.ndarray)
     check_against_yourdfpy(mixed, fractions)
 
 
-def test_joint_order_and_limits(mixed: Path) -> None:
-    instrument = loaded(mixed)
-    assert instrument.joint_names == ("turn", "slide")
-    np.testing.assert_allclose(instrument.limits, [[-np.pi, np.pi], [0, 0.2]])
-
-
 def test_chained_mimic_joints_follow_first_joint(tmp_path: Path) -> None:
     body = box_link("roll_link") + box_link("a") + box_link("b") + box_link("c")
     body += joint("first", "prismatic", "roll_link", "a", '<axis xyz="1 0 0"/>')
@@ -121,33 +115,6 @@ def test_joints_of_real_instruments() -> None:
     for path in ALL_SHARED:
         assert loaded(path).joint_names == ("wrist_pitch", "wrist_yaw", "jaw")[: 2 if path == HOOK else 3]
     np.testing.assert_allclose(loaded(SCANNED).limits, [[-1.39626, 1.39626]] * 2 + [[-0.349066, 1.39626]])
-
-
-def test_root_link_selects_joints(tmp_path: Path) -> None:
-    roll = '<link name="base"/>' + joint("roll", "revolute", "base", "roll_link", '<axis xyz="0 0 1"/>')
-    path = write_urdf(tmp_path, roll + gripper())
-    assert load_instrument(path).joint_names == ("wrist_pitch", "wrist_yaw", "jaw")
-    assert load_instrument(path, root_link="base").joint_names == ("roll", "wrist_pitch", "wrist_yaw", "jaw")
-    below = load_instrument(path, root_link="wrist_yaw_link")
-    assert below.joint_names == ("jaw",)
-    assert [link.name for link in below.links] == ["jaw_1_link", "jaw_2_link"]
-
-
-@pytest.mark.parametrize("batch", [(), (1,), (4,), (2, 3)])
-def test_batches_agree_with_single_poses(batch: tuple[int, ...]) -> None:
-    instrument = loaded(BUNDLED)
-    joints = np.random.default_rng(1).uniform(-1, 1, (*batch, 3))
-    poses, tips = instrument.forward(joints), instrument.tips(joints)
-    assert poses.shape == (*batch, len(instrument.links), 4, 4)
-    assert tips.shape == (*batch, 2, 3)
-    for index in np.ndindex(*batch):
-        np.testing.assert_allclose(poses[index], instrument.forward(joints[index]), atol=1e-15)
-        np.testing.assert_allclose(tips[index], instrument.tips(joints[index]), atol=1e-15)
-
-
-def test_wrong_number_of_joint_values_is_refused() -> None:
-    with pytest.raises(InputError, match=r"expected 3 values \(wrist_pitch, wrist_yaw, jaw\).*\(2,\)"):
-        loaded(BUNDLED).forward([0.0, 0.0])
 
 
 def test_unknown_joint_is_refused_with_nearest_name() -> None:

@@ -11,11 +11,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from helpers.files import write_image, write_json, write_text
 
-from dvrk_cmaes import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.io import handles
+from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.output import write_bytes, written_beside
 
 

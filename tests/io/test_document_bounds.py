@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from dvrk_cmaes import InputError
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.io.json_file import read_json
 from dvrk_cmaes.io.toml_file import read_toml

@@ -13,10 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from helpers.files import write_text
 
-from dvrk_cmaes import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io import handles
+from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.output import LONG, Output, appended, base, check_output_folder, output, remove, written_beside
 
 FILES = ("frames/a.json", "summary.json")

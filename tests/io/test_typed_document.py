@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from msgspec import Struct
 
-from dvrk_cmaes import InputError
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.typed_document import Count, Number, Point, Texts, Transform, convert_document
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from helpers.files import write_text
 
-from dvrk_cmaes import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.io import handles
+from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.output import output, whole_folder
 
 

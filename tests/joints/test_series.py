@@ -61,23 +61,6 @@ def test_rows_without_frames_or_times_give_no_series(tmp_path: Path) -> None:
     assert series_of(tmp_path, "frame,yaw\na,0.1\n", {"a": None}) is None
 
 
-def test_wrong_cell_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="yaw"):
-        series_of(tmp_path, "frame,yaw\n1,0.1\n2,x\n", {"1": None})
-
-
-def test_frames_in_memory_are_counted_or_timed() -> None:
-    readings = {"a": {"yaw": 0.0}, "b": {"yaw": 2.0}, "c": {"yaw": 4.0}}
-    counted = ReadingSeries.of_frames(readings, {})
-    assert counted is not None
-    assert (counted.unit, counted.frames) == ("frames", {"a": 0.0, "b": 1.0, "c": 2.0})
-    timed = ReadingSeries.of_frames(readings, {"a": 5.0, "b": 5.1, "c": 5.3})
-    assert timed is not None
-    assert timed.unit == "s"
-    assert timed.at(("yaw",), np.array([0.2]))[0, 0] == pytest.approx(3.0)
-    assert ReadingSeries.of_frames({"a": {"yaw": 0.0}}, {}) is None
-
-
 def test_unrelated_rows_are_not_interpolable() -> None:
     rng = np.random.default_rng(0)
     clock = np.arange(40.0)
@@ -117,15 +100,6 @@ def test_smoothed_readings_have_the_same_noise_at_rows_and_between_them() -> Non
     assert spread == pytest.approx([spread[0]] * 3, rel=0.06)
     straight = [float(np.std(series.at(("yaw",), rows[2:-2] + by))) for by in (0.0, 0.5)]
     assert straight[1] < 0.75 * straight[0]
-
-
-@pytest.mark.parametrize("stamps", [np.arange(20.0), np.cumsum(np.random.default_rng(1).uniform(0.7, 1.3, 20))])
-def test_smoothed_readings_of_a_steady_motion_are_exact(stamps: np.ndarray) -> None:
-    series = ReadingSeries("frames", {"yaw": stamps}, {"yaw": 0.3 + 0.02 * stamps}, {"0000": 0.0}, 1.0)
-    times = np.linspace(stamps[0], stamps[-1], 101)
-    assert series.at(("yaw",), times, smoothed=True)[:, 0] == pytest.approx(0.3 + 0.02 * times, abs=1e-12)
-    outside = np.array([stamps[0] - 0.1, stamps[-1] + 0.1])
-    assert np.isnan(series.at(("yaw",), outside, smoothed=True)).all()
 
 
 @pytest.mark.parametrize("count", [2, 3, 30])

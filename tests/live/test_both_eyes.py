@@ -13,7 +13,6 @@ from helpers.transforms import moved
 
 from dvrk_cmaes import Camera, Rig
 from dvrk_cmaes.export.frames import FrameNames
-from dvrk_cmaes.frames.frame import with_tool
 from dvrk_cmaes.live.arm import LiveArm
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics, LiveFrame
 from dvrk_cmaes.live.loop import LiveLoop
@@ -110,24 +109,6 @@ def masks_at(robot: Robot, time: float, *, right: float = 0.0, without: str = ""
                 robot.send(f"/{eye}/{arm}/mask", image(time + late, np.eye(48, 64, 5 * k, dtype=np.uint8) * 255))
 
 
-def test_masks_of_both_arms_and_eyes_make_a_frame_when_the_last_one_comes() -> None:
-    robot = Robot(MASKED, pair())
-    robot.send("/left/image", image(0.0, np.full((48, 64), 9, np.uint8)))
-    masks_at(robot, 0.0, right=0.008, without="/right/PSM2/mask")
-    assert robot.inputs.frames.take(0.0) is None
-    robot.send("/right/PSM2/mask", image(0.008, np.zeros((48, 64), np.uint8)))
-    robot.loop.turn()
-    for arm, own in robot.trackers.items():
-        ((time, masks, images, ignored),) = own[0].steps
-        assert time == pytest.approx(BEGIN / SECOND, abs=1e-6)
-        assert set(masks) == {"left", "right"}
-        other = robot.trackers[ARMS[arm == "PSM1"]][0].steps[0][1]
-        assert all(np.array_equal(ignored[eye], with_tool(None, other[eye])) for eye in masks)
-        assert set(images) == {"left"}
-    assert not robot.trackers["PSM2"][0].steps[0][1]["right"].any()
-    assert robot.shown[-1] == "1 image; PSM1: 1 poses, 1 ok; PSM2: 1 poses, 1 ok; age up to 0 ms"
-
-
 def test_images_that_are_too_far_apart_are_no_frame_and_what_waits_is_bounded() -> None:
     robot = Robot(MASKED, pair())
     for k in range(40):
@@ -190,15 +171,6 @@ def test_arms_take_turns_and_say_so_where_the_time_is_short() -> None:
     assert any(line.startswith("arms take turns: the steps of all take 1") for line in robot.lines)
 
 
-def test_arms_that_are_quick_are_all_followed() -> None:
-    robot = Robot(MASKED, pair(), seconds=0.02)
-    for k in range(10):
-        masks_at(robot, k / 10)
-        robot.loop.turn()
-    assert [len(own[0].steps) for own in robot.trackers.values()] == [10, 10]
-    assert not any("turns" in line for line in robot.lines)
-
-
 def test_an_arm_whose_steps_fail_begins_anew_and_the_other_goes_on() -> None:
     robot = Robot(MASKED, pair())
     masks_at(robot, 0.0)
@@ -251,19 +223,6 @@ def test_whole_readings_of_the_endoscopes_arm_are_given_to_all_arms() -> None:
         [expected],
         [expected],
     ]
-
-
-def test_cameras_of_both_eyes_are_received_with_their_distance() -> None:
-    robot = Robot(MASKED)
-    robot.send("/left/camera_info", info(camera()))
-    assert robot.inputs.rigs.take(0.0) is None
-    robot.send("/right/camera_info", info(camera(), baseline=0.005))
-    rig = robot.inputs.rigs.take(0.0)
-    assert rig is not None
-    assert rig.names == ("left", "right")
-    assert rig.views[1].view_from_camera[:3, 3] == pytest.approx([-0.005, 0, 0])
-    robot.send("/right/camera_info", info(camera(), baseline=0.005))  # the same again
-    assert robot.inputs.rigs.take(0.0) is None
 
 
 @pytest.mark.parametrize("change", ["focal length", "size"])

@@ -6,23 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.transforms import inverse, lookat_pose
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes import Body, Camera, EstimateConfig, Renderer
-from dvrk_cmaes.config import LookAtRange
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig, LookAtRange
 from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.starts import (
     draw_starts,
     likely_distances,
+    lookat_pose,
     sample_distances,
     sample_joints,
     sample_lookat,
     sample_on_axis,
 )
+from dvrk_cmaes.silhouette import Body, Renderer
 
 CAMERA = Camera(640, 480, 858.9, 934.9, 422.9, 284.2, (-0.2484, 0.2681, 0.0048, -0.0033))
 LIMITS = LookAtRange()

@@ -72,17 +72,6 @@ def rows(name: str) -> list[dict[str, str]]:
 # ROS recordings
 
 
-def test_lag_gives_images_earlier_readings(imported: Import, tmp_path: Path) -> None:
-    summary = imported(write_bag(tmp_path / "bag", KINDS[0], good()), "--lag", "0.05")
-    assert summary["lag_s"] == 0.05
-    assert "readings of 0.05 s before each image" in summary["notes"]
-    frames = read_session("session").frames
-    time = BEGIN + 2 * SECOND // 10
-    expected = dict(zip(ARM, sweep(time - SECOND // 20), strict=True))
-    assert {name: frames[2].readings[name] for name in ARM} == pytest.approx(expected, abs=1e-8)
-    assert [row["time"] for row in rows("joints.csv")] == [row["time"] for row in rows("images.csv")]
-
-
 def calibrated(path: Path, **changes: object) -> Path:
     """Write the session.json of a calibration that found a lag of 50 ms."""
     lag = Lag(1.5, 0.1, 0.05, 0.003, **changes)  # type: ignore[arg-type]
@@ -145,14 +134,6 @@ def test_lag_that_cannot_be_taken_out_is_refused(
     assert main(["import", "run.bag", "--out", "session", *words]) == 2
     assert capsys.readouterr().err.startswith(f"dvrk-cmaes: {message}")
     assert not (tmp_path / "session").exists()
-
-
-def test_subset_of_images_keeps_numbers(imported: Import, tmp_path: Path) -> None:
-    summary = imported(write_bag(tmp_path / "bag", "mcap", good(12)), "--every", 3, "--start", 0.15, "--end", 0.95)
-    assert [row["frame"] for row in rows("images.csv")] == ["000002", "000005", "000008"]
-    assert (summary["images"], summary["frames"]) == (12, 3)
-    for number in (2, 5, 8):
-        assert np.array_equal(read_image(Path(f"session/images/{number:06d}.png")), pixels(number))
 
 
 def test_frames_without_near_readings_are_counted(imported: Import, tmp_path: Path) -> None:
@@ -237,38 +218,6 @@ def test_older_dvrk_names_are_known(imported: Import, tmp_path: Path) -> None:
     assert list(read_session("session").frames[2].readings) == [*ARM, "jaw"]
 
 
-def test_unnamed_joints_are_in_dvrk_order_with_note(imported: Import, tmp_path: Path) -> None:
-    nameless = [replace(m, fields={**m.fields, "name": []}) if m.kind == "JointState" else m for m in good()]
-    summary = imported(write_bag(tmp_path / "bag", "mcap", nameless))
-    assert list(read_session("session").frames[0].readings) == [*ARM, "jaw"]
-    note = "joints are not named: taken in the dVRK's order, by their number"
-    assert {f"/PSM1/measured_js: {note}", f"/PSM1/jaw/measured_js: {note}"} <= set(summary["notes"])
-
-
-def test_topics_may_be_chosen(imported: Import, tmp_path: Path) -> None:
-    second = {name: name.replace("left", "right").replace("PSM1", "PSM2") for name in {m.topic for m in good()}}
-    other = [m for m in good() if m.kind != "CameraInfo"]
-    other.append(camera_info(BEGIN, k=np.array([99.0, 0, 31.5, 0, 99.0, 22.0, 0, 0, 1])))
-    bag = write_bag(tmp_path / "bag", "mcap", [*good(), *renamed(other, second)])
-    summary = imported(bag, "--image-topic", "/right/image_raw", "--joints-topic", "PSM2/measured_js")
-    assert summary["notes"][:2] == ["images: /right/image_raw", "camera: /right/camera_info"]
-    assert [one["source"] for one in summary["readings"]] == ["/PSM2/measured_js", "/PSM2/jaw/measured_js"]
-    assert read_session("session").camera.fx == 99
-
-
-def test_joints_or_jaw_may_be_left_out(imported: Import, tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", "mcap", good())
-    assert len(imported(bag, "--jaw-topic", "none")["readings"]) == 1
-    assert list(rows("joints.csv")[0]) == ["frame", "time", *ARM]
-    assert imported(bag, "--joints-topic", "none", "--overwrite")["readings"] == []
-    assert [frame.readings for frame in read_session("session").frames] == [{}] * 5
-
-
-def test_missing_jaw_topic_is_noted(imported: Import, tmp_path: Path) -> None:
-    summary = imported(write_bag(tmp_path / "bag", "mcap", [m for m in good() if "jaw" not in m.topic]))
-    assert "jaw: not read" in summary["notes"]
-
-
 def test_recording_times_replace_missing_header_times(imported: Import, tmp_path: Path) -> None:
     messages = [m for m in good() if m.kind != "JointState"] + stamped([m for m in good() if m.kind == "JointState"], 0)
     summary = imported(write_bag(tmp_path / "bag", "ros1", messages))
@@ -294,17 +243,6 @@ def test_changing_camera_and_rectified_images_are_noted(imported: Import, tmp_pa
     assert "camera: /left/camera_info (the first: 1 later messages differ from it)" in notes
     assert any("--rectified" in note for note in notes)
     assert read_session("session").camera == CAMERA
-
-
-def test_camera_and_readings_from_files(imported: Import, tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", "mcap", [m for m in good() if m.kind == "Image"])
-    camera = tmp_path / "kamera.yaml"
-    camera.write_text("width: 64\nheight: 48\nK: [70, 0, 32, 0, 70, 24, 0, 0, 1]\nD: []\n")
-    table = tmp_path / "table.csv"
-    table.write_text("time,jaw\n1795000000.1,0.5\n1795000000.2,0.7\n1795000000.6,0.7\n")
-    imported(bag, "--camera", camera, "--joints", table, "--tolerance", 0.09)
-    assert (Path("session") / "camera.yaml").read_bytes() == camera.read_bytes()
-    assert [row["jaw"] for row in rows("joints.csv")] == ["0.546913578", "", "", "", ""]
 
 
 def test_one_image_is_in_memory_at_a_time(tmp_path: Path) -> None:

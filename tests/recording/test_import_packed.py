@@ -15,7 +15,7 @@ import pytest
 from helpers.commands import run_command
 from helpers.files import read_image
 from helpers.made_clips import RIGHT_LATE, image_time, jaw_position, positions, write_file
-from helpers.made_packed import COUNT, arm_table, times_table, write_ffv1, write_packed, write_table
+from helpers.made_packed import COUNT, arm_table, times_table, write_packed, write_table
 from helpers.made_recordings import ARM, pixels, write_video
 
 from dvrk_cmaes import InputError, read_session
@@ -106,28 +106,6 @@ def test_both_eyes_become_a_stereo_session(imported: Import) -> None:
     np.testing.assert_allclose(rig.views[1].view_from_camera[:3, 3], [-0.005, 0, 0])
 
 
-def test_registrations_are_kept(imported: Import, episode: Path) -> None:
-    imported("--arm", "PSM1")
-    name = "PSM1-registration-dVRK.json"
-    kept = Path("session/hand_eye_calibration") / name
-    assert kept.read_bytes() == (episode / "calibration" / "hand_eye" / name).read_bytes()
-
-
-def test_frame_without_readings_gets_none(imported: Import, episode: Path) -> None:
-    columns = arm_table("PSM1", 9)
-    values = columns["measured_js.position"].to_pylist()
-    values[4:8] = [None] * 4
-    columns["measured_js.position"] = pa.array(values, pa.list_(pa.float32()))
-    shutil.rmtree(episode)
-    write_packed(episode, count=9)
-    write_table(episode / "PSM1.parquet", columns)
-    imported("--arm", "PSM1")
-    frames = read_session("session").frames
-    assert [("yaw" in frame.readings, "jaw" in frame.readings) for frame in frames] == [
-        (k not in range(4, 8), True) for k in range(9)
-    ]
-
-
 def test_rectified_images_need_a_camera_file(imported: Import, refused: Refused, episode: Path) -> None:
     shutil.rmtree(episode / "video_raw")
     (episode / "video").mkdir()
@@ -146,11 +124,6 @@ def test_release_is_refused_with_its_episodes(refused: Refused, tmp_path: Path) 
     write_file(tmp_path / "meta" / "dataset.json", b"{}")
     said = refused("--arm", "PSM1", source=tmp_path)
     assert "expected the folder of one episode, one of online_data/episodes/stitch/2" in said
-
-
-def test_video_of_fewer_images_is_refused(refused: Refused, episode: Path) -> None:
-    write_ffv1(episode / "video_raw" / "stereo_left.mkv", [0, 1])
-    assert "stereo_left.mkv: expected 4 images, one for each row of timestamp.parquet, got 2" in refused()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from helpers.commands import Ran, run_command
 from helpers.files import write_json
 from helpers.made_surgpose import (
@@ -22,7 +21,6 @@ from helpers.made_surgpose import (
     calibration_ini,
     made_arms,
     write_surgpose,
-    write_yaml,
 )
 
 from dvrk_cmaes import EstimateConfig, prepare, read_session
@@ -71,14 +69,6 @@ def refused(run: Run) -> Callable[..., str]:
 # import
 
 
-def test_eight_coefficients_are_a_rational_model(run: Run, folder: Path) -> None:
-    (folder / "StereoCalibrationDVRK.ini").write_text(calibration_ini(kc_5=0.01), encoding="utf-8")
-    run("import", folder, "--arm", "PSM1", "--out", "session")
-    camera = read_session("session").camera
-    assert camera.model == "rational_polynomial"
-    assert camera.distortion == (*CAMERA.distortion, 0.01, 0.0, 0.0)
-
-
 @pytest.mark.parametrize("arm", ARMS)
 def test_labels_and_boxes_of_the_arm_are_kept(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
     run("import", made, "--arm", arm, "--out", "session")
@@ -93,35 +83,6 @@ def test_labels_and_boxes_of_the_arm_are_kept(run: Run, made: Path, arms: MadeAr
     assert prompts.box is not None
     rows, columns = np.nonzero(arms.coverages(1)[arm] > 0.5)
     assert prompts.box == (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
-
-
-def test_readings_in_a_list_begin_with_frame_0(run: Run, folder: Path) -> None:
-    by_frame = yaml.safe_load((folder / "api_jp_data.yaml").read_text())
-    write_yaml(folder / "api_jp_data.yaml", [by_frame[str(k)] for k in range(FRAMES)])
-    run("import", folder, "--arm", "PSM3", "--out", "session")
-    assert read_session("session").frames[3].readings["yaw"] == pytest.approx(by_frame["3"]["PSM3"][0])
-
-
-def test_seventh_value_is_the_jaw(run: Run, folder: Path) -> None:
-    by_frame = yaml.safe_load((folder / "api_jp_data.yaml").read_text())
-    write_yaml(folder / "api_jp_data.yaml", {k: {"PSM1": [*own["PSM1"], 0.25]} for k, own in by_frame.items()})
-    run("import", folder, "--out", "session")  # of one arm
-    assert read_session("session").frames[3].readings["jaw"] == 0.25
-
-
-def test_readings_of_a_thousand_frames_are_read(run: Run, folder: Path, arms: MadeArms) -> None:
-    """Of a part of the frames the video has images; YAML of 1,000 frames is larger than a camera file may be."""
-    row = {arm: arms.readings(arm, 0) for arm in ARMS}
-    write_yaml(
-        folder / "api_jp_data.yaml", {str(k): row for k in range(1000)} | {"0": {a: list(r) for a, r in row.items()}}
-    )
-    line = run("import", folder, "--arm", "PSM1", "--out", "session")
-    assert "got a YAML alias" in line.err  # PyYAML writes repeated lists as aliases, which are refused
-    text = json.dumps({str(k): row for k in range(1000)})
-    (folder / "api_jp_data.yaml").write_text(text, encoding="utf-8")
-    ran = run("import", folder, "--arm", "PSM1", "--out", "session", "--json")
-    assert ran.code == 0, ran.err
-    assert "api_jp_data.yaml has 1000 frames, the video 10" in ran.result["notes"]
 
 
 # refusals

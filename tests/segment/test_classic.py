@@ -10,14 +10,9 @@ import numpy as np
 import pytest
 from helpers.drawn_tools import DRAPE, TISSUE, Drawing, draw_tool
 from helpers.files import read_image, read_mask
-from helpers.places import bundled_path
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from threadpoolctl import ThreadpoolController, threadpool_limits
 
-from dvrk_cmaes import InputError
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.segmentation import GUESS, Segmentation
+from dvrk_cmaes.segment.segmentation import GUESS
 
 
 @pytest.fixture(scope="module")
@@ -46,49 +41,6 @@ def test_instrument_is_found_without_prompt(ground: tuple[int, int, int], trap: 
     assert drawn.overlap(found.mask) >= 0.90
     assert found.confidence >= 0.7
     assert found.notes == ()
-
-
-def test_mask_agrees_with_score(drawing: Drawing) -> None:
-    found = segment(drawing.image)
-    assert found.mask.shape == drawing.mask.shape
-    assert found.mask.dtype == bool
-    assert found.score is not None
-    assert found.score.dtype == np.float32
-    assert (found.score.min(), found.score.max()) >= (0, 0.9)
-    assert ((found.score > 0.5) == found.mask).mean() > 0.97
-
-
-def test_mask_does_not_depend_on_threads(drawing: Drawing) -> None:
-    threads = cv2.getNumThreads()
-    try:
-        masks = []
-        for count in (1, 2):
-            cv2.setNumThreads(count)
-            cv2.setRNGSeed(count)
-            masks.append(segment(drawing.image).mask)
-    finally:
-        cv2.setNumThreads(threads)
-    assert np.array_equal(masks[0], masks[1])
-
-
-def test_blas_has_one_thread_meanwhile(drawing: Drawing, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = segment(drawing.image)
-    threads: list[int] = []
-
-    def recorded(*_: object, **__: object) -> Segmentation:
-        threads.extend(each["num_threads"] for each in ThreadpoolController().select(user_api="blas").info())
-        return found
-
-    monkeypatch.setattr("dvrk_cmaes.segment.classic.segment_classic", recorded)
-    with threadpool_limits(limits=2, user_api="blas"):
-        segment(drawing.image)
-    assert {*threads} == {1}
-
-
-def test_image_is_not_modified(drawing: Drawing) -> None:
-    before = drawing.image.copy()
-    segment(drawing.image)
-    assert np.array_equal(drawing.image, before)
 
 
 @pytest.mark.parametrize("times", [5])
@@ -134,14 +86,6 @@ def _two(first: Drawing, second: Drawing) -> tuple[Drawing, Drawing]:
         one.mask[:, outside] = False
     image = np.concatenate([shifted[0].image[:, :160], shifted[1].image[:, 160:]], axis=1)
     return Drawing(image, shifted[0].mask), Drawing(image, shifted[1].mask)
-
-
-def test_mask_lies_within_box(drawing: Drawing) -> None:
-    mask = segment(drawing.image, box=(100, 95, 230, 145)).mask
-    assert mask.any()
-    rows, columns = np.nonzero(mask)
-    assert (columns.min(), rows.min()) >= (100, 95)
-    assert (columns.max(), rows.max()) <= (230, 145)
 
 
 def test_colourful_instrument_is_found_in_box() -> None:
@@ -193,50 +137,6 @@ def test_soft_grey_stain_is_a_guess() -> None:
     assert found.mask.any()
     assert found.confidence < GUESS
     assert found.notes == ("a guess", "much of the mask's outline follows no edge in the image")
-
-
-@settings(max_examples=25)
-@given(height=st.integers(1, 60), width=st.integers(1, 60), seed=st.integers(0, 2**32 - 1), prompted=st.booleans())
-def test_mask_has_size_of_image(height: int, width: int, seed: int, prompted: bool) -> None:
-    rng = np.random.default_rng(seed)
-    image = np.zeros((height, width, 3), np.uint8) + rng.integers(0, 255, 3).astype(np.uint8)
-    image[rng.integers(height) :, rng.integers(width) :] = rng.integers(0, 255)
-    point = float(rng.integers(width)), float(rng.integers(height))
-    found = segment(image, points=[point] if prompted else [])
-    assert found.mask.shape == (height, width)
-    assert 0 <= found.confidence <= 1
-
-
-@pytest.mark.parametrize(
-    ("prompts", "expected"),
-    [
-        ({"points": [(320, 10)]}, "point: expected a pixel of the 320 x 240 image, got 320,10"),
-        ({"not_points": [(5, float("nan"))]}, "not-point: expected a pixel of the 320 x 240 image, got 5,nan"),
-        ({"box": (10, 10, 10, 50)}, "box: expected x0,y0,x1,y1 with x0 < x1 and y0 < y1, got 10,10,10,50"),
-        ({"box": (400, 10, 500, 50)}, "box: expected one that meets the 320 x 240 image, got 400,10,500,50"),
-        ({"weights": "here"}, "weights: the classic model has none; expected them only with model sam2"),
-        ({"model": "clasic"}, "model: expected one of classic, sam2, got 'clasic'"),
-        ({"model": "sam2"}, "weights: model sam2 needs the folder of an exported checkpoint"),
-    ],
-)
-def test_invalid_prompts_are_refused(drawing: Drawing, prompts: dict[str, Any], expected: str) -> None:
-    with pytest.raises(InputError) as refused:
-        segment(drawing.image, **prompts)
-    assert str(refused.value) == expected
-
-
-def test_other_than_colour_image_is_refused() -> None:
-    with pytest.raises(InputError, match=r"image: expected \(H, W, 3\) uint8, got \(5, 5\) float64"):
-        segment(np.zeros((5, 5)))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("frame", ["0002"])
-def test_bundled_frames_are_segmented(frame: str) -> None:
-    demo = bundled_path("demo")
-    drawn = Drawing(read_image(demo / "images" / f"{frame}.jpg"), read_mask(demo / "masks" / f"{frame}.png"))
-    found = segment(drawn.image)
-    assert drawn.overlap(found.mask) >= 0.92  # the given mask has segmentation errors
-    assert found.confidence >= 0.9
 
 
 @pytest.mark.parametrize("frame", ["easy/0026", "medium/0120", "medium/0290"])

@@ -9,7 +9,6 @@ import numpy as np
 import onnx
 import pytest
 from helpers.sam2_graphs import ALL_IOUS, FAMILIES, REACH, TOOL, decoder, write_export
-from onnx import helper
 
 from dvrk_cmaes import InputError
 from dvrk_cmaes.segment import Segmentation, segment
@@ -101,32 +100,6 @@ def told(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch, **prompts
     return heard[-1]
 
 
-@pytest.mark.parametrize("family", ["samexporter", "onnxruntime", "osam"])
-def test_box_corners_are_points_labelled_2_and_3(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    tensors = told(tmp_path, family, monkeypatch, box=(64, 48, 320, 240), points=[(160, 120)], not_points=[(480, 360)])
-    expected = [[102.4, 102.4], [512, 512], [256, 256], [768, 768]]
-    assert tensors["point_coords"][0] == pytest.approx(np.array(expected), abs=1e-3)
-    assert tensors["point_labels"].tolist() == [[2, 3, 1, 0]]
-
-
-def test_separate_box_input_and_empty_prompts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tensors = told(tmp_path / "box", "onnx-community", monkeypatch, box=(64, 48, 320, 240))
-    assert tensors["input_boxes"] == pytest.approx(np.array([[[102.4, 102.4, 512, 512]]]), abs=1e-3)
-    assert tensors["input_points"].shape == (1, 1, 0, 2)
-    assert tensors["input_labels"].shape == (1, 1, 0)
-    tensors = told(tmp_path / "point", "onnx-community", monkeypatch, points=[(160, 120)])
-    assert tensors["input_boxes"].shape == (1, 0, 4)
-    assert tensors["input_points"].tolist() == [[[[256, 256]]]]
-    assert tensors["input_labels"].tolist() == [[[1]]]
-
-
-@pytest.mark.parametrize(("family", "name"), [("onnxruntime", "original_image_size"), ("osam", "orig_im_size")])
-def test_image_size_is_height_and_width(
-    tmp_path: Path, family: str, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert told(tmp_path, family, monkeypatch, points=[(160, 120)])[name].tolist() == [480, 640]
-
-
 def test_box_is_clipped_to_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tensors = told(tmp_path, "osam", monkeypatch, box=(-50, -50, 320, 900))
     assert tensors["point_coords"].tolist() == [[[0, 0], [512, 1024]]]
@@ -140,16 +113,6 @@ def test_binary_masks_of_model_are_used_unchanged(tmp_path: Path) -> None:
     onnx.save(model, folder / "second.onnx")
     image, bar = picture()
     assert_alike(Sam2(folder, 1).segment(image, box=(0, 0, 639, 479)), ~bar)
-
-
-def test_score_is_probability_of_mask(model: Sam2) -> None:
-    image, _ = picture()
-    found = model.segment(image, points=[(300, 240)])
-    assert found.score is not None
-    assert found.score.dtype == np.float32
-    assert found.score.min() >= 0
-    assert found.score.max() <= 1
-    assert np.mean((found.score > 0.5) == found.mask) > 0.9999
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -167,25 +130,6 @@ def test_mask_with_highest_predicted_overlap_is_chosen(
     assert found.confidence == pytest.approx(max(ious))
 
 
-def test_confidence_is_at_most_one(tmp_path: Path) -> None:
-    model = Sam2(write_export(tmp_path, "osam", ious=(0.2, 1.04, 0.3)), threads=1)
-    assert model.segment(picture()[0], points=[(300, 240)]).confidence == 1
-
-
-def test_empty_mask_is_noted(tmp_path: Path) -> None:
-    model = Sam2(write_export(tmp_path, "samexporter", ious=(0.1, 0.2, 0.9)), threads=1)
-    found = model.segment(picture()[0], points=[(300, 240)])
-    assert found.confidence == 0
-    assert found.notes == ("the model found nothing at the prompt",)
-
-
-def test_low_object_presence_lowers_confidence(tmp_path: Path) -> None:
-    model = Sam2(write_export(tmp_path, "onnx-community", presence=-2.0), threads=1)
-    found = model.segment(picture()[0], points=[(300, 240)])
-    assert found.confidence == pytest.approx(1 / (1 + np.exp(2)))
-    assert found.notes == ("the model doubts that there is an object at the prompt (probability 0.12)",)
-
-
 def test_image_is_encoded_once_for_several_prompts(one_model: Sam2, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
     monkeypatch.setattr("dvrk_cmaes.segment.sam2.encoder_input", lambda im: seen.append(1) or encoder_input(im))
@@ -198,37 +142,6 @@ def test_image_is_encoded_once_for_several_prompts(one_model: Sam2, monkeypatch:
     assert len(seen) == 2
     one_model.segment(image.reshape(640, 480, 3), points=[(100, 240)])
     assert len(seen) == 3
-
-
-def test_result_does_not_depend_on_threads(tmp_path: Path) -> None:
-    folder = write_export(tmp_path, "onnxruntime")
-    image, _ = picture()
-    one, two = (Sam2(folder, threads).segment(image, box=(50, 80, 400, 300)) for threads in (1, 2))
-    assert np.array_equal(one.score, two.score)
-
-
-def test_half_precision_exports_get_declared_types(tmp_path: Path) -> None:
-    folder = write_export(tmp_path, "onnx-community")
-    model = decoder("onnx-community")
-    for value in model.graph.input:
-        if value.type.tensor_type.elem_type == onnx.TensorProto.FLOAT:
-            value.type.tensor_type.elem_type = onnx.TensorProto.FLOAT16
-            wide = f"{value.name} wide"
-            for node in model.graph.node:
-                node.input[:] = [wide if name == value.name else name for name in node.input]
-            model.graph.node.insert(0, helper.make_node("Cast", [value.name], [wide], to=onnx.TensorProto.FLOAT))
-    onnx.save(model, folder / "second.onnx")
-    image, bar = picture()
-    assert_alike(Sam2(folder, 1).segment(image, box=(60, 0, 300, 479)), bar & in_box((60, 0, 300, 479), bar.shape))
-
-
-def test_older_exports_get_image_size(tmp_path: Path) -> None:
-    folder = write_export(tmp_path, "samexporter")
-    model = decoder("samexporter")
-    model.graph.input.append(helper.make_tensor_value_info("orig_im_size", onnx.TensorProto.INT32, [2]))
-    onnx.save(model, folder / "second.onnx")
-    image, bar = picture()
-    assert_alike(Sam2(folder, 1).segment(image, points=[(300, 240)]), bar & near((300, 240), bar.shape))
 
 
 def test_prompt_is_required(one_model: Sam2) -> None:
@@ -267,25 +180,6 @@ def test_prompt_is_passed_to_named_model(tmp_path: Path) -> None:
     box = (60, 0, 300, 479)
     found = segment(image, model="sam2", weights=write_export(tmp_path, "samexporter"), threads=1, box=box)
     assert_alike(found, bar & in_box(box, bar.shape))
-
-
-def test_encoder_input_is_normalised_rgb() -> None:
-    image = np.full((48, 64, 3), (0, 128, 255), np.uint8)
-    values = encoder_input(image)
-    assert values.shape == (1, 3, 1024, 1024)
-    assert values.dtype == np.float32
-    expected = [(1 - 0.485) / 0.229, (128 / 255 - 0.456) / 0.224, (0 - 0.406) / 0.225]
-    assert values[0, :, 500, 500] == pytest.approx(expected, abs=1e-5)
-    assert np.ptp(values, axis=(2, 3)) == pytest.approx(0, abs=1e-6)
-
-
-def test_large_images_are_averaged() -> None:
-    stripes = np.zeros((1024, 2048, 3), np.uint8)
-    stripes[:, ::2] = 255
-    assert np.ptp(encoder_input(stripes), axis=(2, 3)) == pytest.approx(0, abs=1e-5)
-    assert encoder_input(stripes)[0, :, 0, 0] == pytest.approx(
-        [(0.5 - 0.485) / 0.229, (0.5 - 0.456) / 0.224, (0.5 - 0.406) / 0.225], abs=1e-5
-    )
 
 
 def test_logits_are_interpolated_before_thresholding() -> None:
