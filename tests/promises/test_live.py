@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from helpers.rosbridge_server import RosbridgeServer
+from examples.play_session import RosbridgeServer
 from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes import Camera, read_camera, read_session
