@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from dvrk_cmaes import estimate, prepare, read_frame, read_session
+from dvrk_cmaes import estimate, prepare
+from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.testing import assert_pose_close
 
 SESSION = Path(__file__).parents[1] / "data" / "demo"  # with a golden.json
