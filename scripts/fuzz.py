@@ -154,9 +154,8 @@ def violation_of(outcome: Outcome, command: Sequence[str], *, changed: bool, unr
         return f"exit code {outcome.code}: {outcome.err.strip()[-300:]}"
     if outcome.seconds > SLOW or outcome.megabytes > LARGE:
         return f"{outcome.seconds:.0f} s, {outcome.megabytes:.0f} MB"
-    incomplete = "--merge" in command and "still to be done" in outcome.err
     off = "golden" in command and outcome.code == 1 and not outcome.err  # poses beyond their tolerance
-    if outcome.code not in (0, 2, 3) and not (incomplete or off):
+    if outcome.code not in (0, 2, 3) and not off:
         return f"exit code {outcome.code}: {outcome.err.strip()[-300:]}"
     if outcome.code != 2:
         return "accepted, though it cannot be read" if unreadable else None

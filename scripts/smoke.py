@@ -31,8 +31,6 @@ COMMANDS: Final = (
     f"estimate --mask session/masks/0000.png {_CAMERA} --joints session/joints.csv {_CONFIG} --out one",
     f"estimate --image session/images/0001.jpg {_CAMERA} --joints none {_CONFIG} --out one",
     f"batch session --out results --workers 2 {_CONFIG}",
-    f"batch session --out parts --workers 1 --shard 1/1 {_CONFIG}",
-    "batch --merge parts",
     f"calibrate session --out calibration --workers 2 {_CONFIG}",
     f"batch session --out again --workers 1 --session calibration --doubtful-session {_CONFIG}",
     f"track session --out tracks {_CONFIG}",

@@ -49,7 +49,8 @@ With --debug, any command shows where in the program an error was raised.
 _FUNCTIONS: Final = {"import": "import_recording:import_recording", "help": "help:help_topic"}
 """Module and function of the commands that are not named as these."""
 
-_REMOVED: Final = {"--rehearse": "`dvrk-cmaes track --causal`"}
+_FRAMES: Final = "`--frames` patterns with an --out each, or --scheduler"
+_REMOVED: Final = {"--rehearse": "`dvrk-cmaes track --causal`", "--shard": _FRAMES, "--merge": _FRAMES}
 """Options that are no longer there, and what is used instead."""
 
 

@@ -1,4 +1,4 @@
-"""``dvrk-cmaes batch``: estimation of all frames of a session folder on processes, machines or a cluster."""
+"""``dvrk-cmaes batch``: estimation of all frames of a session folder on processes or a cluster."""
 
 from __future__ import annotations
 
@@ -38,11 +38,9 @@ from dvrk_cmaes.cli.options import (
 )
 from dvrk_cmaes.cli.terminal import (
     DOUBTFUL,
-    FAILED,
     INTERRUPTED,
     STATUS_STYLES,
     Line,
-    answer,
     exit_code,
     frames_text,
     print_error,
@@ -59,15 +57,13 @@ if TYPE_CHECKING:
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import BatchSummary, Workers
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
-    from dvrk_cmaes.runs.worklist import Shard
-
 
 _MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit
 
 
 def batch(
-    session: Annotated[Path | None, Parameter(group=FOLDER)] = None,
+    session: Annotated[Path, Parameter(group=FOLDER)],
     /,
     *,
     out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
@@ -78,8 +74,6 @@ def batch(
     label: Annotated[str | None, Parameter(group=FOLDER)] = None,
     pick: Annotated[str | None, Parameter(group=FOLDER, allow_leading_hyphen=True)] = None,
     only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    shard: Annotated[str | None, Parameter(group=FOLDER)] = None,
-    merge: Annotated[Path | None, Parameter(group=FOLDER)] = None,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     scheduler: Annotated[str | None, Parameter(group=WORKERS)] = None,
     time_limit: Annotated[float, Parameter(group=WORKERS)] = 600.0,
@@ -101,20 +95,13 @@ def batch(
     estimated gets a failed result with its reason, and the command continues with the other frames. Of several arms, a
     tool that is clearly in front of another one is solved again, with that one as background.
 
-    Exit codes: 0 all ok, 1 the work could not be done, every frame failed, or frames are missing in --merge, 2 wrong
-    usage or input, 3 finished, but a frame is doubtful or failed, 130 interrupted.
+    Exit codes: 0 all ok, 1 the work could not be done, or every frame failed, 2 wrong usage or input, 3 finished, but a
+    frame is doubtful or failed, 130 interrupted.
 
     Example:
 
     ```
     dvrk-cmaes batch session --out results
-    ```
-
-    On eight machines, I from 1 to 8, and afterwards on one of them:
-
-    ```
-    dvrk-cmaes batch session --out results --shard I/8
-    dvrk-cmaes batch --merge results
     ```
 
     On a Dask cluster:
@@ -147,11 +134,6 @@ def batch(
     only
         Arm of a session.toml with several tools: estimate this one only; by default all of them. May be given several
         times.
-    shard
-        I/N: estimate only part I of N parts (I from 1 to N), for N machines that share the folder.
-    merge
-        Folder of the results of all --shard runs, instead of SESSION: merge the parts, and write the tables and the
-        report.
     workers
         Number of worker processes; by default the number of cores.
     scheduler
@@ -183,14 +165,6 @@ def batch(
     json
         Print only summary.json, on stdout.
     """
-    from dvrk_cmaes.runs.worklist import Shard
-
-    if merge is not None:
-        if session is not None or out is not None or shard is not None:
-            raise InputError("--merge: expected results alone, got a session, --out or --shard too")
-        return _merge(merge, json)
-    if session is None:
-        raise InputError("SESSION: expected a session folder (or --merge RESULTS), got none")
     if workers is not None and (workers < 1 or scheduler is not None):
         got = f"{workers}" if scheduler is None else "--scheduler too"
         raise InputError(f"--workers: expected a whole number of at least 1, and no --scheduler, got {got}")
@@ -211,7 +185,6 @@ def batch(
     from dvrk_cmaes.runs.batch import Workers
     from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
 
-    part = None if shard is None else Shard.parse(shard)
     given = lag if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
     tools = session_tools(session, instrument, only, follow_links=follow_links)
@@ -228,7 +201,7 @@ def batch(
             calibrations[name] = read_calibration_of(
                 calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
             )
-        options: dict[str, Any] = {"pattern": frames, "shard": part, "retry_failed": retry_failed, "resume": resume}
+        options: dict[str, Any] = {"pattern": frames, "retry_failed": retry_failed, "resume": resume}
         options["segment"] = segment.resolve()
         at_work = Workers(workers, time_limit=time_limit)
         for name, arm in arms.items():
@@ -238,7 +211,7 @@ def batch(
             if done.interrupted:
                 break
         exchanged: list[str] = []
-        if len(finished) > 1 and part is None and not done.interrupted:
+        if len(finished) > 1 and not done.interrupted:
             exchanged = exchanged_arms(
                 {
                     name: {frame: FoundFrame.of(result) for frame, result in summary.results.items()}
@@ -247,14 +220,14 @@ def batch(
             )
             for text in exchanged:
                 warn(text)
-        _report_all(finished, json, part)
+        _report_all(finished, json)
         stopped = next((summary for summary in finished.values() if summary.interrupted), None)
         if stopped is not None:
             again = "the same command" if resume else "the same command without --overwrite"
             left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
             print_error(f"interrupted: {left}; {again} goes on from here")
             return INTERRUPTED
-        if len(finished) > 1 and part is None:
+        if len(finished) > 1:
             with output(results, "batch"):
                 write_arms(results, arms)
             if not json:
@@ -263,13 +236,13 @@ def batch(
         return DOUBTFUL if exchanged and code == 0 else code
 
 
-def _report_all(finished: Mapping[str, BatchSummary], json: bool, shard: Shard | None) -> None:
+def _report_all(finished: Mapping[str, BatchSummary], json: bool) -> None:
     """Print the summaries of all arms."""
     from dvrk_cmaes.cli.session_tools import answer_by_arm
     from dvrk_cmaes.joints.commanded import describe_commanded
 
     documents = {name: done.document for name, done in finished.items()}
-    lines = {name: _lines(done.document, done.folder, shard) for name, done in finished.items()}
+    lines = {name: _lines(done.document, done.folder) for name, done in finished.items()}
     answer_by_arm(documents, lines, json=json)
     for name, done in finished.items():
         commanded = done.document.get("commanded")
@@ -330,20 +303,7 @@ def _run(
         )
 
 
-def _merge(out: Path, json: bool) -> int:
-    """Merge the shards in a folder, report, and return the exit code."""
-    from dvrk_cmaes.runs.merge import merge_shards
-
-    document = merge_shards(out)
-    answer(document, _lines(document, out, None), json=json)
-    counts = document["counts"]
-    if counts["missing"]:
-        print_error(f"{out}: {counts['missing']} of {counts['frames']} frames are still to be done by their shards")
-        return FAILED
-    return exit_code(frame["status"] for frame in document["frames"].values())
-
-
-def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Iterator[Line]:
+def _lines(document: dict[str, Any], folder: Path) -> Iterator[Line]:
     """Yield the lines of a summary: doubtful and failed frames, counts, medians, rate, and the files written."""
     counts, medians, timing = document["counts"], document["medians"], document["timing"]
     for status in ("failed", "doubtful"):
@@ -363,7 +323,4 @@ def _lines(document: dict[str, Any], folder: Path, shard: Shard | None) -> Itera
         run = timing["run"]
         yield Line(f"{frames_text(run['frames'])} in {run['seconds']:.1f} s, {run['frames_per_second']:.2f} a second")
     where = f"results: {folder / 'frames'}   overlays: {folder / 'overlays'}"
-    if shard is not None:
-        yield Line(f"{where}   then, with all shards: dvrk-cmaes batch --merge {folder.parents[1]}")
-    else:
-        yield Line(f"{where}   table: {folder / 'poses.csv'}   page: {folder / 'report.html'}")
+    yield Line(f"{where}   table: {folder / 'poses.csv'}   page: {folder / 'report.html'}")

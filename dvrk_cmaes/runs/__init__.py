@@ -6,7 +6,7 @@ instrument_processes : processes in which an instrument is prepared, for batches
 worker : one frame of a batch in a worker process.
 executor : running many tasks in an executor of the caller.
 cluster : a Dask cluster as an executor.
-worklist : selection of the frames of a batch by pattern and shard.
+worklist : selection of the frames of a batch by pattern.
 digests : digests of the inputs of results.
 manifest : ``run.json``, which states the inputs of a folder's results.
 output : the output folder of a batch: lock, removal of files, complete results.
@@ -15,7 +15,6 @@ base_agreement, exchanged_tools : what all frames of a session tell together: fr
 other's masks or readings.
 batch : `run_batch`, which estimates the frames of a session that have no result, and `finish`, which writes tables and
 page.
-merge : merging of the shards of a session.
 track_folder, track_frames, track_clock, track_pictures : an instrument followed through a session folder.
 track_arms : what the followed arms of a session have in common.
 calibrate_folder : calibration of a session folder.

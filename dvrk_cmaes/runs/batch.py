@@ -22,10 +22,10 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.atomic import write_json, write_text
-from dvrk_cmaes.io.output import Output, base, output
+from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
+from dvrk_cmaes.results.folder import MANIFEST, SUMMARY, ResultsFolder, read_results
 from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
@@ -49,7 +49,6 @@ from dvrk_cmaes.runs.output import (
     complete_results,
     has_results,
     refuse_strange_results,
-    remove_results,
     results_of,
     write_outcome,
 )
@@ -64,7 +63,7 @@ from dvrk_cmaes.runs.worker import (
     relative_text,
     run_task,
 )
-from dvrk_cmaes.runs.worklist import Shard, check_names, chosen_frames, shards_folder
+from dvrk_cmaes.runs.worklist import check_names, chosen_frames
 from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 TIME_LIMIT = 600.0
@@ -102,8 +101,7 @@ class BatchSummary:
 
     ``folder`` has the results; ``counts`` has the numbers of its frames by status and the number ``missing``; ``ran``
     is the number of frames estimated by this run. ``document`` is the content of summary.json, ``results`` are all
-    results in the folder by frame. ``setup`` and ``frames`` are what was run, the files by frame, and
-    ``shard`` the part that it was.
+    results in the folder by frame. ``setup`` and ``frames`` are what was run, and the files by frame.
     """
 
     folder: Path
@@ -114,7 +112,6 @@ class BatchSummary:
     results: dict[str, Result]
     setup: BatchSetup
     frames: dict[str, FrameFiles]
-    shard: Shard | None = None
 
 
 def run_batch(
@@ -127,14 +124,13 @@ def run_batch(
     segment: SegmentSettings | None = None,
     calibration: SessionCalibration | None = None,
     pattern: str | None = None,
-    shard: Shard | None = None,
     resume: bool = True,
     retry_failed: bool = False,
     workers: Workers | None = None,
 ) -> BatchSummary:
     """Estimate the frames of a session that have no result in a folder yet, and write results, tables and page.
 
-    The results do not depend on workers, shards, executor or order. Worker processes are spawned, so a script that
+    The results do not depend on workers, executor or order. Worker processes are spawned, so a script that
     calls this function must do so below ``if __name__ == "__main__":``.
 
     Parameters
@@ -151,8 +147,6 @@ def run_batch(
         The session's calibration, from whose predictions frames are started.
     pattern
         Shell pattern (``*``, ``?``, ``[..]``) of the names of the frames to do.
-    shard
-        Do only this part, in its own folder below ``out``, without tables; `merge_shards` merges the parts.
     resume
         Keep the results that are there. If False, they are removed first.
     retry_failed
@@ -170,45 +164,41 @@ def run_batch(
     """
     workers, settings, out = workers or Workers(), config or EstimateConfig(), Path(out)
     check_config(settings)
-    folder = out if shard is None else shard.folder(out)
     names = instrument.joint_names
     commanded = commanded_in([files.readings for files in session.frames], names)
     settings = with_commanded(settings, commanded, names)
     notes = (describe_commanded(commanded),) if commanded else ()
     absolute = (_with_absolute_paths(files, session.folder) for files in session.frames)
-    chosen = chosen_frames([replace(files, notes=(*files.notes, *notes)) for files in absolute], pattern)
-    frames = chosen if shard is None else shard.part(chosen)
-    check_names(folder, chosen)
+    frames = chosen_frames([replace(files, notes=(*files.notes, *notes)) for files in absolute], pattern)
+    check_names(out, frames)
     home = Path(os.path.abspath(session.folder))
     masks = with_backgrounds(segment or SegmentSettings(), session.frames, session.rig.names)
     setup = BatchSetup(instrument, session.rig, settings, arm, home, masks, calibration)
     started = time.monotonic()
-    with base(out), output(folder, COMMAND, replaces=not resume) as own:
+    with output(out, COMMAND, replaces=not resume) as own:
         if not resume:
             own.refuse((*TABLES, *results_of([files.name for files in frames], session.rig.names)))
-            remove_results(folder, own)
+            own.clear(last=MANIFEST)
         todo, kept = _prepare(
-            folder,
+            out,
             own,
-            None if shard is None else out,
             setup,
             frames,
-            others=[files.name for files in chosen],
             session=[files.name for files in session.frames],
             retry_failed=retry_failed,
         )
         workers.progress.on_start(len(todo), kept)
         ran = 0
         for outcome in outcomes(setup, todo, workers):
-            write_outcome(folder, outcome)
+            write_outcome(out, outcome)
             ran += 1
             workers.progress.on_frame(outcome)
         seconds = time.monotonic() - started
         timing = timing_of(ran, seconds)
-        finished = finish(out, timing) if shard is None else summarize_shard(folder, timing)
+        finished = finish(out, timing)
     document, interrupted = finished.summary or {}, workers.stop.is_set() and ran < len(todo)
     counts, files = document["counts"], {each.name: each for each in frames}
-    return BatchSummary(folder, counts, ran, interrupted, document, finished.frames, setup, files, shard)
+    return BatchSummary(out, counts, ran, interrupted, document, finished.frames, setup, files)
 
 
 def finish(out: str | Path, timing: Mapping[str, float] | None = None) -> ResultsFolder:
@@ -239,12 +229,6 @@ def finish(out: str | Path, timing: Mapping[str, float] | None = None) -> Result
     return results
 
 
-def summarize_shard(folder: Path, timing: Mapping[str, float] | None) -> ResultsFolder:
-    """Return the results of a shard with their summary, without writing anything."""
-    manifest, results = _manifest(folder), _read(folder)
-    return replace(results, summary=summarize(results.frames, manifest, timing, whole=False))
-
-
 def _read(folder: Path) -> ResultsFolder:
     """Read the results in a folder, if there are any, without the summary that is there, since it is replaced."""
     if not has_results(folder):
@@ -262,47 +246,36 @@ def _manifest(folder: Path) -> Manifest:
 def _prepare(
     folder: Path,
     own: Output,
-    merged: Path | None,
     setup: BatchSetup,
     frames: Sequence[FrameFiles],
     *,
-    others: Sequence[str],
     session: Sequence[str],
     retry_failed: bool,
 ) -> tuple[list[FrameFiles], list[Status]]:
     """Write the manifest, and return the frames to do and the statuses of the frames whose results are kept.
 
-    ``merged`` is the folder that shards are merged into, which may have results of a shard's frames; ``others`` are the
-    names of the frames of all shards, ``session`` those of the whole session.
+    ``session`` are the names of the frames of the whole session.
     """
-    if merged is None and shards_folder(folder).is_dir():
-        raise InputError(f"{folder}: it has shards that are not merged; run dvrk-cmaes batch --merge {folder} first")
     own.refuse(TABLES)
-    digests = dict.fromkeys(others) | {files.name: frame_digests(files) for files in frames}
+    digests = {files.name: frame_digests(files) for files in frames}
     manifest = manifest_of(setup, digests)
     kept: dict[str, Status] = {}
-    for place in (folder, *([] if merged is None else [merged])):
-        old = read_manifest(place)
-        if old is None:
-            continue
-        found = complete_results(place)
-        if not _only_failures(place, found):  # these need not be of the same settings: they are replaced then
-            check_same_settings(place, old, manifest)
+    old = read_manifest(folder)
+    if old is not None:
+        found = complete_results(folder)
+        if not _only_failures(folder, found):  # these need not be of the same settings: they are replaced then
+            check_same_settings(folder, old, manifest)
         elif any_difference(old, manifest):
             old, found = manifest, {}
-        changed = {name for name, parts in digests.items() if parts is not None and old["frames"].get(name) != parts}
-        again = {name for name, status in found.items() if status == "failed" and name in changed}
-        there = {
+        changed = {name for name, parts in digests.items() if old["frames"].get(name) != parts}
+        kept = {
             name: status
             for name, status in found.items()
-            if name not in again and not (retry_failed and status == "failed")
+            if status != "failed" or not (retry_failed or name in changed)
         }
-        check_same_frames(place, old, digests, done=there, session=session)
-        if place == folder:
-            refuse_strange_results(folder, others, session)
-        kept |= there
-        if place == folder:
-            manifest = with_frames(old, digests)
+        check_same_frames(folder, old, digests, done=kept, session=session)
+        refuse_strange_results(folder, digests, session)
+        manifest = with_frames(old, digests)
     todo = [files for files in frames if files.name not in kept]
     own.refuse(results_of([files.name for files in todo], setup.rig.names))
     write_manifest(folder, manifest)

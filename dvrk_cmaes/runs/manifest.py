@@ -1,8 +1,7 @@
 """Read and write ``run.json``: the inputs and settings of the results in a folder, compared before results are added.
 
 Fields: schema, version, instrument {name, digest}, arm, camera, config, segment {model, weights}, calibration (digest
-or null), session (its path; not compared), rig (the further views of a stereo session), frames {frame: {part: digest},
-or null for a frame of another shard}
+or null), session (its path; not compared), rig (the further views of a stereo session), frames {frame: {part: digest}}
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from dvrk_cmaes.runs.digests import digest_of, frame_digests, instrument_digest
 from dvrk_cmaes.runs.worker import BatchSetup
 
 Manifest = dict[str, Any]
-FrameParts = Mapping[str, Mapping[str, str] | None]
-"""Digests of the parts of each frame; None for a frame of another shard."""
+FrameParts = Mapping[str, Mapping[str, str]]
+"""Digests of the parts of each frame."""
 
 _SCHEMA: Final = 1
 _NOT_COMPARED: Final = ("session", "frames")
@@ -56,11 +55,11 @@ class _ManifestFields(Struct):
     session: str
     instrument: _Instrument
     config: _Config
-    frames: dict[str, dict[str, str] | None]
+    frames: dict[str, dict[str, str]]
 
 
 def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
-    """Return the manifest of a batch; ``frames`` are the digests of each frame's parts, None for other shards."""
+    """Return the manifest of a batch; ``frames`` are the digests of each frame's parts."""
     backgrounds = {view: digest_of(background) for view, background in sorted(setup.segment.backgrounds.items())}
     return {
         "schema": _SCHEMA,
@@ -149,7 +148,7 @@ def check_same_session(out: Path, session: Session) -> None:
     if old is None or Path(old["session"]).resolve() == session.folder.resolve():
         return
     for files in session.frames:
-        before = old["frames"].get(files.name) or {}
+        before = old["frames"].get(files.name, {})
         if any(before.get(part) == digest for part, digest in frame_digests(files).items() if part in _OF_FILES):
             return
     raise InputError(f"{out}: it has the results of another session ({old['session']}); choose another --out")
@@ -183,8 +182,8 @@ def check_same_frames(
         raise InputError(f"{out}: it has results of frames that are not in the session: {listed(missing)}: {_ADVICE}")
     changes = []
     for name in sorted(set(done) & set(new)):
-        before, after = old["frames"].get(name) or {}, new[name] or {}
-        parts = after and [part for part in dict.fromkeys((*after, *before)) if before.get(part) != after.get(part)]
+        before, after = old["frames"].get(name, {}), new[name]
+        parts = [part for part in dict.fromkeys((*after, *before)) if before.get(part) != after.get(part)]
         if parts:
             changes.append(f"{name} ({', '.join(parts)})")
     if changes:
@@ -192,9 +191,8 @@ def check_same_frames(
 
 
 def with_frames(manifest: Manifest, more: FrameParts) -> Manifest:
-    """Add frames to a manifest; digests in ``more`` replace older ones, None does not."""
-    old = manifest["frames"]
-    return {**manifest, "frames": _sorted({**old, **{n: parts or old.get(n) for n, parts in more.items()}})}
+    """Add frames to a manifest; digests in ``more`` replace older ones."""
+    return {**manifest, "frames": _sorted({**manifest["frames"], **more})}
 
 
 def _sorted(frames: FrameParts) -> FrameParts:

@@ -1,4 +1,4 @@
-"""The output folder of a batch: removal of its results, complete results, and writing."""
+"""The output folder of a batch: complete results, and writing."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import readable
 from dvrk_cmaes.io.atomic import json_text, write_json
 from dvrk_cmaes.io.json_file import read_json_object
-from dvrk_cmaes.io.output import Output, output, remove, write_bytes
+from dvrk_cmaes.io.output import remove, write_bytes
 from dvrk_cmaes.io.short_text import natural, shown
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import MANIFEST, SESSION, SUMMARY
 from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.worker import FrameOutcome
-from dvrk_cmaes.runs.worklist import shards_folder
 
 COMMAND: Final = "batch"
 POSES: Final = "poses.csv"
@@ -40,16 +39,6 @@ def results_of(frames: Iterable[str], views: Iterable[str]) -> list[str]:
             *(mask_path(here, frame, view) for view in (names if len(names) > 1 else ("",))),
         )
     ]
-
-
-def remove_results(out: Path, own: Output) -> None:
-    """Remove what batches have written to a folder, and to those of its shards; other files stay."""
-    for folder in sorted(shards_folder(out).glob("*")):
-        with output(folder, COMMAND, replaces=True) as shard:
-            shard.clear(last=MANIFEST)
-        own.remove_empty(folder.relative_to(out).as_posix())
-    own.remove_empty(shards_folder(Path()).name)
-    own.clear(last=MANIFEST)
 
 
 def has_results(out: Path) -> bool:

@@ -42,7 +42,6 @@ def summarize(
     manifest: Mapping[str, Any],
     timing: Mapping[str, float] | None = None,
     *,
-    whole: bool = True,
     calibration: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the content of summary.json.
@@ -55,13 +54,10 @@ def summarize(
         The manifest, with all frames of the session.
     timing
         Duration of the run that has just ended, if any, as of `timing_of`.
-    whole
-        Whether the results are of the whole session. If False, they are of a shard, and frames of other shards do not
-        count as missing.
     calibration
         The content of session.json if the frames were solved together; its lag is repeated.
     """
-    missing = sorted({name for name, parts in manifest["frames"].items() if whole or parts} - set(results))
+    missing = sorted(set(manifest["frames"]) - set(results))
     values = list(results.values())
     return {
         "schema": SCHEMA,

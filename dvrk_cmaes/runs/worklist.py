@@ -1,11 +1,9 @@
-"""Selection of the frames of a batch: those whose names match a pattern, and of these the part of a shard."""
+"""Selection of the frames of a batch: those whose names match a pattern."""
 
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -15,35 +13,6 @@ from dvrk_cmaes.io.short_text import listed, natural, shown
 from dvrk_cmaes.results.paths import check_output, result_path
 
 _LONGEST_NAME = 255  # bytes, the limit of nearly all file systems
-
-
-@dataclass(frozen=True)
-class Shard:
-    """Part ``index`` (from 1) of ``count`` parts of a session, each of which one machine estimates."""
-
-    index: int
-    count: int
-
-    @staticmethod
-    def parse(text: str) -> Shard:
-        """Parse a text ``index/count``, e.g. ``2/8``; raises `InputError` for any other text."""
-        match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
-        if match is None or not 1 <= int(match[1]) <= int(match[2]):
-            raise InputError(f"--shard: expected I/N with I from 1 to N, e.g. 2/8, got {shown(text)}")
-        return Shard(int(match[1]), int(match[2]))
-
-    def folder(self, out: Path) -> Path:
-        """Return the folder of the shard's results until they are merged."""
-        return shards_folder(out) / f"{self.index}-of-{self.count}"
-
-    def part(self, frames: Sequence[FrameFiles]) -> tuple[FrameFiles, ...]:
-        """Return every ``count``-th frame from the ``index``-th on, so that consecutive slow frames are distributed."""
-        return tuple(frames[self.index - 1 :: self.count])
-
-
-def shards_folder(out: Path) -> Path:
-    """Return the folder that contains the folders of shards that are not merged yet."""
-    return out / "shards"
 
 
 def chosen_frames(frames: Sequence[FrameFiles], pattern: str | None) -> tuple[FrameFiles, ...]:

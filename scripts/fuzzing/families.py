@@ -138,10 +138,8 @@ FAMILIES: tuple[Family, ...] = (
     Family("tool", "document", "tool.json", _read("tool.json", [*_ESTIMATE, "--tool", "tool.json"])),
     Family("result", "document", "results/frames/0000.json", (*_RESULTS, ["inspect", "results/frames/0000.json"])),
     Family("result, resumed", "document", "results/frames/0001.json", ([*_BATCH, "results"],), refuses=False),
-    Family("run.json", "document", "results/run.json", ([*_BATCH, "results"], ["batch", "--merge", "results"])),
-    Family(
-        "summary.json", "document", "results/summary.json", (*_RESULTS, ["batch", "--merge", "results"]), refuses=False
-    ),
+    Family("run.json", "document", "results/run.json", ([*_BATCH, "results"],)),
+    Family("summary.json", "document", "results/summary.json", _RESULTS, refuses=False),
     Family(
         "session.json",
         "document",
@@ -162,7 +160,7 @@ FAMILIES: tuple[Family, ...] = (
 )
 OPTIONS = (
     *("--seed", "--threads", "--frame", "--label", "--pick", "--search", "--refine", "--side", "--arm", "--keypoints"),
-    *("--time-limit", "--workers", "--shard", "--frames", "--scheduler", "--lag", "--every", "--fps", "--session"),
+    *("--time-limit", "--workers", "--frames", "--scheduler", "--lag", "--every", "--fps", "--session"),
     *("--instrument", "--tool", "--package-path", "--shaft-radius", "--root-link", "--config", "--camera", "--out"),
 )
 """Options that are added with odd values to the commands of the family ``options``."""

@@ -45,7 +45,6 @@ PAIRS: Final[dict[str, Pair]] = {
     "export": Pair(("export", "results", "--to", "csv"), ("export", "results", "--to", "csv"), 2, True),
     "import": Pair(_IMPORT, _IMPORT, 2),
     "import --overwrite": Pair((*_IMPORT, "--overwrite"), (*_IMPORT, "--overwrite"), 2),
-    "two shards of batch": Pair((*_BATCH, "--shard", "1/2"), (*_BATCH, "--shard", "2/2"), 2, True),
     "batch": Pair(_BATCH, _BATCH),
     "calibrate": Pair(_CALIBRATE, _CALIBRATE),
     "track": Pair(_TRACK, _TRACK),

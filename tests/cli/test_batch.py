@@ -69,20 +69,6 @@ def test_default_output_folder_and_summary(run: Run, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("tasks_here", "estimates_shared")
-def test_shards_are_merged(run: Run, tmp_path: Path) -> None:
-    make_session(tmp_path / "session", ["a", "b"])
-    code, out, _ = run("session", "--out", "out", *QUICKLY, "--shard", "1/2")
-    assert code == 0
-    assert out.splitlines()[-1].endswith("then, with all shards: dvrk-cmaes batch --merge out")
-    code, out, said = run("--merge", "out")
-    assert (code, said) == (1, "dvrk-cmaes: out: 1 of 2 frames are still to be done by their shards\n")
-    assert out.splitlines()[0] == "2 frames: 1 ok, 1 missing"
-    run("session", "--out", "out", *QUICKLY, "--shard", "2/2")
-    code, out, said = run("--merge", "out", "--json")
-    assert (code, said, json.loads(out)["counts"]["ok"]) == (0, "", 2)
-
-
-@pytest.mark.usefixtures("tasks_here", "estimates_shared")
 def test_label_masks_and_other_input_paths(run: Run, tmp_path: Path) -> None:
     session = make_session(tmp_path / "session", ["a"])
     path = session / "masks" / "a.png"
@@ -102,16 +88,23 @@ def test_label_masks_and_other_input_paths(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ((), "SESSION: expected a session folder (or --merge RESULTS), got none"),
+        ((), "SESSION: missing; it is required (see dvrk-cmaes batch --help)"),
         (("nowhere",), "nowhere: no such folder; expected a session with camera.yaml, joints.csv and masks"),
-        (("--merge", "nowhere"), "nowhere: no such folder; expected results of dvrk-cmaes batch --shard"),
-        (("s", "--merge", "out"), "--merge: expected results alone, got a session, --out or --shard too"),
+        (
+            ("--merge", "out"),
+            "--merge: no longer an option; use `--frames` patterns with an --out each, or --scheduler "
+            "(see dvrk-cmaes batch --help)",
+        ),
         (("s", "--workers", "0"), "--workers: expected a whole number of at least 1, and no --scheduler, got 0"),
         (
             ("s", "--workers", "2", "--scheduler", "tcp://x"),
             "--workers: expected a whole number of at least 1, and no --scheduler, got --scheduler too",
         ),
-        (("s", "--shard", "3/2"), "--shard: expected I/N with I from 1 to N, e.g. 2/8, got '3/2'"),
+        (
+            ("s", "--shard=3/2"),
+            "--shard: no longer an option; use `--frames` patterns with an --out each, or --scheduler "
+            "(see dvrk-cmaes batch --help)",
+        ),
         (("s", "--time-limit", "0"), "--time-limit: expected seconds above 0, got 0"),
         (("s", "--label", "70000"), f"--label: expected {LABEL}, got '70000'"),
         (("s", "--threads", "0"), "--threads: expected a whole number of at least 1, got 0"),

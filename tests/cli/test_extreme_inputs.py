@@ -25,7 +25,6 @@ from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.instrument.meshes import read_mesh
 from dvrk_cmaes.runs.batch import run_batch
-from dvrk_cmaes.runs.merge import merge_shards
 from dvrk_cmaes.silhouette import Body
 
 SMALL = Camera(fx=260, fy=260, cx=80, cy=60, width=160, height=120, distortion=())
@@ -215,9 +214,6 @@ def test_refused_batch_leaves_nothing(tmp_path: Path, capfd: pytest.CaptureFixtu
         options = ["--config", tmp_path / "quick.toml", "--out"]
         assert run_command(capfd, "batch", session, *options, out).refusal.startswith(str(out))
         assert sorted(tmp_path.rglob("*")) == before
-    with pytest.raises(InputError):
-        merge_shards(out)
-    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_batch_refuses_damaged_result_of_frame_it_leaves_before_it_starts(tmp_path: Path) -> None:

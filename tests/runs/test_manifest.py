@@ -19,7 +19,7 @@ def test_folder_without_manifest_has_none(tmp_path: Path) -> None:
 
 
 def test_manifest_is_read(tmp_path: Path) -> None:
-    manifest = {**WHOLE, "frames": {"0000": {"mask": "3f"}, "0001": None}}
+    manifest = {**WHOLE, "frames": {"0000": {"mask": "3f"}, "0001": {}}}
     (tmp_path / "run.json").write_text(json.dumps(manifest))
     assert read_manifest(tmp_path) == manifest
 
