@@ -23,7 +23,7 @@ FORBIDDEN = frozenset(
 """Modules that load code from data, start programs or open connections."""
 
 ALLOWED = {
-    "io/handles.py": {"ctypes"},  # renameat2(2), which exchanges two folders in one step
+    "io/output.py": {"ctypes"},  # renameat2(2), which exchanges two folders in one step
     "runs/live_session.py": {"ctypes"},  # mallopt(3), by which the memory of live stays as it is
     "runs/worker.py": {"pickle", "socket"},  # between the program's own processes; the host's name
     "runs/worker_process.py": {"multiprocessing"},  # the program's own processes

@@ -179,7 +179,6 @@ def batch(
     if lag == AUTO and calibration is None:
         raise InputError("--lag: expected a number, or auto with --session (calibrate finds the lag), got auto alone")
     from dvrk_cmaes.cli.session_tools import output_folder, read_calibration_of, session_tools
-    from dvrk_cmaes.io.output import check_output_folder, output
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.batch import Workers
@@ -188,10 +187,9 @@ def batch(
     given = lag if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
     tools = session_tools(session, instrument, only, follow_links=follow_links)
-    with output_folder(out, session, "results") as results:
+    with output_folder(out, session, "results", "batch") as results:
         if len(tools) > 1 and calibration is not None and not calibration.is_dir():
             raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
-        check_output_folder(results, "batch")
         arms: dict[str, ArmInSession] = {}
         finished: dict[str, BatchSummary] = {}
         calibrations: dict[str, SessionCalibration | None] = {}
@@ -228,8 +226,7 @@ def batch(
             print_error(f"interrupted: {left}; {again} goes on from here")
             return INTERRUPTED
         if len(finished) > 1:
-            with output(results, "batch"):
-                write_arms(results, arms)
+            write_arms(results, arms)
             if not json:
                 show([Line(f"all arms: {results / 'overlays'}")])
         code = exit_code(frame["status"] for done in finished.values() for frame in done.document["frames"].values())

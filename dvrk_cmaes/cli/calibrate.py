@@ -135,13 +135,16 @@ def calibrate(
     from dvrk_cmaes.calibration.together import solved_together
     from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools, write_bases
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
-    from dvrk_cmaes.io.output import check_output_folder, output
+    from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE
     from dvrk_cmaes.runs.arms import write_arms
     from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
     from dvrk_cmaes.runs.manifest import check_same_session
 
-    with output_folder(out, session, "calibration") as target:
+    place = session / "calibration" if out is None else out
+    if results is not None and results.resolve() == place.resolve():
+        raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {place}")
+    with output_folder(out, session, "calibration", "calibrate") as target:
         settings = method.resolve()
         if keyframes is not None:
             from dvrk_cmaes.track.keyframes import solved_with
@@ -152,12 +155,8 @@ def calibrate(
         arms: dict[str, ArmInSession] = {}
         for name, tool in session_tools(session, instrument, only, follow_links=follow_links).items():
             arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), frames, every, keyframes)
-            if results is not None and (results / name).resolve() == (target / name).resolve():
-                raise InputError(
-                    f"--out: expected another folder than --results, whose frames stay as they are, got {target / name}"
-                )
-            check_output_folder(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,))
-            check_same_session(target / name, arms[name].session)
+            with output(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,)):
+                check_same_session(target / name, arms[name].session)
 
         def solving(name: str, places: Sequence[Place]) -> Solving[SolvedSession | None]:
             arm = arms[name]
@@ -191,9 +190,8 @@ def calibrate(
             )
             for text in exchanged:
                 warn(text)
-            with output(target, "calibrate"):
-                agree = write_bases(calibrations, setup, target, quiet=json)
-                write_arms(target, arms)
+            agree = write_bases(calibrations, setup, target, quiet=json)
+            write_arms(target, arms)
             if not json:
                 show([Line(f"all arms: {target / 'overlays'}")])
         return DOUBTFUL if exchanged or not agree or any(map(_is_doubtful, solved.values())) else 0
@@ -274,7 +272,7 @@ def _solving_arm(
     session, model, settings = arm.session, arm.body.instrument, asked.settings
     count = asked.workers or usable_cores()
     used = worker_processes(model, count) if results is None else instrument_processes(model, count, session.frames)
-    with output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)) as own, used as processes:
+    with output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)), used as processes:
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
@@ -305,7 +303,6 @@ def _solving_arm(
                 lag=asked.lag,
                 config=settings,
                 segment=segment,
-                opened=own,
                 places=places,
                 progress=lambda stage, count: note(f"{stage}: {count} frames"),
             )

@@ -77,7 +77,7 @@ def compare(
     from dvrk_cmaes.evaluate.compared_set import read_compared_set
     from dvrk_cmaes.evaluate.comparison import compare_sets
     from dvrk_cmaes.io.atomic import write_text
-    from dvrk_cmaes.io.output import LONG, check_output_folder, output
+    from dvrk_cmaes.io.output import LONG, check_files, output
     from dvrk_cmaes.report.compare_page import PAGE, draw_comparison, write_compare_page
     from dvrk_cmaes.report.curves import check_svg_path
     from dvrk_cmaes.results.paths import check_writable
@@ -88,7 +88,7 @@ def compare(
         check_svg_path(picture)
     if out is not None:
         check_writable(out)
-        check_output_folder(out, "compare", names=(_TABLE, PAGE), owns=False)
+        check_files(out, "compare", (_TABLE, PAGE))
     if points is not None and labels is None:
         raise InputError("--points: expected --labels SESSION with it, got none")
     if len(results) < (2 if labels is None else 1):
@@ -105,7 +105,7 @@ def compare(
     found = compare_sets(sets, loaded)
     written = []
     if out is not None:
-        with output(out, "compare", owns=False, wait=LONG):
+        with output(out, "compare", wait=LONG):
             write_text(out / _TABLE, _csv_text(found))
             written += [out / _TABLE, write_compare_page(out, found)]
     if picture is not None:

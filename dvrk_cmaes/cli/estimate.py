@@ -168,10 +168,10 @@ def estimate(
     name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
     files = FrameFiles(name, mask, {}, image, ignore, tips, wanted, picked, moment, crop=camera.fit.crop)
     if out is not None:
-        from dvrk_cmaes.io.output import check_output_folder
+        from dvrk_cmaes.io.output import check_files
 
         kinds = (result_path, overlay_path, *(() if mask is not None else (mask_path,)))
-        check_output_folder(out, "estimate", names=[path(Path(), name).as_posix() for path in kinds], owns=False)
+        check_files(out, "estimate", [path(Path(), name).as_posix() for path in kinds])
     if mask_right is None and image_right is None:
         camera_file = camera.read(files)
     else:

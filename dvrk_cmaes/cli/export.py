@@ -168,8 +168,8 @@ def export(
     written = []
     if to != "tf" or out is not None:
         with (
-            output_folder(out, _results_folder(results), "exports") as folder,
-            output(folder, "export", owns=False, wait=LONG) as own,
+            output_folder(out, _results_folder(results), "exports", "export", wait=LONG) as folder,
+            output(folder, "export") as own,
         ):
             own.refuse(exported.files)
             written = [folder / name for name in exported.files]

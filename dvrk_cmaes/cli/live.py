@@ -198,7 +198,7 @@ def live(
         raise InputError(f"--seconds: expected a time above 0, got {seconds:g}")
     from dvrk_cmaes.cli.session_tools import read_calibration_of
     from dvrk_cmaes.export.frames import FrameNames
-    from dvrk_cmaes.io.output import base, output
+    from dvrk_cmaes.io.output import output
     from dvrk_cmaes.live.follow import ArmSetup, LiveSetup, follow
     from dvrk_cmaes.live.rclpy_node import RclpyConnection
     from dvrk_cmaes.live.repeated_lines import RepeatedLines
@@ -224,7 +224,7 @@ def live(
     with ExitStack() as stack:
         arms = []
         if out is not None:
-            stack.enter_context(base(out))
+            stack.enter_context(output(out, "live"))
         for arm in psm:
             folder = None if out is None else out / arm if len(psm) > 1 else out
             calibrated = read_calibration_of(calibration, body, instrument.arm, arm, doubtful=doubtful_session)
@@ -233,7 +233,7 @@ def live(
             save = None if folder is None else partial(save_calibration, folder)
             arms.append(ArmSetup(names[arm], body, instrument.kinematics, calibrated, solver, earlier, save))
             if folder is not None:
-                stack.enter_context(output(folder, "live", owns=False)).refuse((SESSION,))
+                stack.enter_context(output(folder, "live")).refuse((SESSION,))
         origin = time.time_ns()
         apart = partial(WorkerProcess, for_long=True)
         setup = LiveSetup(

@@ -73,15 +73,15 @@ def pnp(
         The instrument.
     """
     from dvrk_cmaes.io.atomic import write_json
-    from dvrk_cmaes.io.output import check_output_folder, output
+    from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.paths import check_output, result_path
 
     arm = single_tool(session, instrument, follow_links=follow_links).read(session, camera)
     for frame in arm.session.frames:
         check_output(out, frame.name)
-    check_output_folder(out, "pnp", names=[result_path(Path(), frame.name).as_posix() for frame in arm.session.frames])
-    results = list(_by_tips(arm) if points == "tips" else _by_markers(arm, solver, markers))
-    with output(out, "pnp"):
+    with output(out, "pnp") as own:
+        own.refuse(result_path(Path(), frame.name).as_posix() for frame in arm.session.frames)
+        results = list(_by_tips(arm) if points == "tips" else _by_markers(arm, solver, markers))
         for result in results:
             write_json(result_path(out, result.frame), result.to_dict())
     show(_lines(results, out))

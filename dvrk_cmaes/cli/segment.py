@@ -125,7 +125,7 @@ def segment(
     import cv2
 
     from dvrk_cmaes.frames.session_folder import find_images
-    from dvrk_cmaes.io.output import check_output_folder, whole_folder
+    from dvrk_cmaes.io.output import whole_folder
     from dvrk_cmaes.results.paths import check_output
     from dvrk_cmaes.runs.backgrounds import learned_backgrounds
     from dvrk_cmaes.silhouette.prepare import prepare
@@ -142,7 +142,6 @@ def segment(
         note(f"images{where}: the instrument is told from a background learned from all of them")
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
-    check_output_folder(out, "segment", whole=True, replaces=True)
     with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as beside:
         outcomes = []
         for frame, path in images.items():

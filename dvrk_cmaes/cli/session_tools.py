@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
 from dvrk_cmaes.cli.terminal import Line, answer, show, warn
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.io.short_text import no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
@@ -104,15 +105,18 @@ class SessionTool:
 
 
 @contextmanager
-def output_folder(out: Path | None, inside: Path, name: str) -> Iterator[Path]:
+def output_folder(out: Path | None, inside: Path, name: str, command: str, *, wait: float = 0.0) -> Iterator[Path]:
     """Yield the folder to write to, which is opened: OUT, or a folder of a name inside another one by default.
 
-    A folder that the user did not name must have no links, and no files but those that earlier runs have written.
+    That folder inside another one may be no link; errors and ``wait`` are as of `dvrk_cmaes.io.output.output`.
     """
-    from dvrk_cmaes.io.output import base
+    from dvrk_cmaes.io.output import output
 
-    with base(inside if out is None else out, strict=out is None):
-        yield inside / name if out is None else out
+    if out is None and not inside.is_dir():
+        raise InputError(f"{inside}: {no_folder(inside)}; expected a session with camera.yaml, joints.csv and masks")
+    path = inside / name if out is None else out
+    with output(path, command, below=inside if out is None else None, wait=wait):
+        yield path
 
 
 def session_tools(

@@ -181,7 +181,6 @@ def track(
         check_rerun("--rerun", rerun)
     from dvrk_cmaes.calibration.together import solved_together
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
-    from dvrk_cmaes.io.output import output
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.results.track_files import VIDEO
     from dvrk_cmaes.runs.track_arms import exchanged_while_followed, write_track_arms
@@ -191,7 +190,7 @@ def track(
     from dvrk_cmaes.segment.segmentation import hints_within
 
     seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
-    with output_folder(out, session if session.is_dir() else session.parent, "tracks") as target:
+    with output_folder(out, session if session.is_dir() else session.parent, "tracks", "track") as target:
         readings = None if joints is None or joints == "none" else Path(joints)
         source = Source.of(session, evidence, target, camera=camera.camera, joints=readings, follow_links=follow_links)
         tools = session_tools(source.folder, instrument, only, follow_links=follow_links)
@@ -258,13 +257,12 @@ def track(
                 for name, arm in arms.items()
             }
             exchanged = exchanged_while_followed(target, of_arms)
-            with output(target, "track"):
-                rate = next(iter(finished.values())).frames_a_second
-                if video:
-                    write_track_arms(target, seen, rate)
-                known = {name: own.calibration for name, own in finished.items() if own.calibration is not None}
-                if len(known) == len(arms):
-                    agree = write_bases(known, setup, target, quiet=json)
+            rate = next(iter(finished.values())).frames_a_second
+            if video:
+                write_track_arms(target, seen, rate)
+            known = {name: own.calibration for name, own in finished.items() if own.calibration is not None}
+            if len(known) == len(arms):
+                agree = write_bases(known, setup, target, quiet=json)
         counts = {name: summary.counts for name, summary in finished.items()}
         lines = {name: _lines(own, target / name, page=page, rerun=rerun) for name, own in finished.items()}
         answer_by_arm(counts, lines, json=json)

@@ -20,8 +20,7 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.handles import not_written
-from dvrk_cmaes.io.output import written_beside
+from dvrk_cmaes.io.output import not_written, written_beside
 from dvrk_cmaes.results.tracked import TrackView
 
 EXTENSION: Final = ".rrd"

@@ -1,98 +1,60 @@
-"""The folder that a command writes to: opened once, locked, and with a list of the files that were written to it.
+"""The folder that a command writes to: FOLDER/run.json names the command, what it was run with, and its files.
 
-All files are written and removed by the functions of this module. Below a folder that is open (`output`, `base`), they
-work relative to its handle and follow no links. FOLDER/.written.json names the command that writes to a folder, and the
-SHA-256 of each of its files. A file that is not in the list, or has another content since, is the user's: it is neither
-replaced nor removed. FOLDER/.written.new has the files since the list was written, a line for each, so that the list is
-complete after a process was killed, too.
+A command writes to a new or empty folder, or to one whose run.json it wrote. It locks run.json, and notes each file
+there with its SHA-256 before the file is written. A file that is not noted, or has another content since, is the
+user's: it is neither replaced nor removed. Files are opened by the handle of their folder, and no link in the output
+folder is followed. Each file is written under a temporary name in the same folder, and renamed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import errno
+import fcntl
 import hashlib
 import json
 import os
 import re
+import shutil
 import stat
 import threading
+import time
 import uuid
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Final
-
-import msgspec
+from typing import IO, Any, Final
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.io.folder_lock import HELD, LOCK, locked
-from dvrk_cmaes.io.handles import Folder, not_written, opened_above
-from dvrk_cmaes.io.prepared_type import prepared
 
-RECORD: Final = ".written.json"
-JOURNAL: Final = ".written.new"
+RUN: Final = "run.json"
+HELD: Final = ".lock"
+"""The file that stands for the lock where the file system has none."""
 LONG: Final = 600.0
 """Seconds for which commands that write a few files wait for each other."""
 
-_OWN: Final = (RECORD, JOURNAL, LOCK, HELD)
-_DESKTOP: Final = (".DS_Store", "Thumbs.db", "desktop.ini")  # of file managers, which write them unasked
+_LOOKED_EVERY: Final = 0.02  # s
+_LARGEST: Final = 500_000_000  # bytes of run.json
+_END: Final = b"\n }\n}\n"  # of run.json, whose last field has the files
+_IGNORED: Final = (RUN, HELD, ".DS_Store", "Thumbs.db", "desktop.ini")  # file managers write theirs unasked
 _TEMPORARY: Final = re.compile(r"\.[0-9a-f]{32}\.tmp")
-_ANY: Final = ""  # in the place of a digest: a file that is being written
-_LARGEST: Final = 500_000_000  # bytes of a list
+_FOLDER: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+_NO_LINK: Final = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK  # nor is a pipe waited for
+_RENAME_EXCHANGE: Final = 2  # of renameat2(2)
+_CANNOT_LOCK: Final = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, errno.EINVAL)
+# errors that do not depend on the path; EFBIG: the limit on the size of files (ulimit -f)
+_MACHINE_AT_FAULT: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 
 
-class Written(msgspec.Struct):
-    """What a command wrote to a folder: digests of files by their path in the folder."""
-
-    command: str
-    files: dict[str, str] = {}
-
-
-def _temporary() -> str:
-    return f".{uuid.uuid4().hex}.tmp"
-
-
-class _Place:
-    """A folder that is open; below a ``strict`` one, output folders must have no files but those of their lists."""
-
-    def __init__(self, folder: Callable[[], Folder], *, strict: bool) -> None:
-        self._open, self.strict = folder, strict
-
-    @property
-    def folder(self) -> Folder:
-        """The open folder."""
-        return self._open()
-
-
-class _Places(threading.local):
-    """The folders that this thread has opened, by their path: another thread may close its own ones at any time."""
-
-    def __init__(self) -> None:
-        self.opened: dict[Path, _Place] = {}
-
-
-_places = _Places()
-
-
-def _nearest(path: Path) -> tuple[_Place | None, tuple[str, ...]]:
-    """Return the innermost open folder that holds a path, or is it, and the parts of the path from there on."""
-    place = Path(os.path.abspath(path))
-    for folder in (place, *place.parents):
-        if folder in _places.opened:
-            return _places.opened[folder], place.relative_to(folder).parts
-    return None, ()
-
-
-@contextlib.contextmanager
-def _placed(path: Path, place: _Place) -> Iterator[None]:
-    key, opened = Path(os.path.abspath(path)), _places.opened
-    before = opened.get(key)
-    opened[key] = place
-    try:
-        yield
-    finally:
-        del opened[key]
-        if before is not None:
-            opened[key] = before
+def not_written(path: str | Path, error: OSError | ValueError, what: str) -> DvrkCmaesError:
+    """Return the error of a path that was not written: `InputError`, or `DvrkCmaesError` if the machine is at fault."""
+    if isinstance(error, ValueError):  # a null character in the name
+        return InputError(f"{str(path)!r}: not written ({error}); expected a place to write {what}")
+    kind = DvrkCmaesError if error.errno in _MACHINE_AT_FAULT else InputError
+    if isinstance(error, NotADirectoryError) and os.path.isfile(path):
+        return InputError(f"{path}: expected a folder to write, got a file of that name")
+    reason = "a file lies where a folder is wanted" if isinstance(error, FileExistsError) else error.strerror
+    return kind(f"{path}: not written ({reason}); expected a place to write {what}")
 
 
 @contextlib.contextmanager
@@ -100,340 +62,349 @@ def _writing(path: str | Path, what: str) -> Iterator[None]:
     """Raise the error of `not_written` for errors of the system in the block."""
     try:
         yield
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+    except (OSError, ValueError) as error:
         raise not_written(path, error, what) from None
 
 
+def _status(folder: int, name: str, path: Path) -> os.stat_result | None:
+    """Return the status of a file in an open folder, None if there is none; `InputError` if it is a link."""
+    try:
+        found = os.stat(name, dir_fd=folder, follow_symlinks=False)
+    except FileNotFoundError:
+        return None
+    if stat.S_ISLNK(found.st_mode):
+        raise InputError(
+            f"{path}: expected a place to write, got a link; nothing is written, read or removed through it"
+        )
+    return found
+
+
+def _open(folder: int, name: str, flags: int) -> int:
+    return os.open(name, flags | _NO_LINK, 0o666, dir_fd=folder)
+
+
+def _digest(folder: int, name: str) -> str | None:
+    """Return the SHA-256 of a regular file in hexadecimal; None if there is none, or something else."""
+    with contextlib.suppress(OSError), open(_open(folder, name, os.O_RDONLY), "rb") as file:
+        return (
+            hashlib.file_digest(file, "sha256").hexdigest() if stat.S_ISREG(os.fstat(file.fileno()).st_mode) else None
+        )
+    return None
+
+
+def _temporary() -> str:
+    return f".{uuid.uuid4().hex}.tmp"
+
+
 @contextlib.contextmanager
-def base(path: Path, *, strict: bool = False) -> Iterator[None]:
-    """Open a folder, whose own links are followed, when something is written below it: then no links are.
-
-    With ``strict``, output folders below it must hold nothing but what earlier runs wrote: it is a folder of the user,
-    or from elsewhere, in which a command chose the name of its output folder.
-    """
-    if _nearest(path)[0] is not None:
-        yield
-        return
+def _inner(folder: int, path: Path, parts: Sequence[str], *, make: bool = True) -> Iterator[int]:
+    """Open a folder below an open one, no part of which may be a link; those that are made and stay empty go again."""
     with contextlib.ExitStack() as opened:
-        found: list[Folder] = []
+        for part in parts:
+            path = path / part
+            found = _status(folder, part, path)
+            if found is not None and not stat.S_ISDIR(found.st_mode):
+                raise InputError(f"{path}: expected a folder to write to, but a file is there")
+            if make and found is None:
+                with contextlib.suppress(FileExistsError):
+                    os.mkdir(part, dir_fd=folder)
+                    opened.callback(_remove_empty, folder, part)
+            folder = os.open(part, _FOLDER | os.O_NOFOLLOW, dir_fd=folder)
+            opened.callback(os.close, folder)
+        yield folder
 
-        def folder() -> Folder:
-            if not found:
-                found.append(opened.enter_context(opened_above(path, make=True)))
-            return found[0]
 
-        with _placed(path, _Place(folder, strict=strict)):
-            yield
+def _remove_empty(folder: int, name: str) -> None:
+    with contextlib.suppress(OSError):
+        os.rmdir(name, dir_fd=folder)
 
 
-class Output(_Place):
-    """A folder that a command writes to, with the list of its files."""
+@contextlib.contextmanager
+def _folder(path: Path, below: Path | None = None) -> Iterator[int]:
+    """Open a folder, made if it is not there: below an open output, or below ``below``, no part may be a link."""
+    out, name = _nearest(path)
+    if out is not None:
+        with _inner(out.folder, out.path, Path(name).parts) as folder:
+            yield folder
+        return
+    there = path if below is None else below
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    top = os.open(there, _FOLDER)
+    try:
+        with _inner(top, there, path.relative_to(there).parts) as folder:
+            yield folder
+    finally:
+        os.close(top)
 
-    def __init__(self, path: Path, folder: Folder, command: str, *, strict: bool) -> None:
-        """Read the list of the folder; InputError if it is damaged or of another command."""
-        super().__init__(lambda: folder, strict=strict)
-        self.path, self.command = path, command
-        self._journal: IO[bytes] | None = None
-        record = _read_list(folder, path)
-        self.listed = record is not None
-        if record is not None and record.command not in ("", command):
-            raise InputError(
-                f"{path}: it has what `{record.command}` wrote, which stays as it is; choose another --out"
-            )
-        self.files = {} if record is None else record.files
 
-    def check(self, *, owns: bool, whole: bool, replaces: bool, kept: Collection[str] = ()) -> None:
-        """Check what is in the folder, before anything is written to it; arguments as of `output`.
-
-        Raises
-        ------
-        InputError
-            It has links, or files that the command may not write beside.
-        """
-        if owns:
-            others: dict[str, str] = {}  # of the lists of folders below
-            found = list(_files(self.folder, self.path, others))
-            unlisted = [name for name in found if name not in self.files]
-            foreign = [name for name in unlisted if name not in others or (whole and name.split("/")[0] not in kept)]
-            if foreign and not self.listed:
+def _locked(folder: int, path: Path, command: str, wait: float) -> int:
+    """Open and lock run.json of a folder, which must have it, or be empty; the lock goes when the process ends."""
+    end = time.monotonic() + wait
+    while True:
+        if _status(folder, RUN, path / RUN) is None:
+            others = [name for name in os.listdir(folder) if name not in _IGNORED and not _TEMPORARY.fullmatch(name)]
+            if others and _status(folder, RUN, path / RUN) is None:
                 raise InputError(
-                    f"{self.path}: expected a new or empty folder, or one of an earlier {self.command}, got one with "
-                    f"{foreign[0]}; nothing was changed"
+                    f"{path}: expected a new or empty folder, or one of an earlier {command}, got one with "
+                    f"{min(others)}; nothing was changed"
                 )
-            if foreign and (self.strict or whole):
+        run = _open(folder, RUN, os.O_RDWR | os.O_CREAT)
+        try:
+            if _lock(folder, run):
+                there = _status(folder, RUN, path / RUN)
+                if there is not None and there.st_ino == os.fstat(run).st_ino:
+                    return run  # else another command has replaced the file meanwhile
+            elif time.monotonic() >= end:
+                held = f", or remove {path / HELD} if none is" if _status(folder, HELD, path / HELD) else ""
+                raise DvrkCmaesError(
+                    f"{path}: another command is writing there; wait for it{held}, or choose another --out"
+                )
+            else:
+                time.sleep(_LOOKED_EVERY)
+        except BaseException:
+            os.close(run)
+            raise
+        os.close(run)
+
+
+def _lock(folder: int, run: int) -> bool:
+    """Lock run.json; returns whether no other command has it."""
+    try:
+        fcntl.flock(run, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in _CANNOT_LOCK:
+            raise
+        try:
+            os.close(_open(folder, HELD, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return False
+    return True
+
+
+class _Noted(dict[str, Any]):
+    """An object of JSON; ``pairs`` has all values of a name that is there more than once."""
+
+    def __init__(self, pairs: list[tuple[str, Any]]) -> None:
+        super().__init__(pairs)
+        self.pairs = pairs
+
+
+def _parsed(data: bytes, path: Path) -> tuple[dict[str, Any], dict[str, list[str | None]]]:
+    """Return the document of a run.json without the files, and all digests that were noted of each file."""
+    try:
+        try:
+            document = json.loads(data, object_pairs_hook=_Noted)
+        except ValueError:  # its last note was cut off, as by a power cut
+            document = json.loads(data[: data.rfind(b",\n")] + _END, object_pairs_hook=_Noted)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected what an earlier run wrote, got another file ({error})") from None
+    files = document.pop("files", None) if isinstance(document, _Noted) else None
+    if not (isinstance(files, _Noted) and isinstance(document.get("command"), str)):
+        raise InputError(f"{path}: expected what an earlier run wrote (command and files), got another file")
+    noted: dict[str, list[str | None]] = {}
+    for name, digest in files.pairs:
+        if not (digest is None or isinstance(digest, str)) or any(part in ("", ".", "..") for part in name.split("/")):
+            raise InputError(f"{path}: files: expected paths in the folder and their digests, got {name[:200]!r}")
+        noted.setdefault(name, []).append(digest)
+    return document, noted
+
+
+class Output:
+    """An open and locked folder that a command writes to. ``files`` are its files with their digests, "" if unknown."""
+
+    def __init__(self, path: Path, folder: int, command: str, wait: float) -> None:
+        """Lock the folder and read run.json; `InputError` if it is damaged or of another command."""
+        self.path, self.folder, self.command = path, folder, command
+        self.head: dict[str, Any] = {}
+        self.files: dict[str, str] = {}
+        self.replaced = True  # not to be changed by this command
+        self._run, self._end, self._changed = _locked(folder, path, command, wait), 0, False
+        try:
+            self._read()
+            self.replaced = False
+        except BaseException:
+            self.close()
+            raise
+
+    def _read(self) -> None:
+        if os.fstat(self._run).st_size > _LARGEST:
+            raise InputError(f"{self.path / RUN}: expected what an earlier run wrote, got a larger file")
+        data = os.pread(self._run, _LARGEST, 0)
+        if not data:
+            self.replaced = False
+            self.write_list()
+            return
+        self.head, noted = _parsed(data, self.path / RUN)
+        command = self.head.pop("command")
+        self.files = {name: digests[-1] for name, digests in noted.items() if digests[-1] is not None}
+        if command != self.command:
+            raise InputError(f"{self.path}: it has what `{command}` wrote, which stays as it is; choose another --out")
+        for name, digests in noted.items():  # of a process that was killed after its note, the file is as it was before
+            if len(digests) > 1:
+                with contextlib.suppress(OSError, InputError), self._reached(name) as (folder, last):
+                    if (digest := _digest(folder, last)) is not None and digest in digests:
+                        self.files[name] = digest
+        self._end = len(data) - len(_END) if data.endswith(_END) else 0  # 0: it is written anew before a note
+
+    def write_list(self) -> None:
+        """Write run.json anew; the new one is locked before it takes the place of the old one."""
+        head = json.dumps({"command": self.command, **self.head, "files": {}}, indent=1, ensure_ascii=False)
+        files = (f"\n  {json.dumps(name)}: {json.dumps(digest)}" for name, digest in sorted(self.files.items()))
+        data = head[: -len("}\n}")].encode() + ",".join(files).encode() + _END
+        run = _write(self.folder, RUN, data, lock=True)
+        os.close(self._run)
+        self._run, self._end, self._changed = run, len(data) - len(_END), False
+
+    def describe(self, head: Mapping[str, Any]) -> None:
+        """State in run.json what the results depend on."""
+        self.head = dict(head)
+        self.write_list()
+
+    def note(self, name: str, digest: str | None) -> None:
+        """Note the digest of a file that is written next, "" if it is not known yet, None for one that is removed."""
+        if not self._end:
+            self.write_list()
+        before = os.pread(self._run, 1, self._end - 1)
+        entry = f"{'' if before == b'{' else ','}\n  {json.dumps(name)}: {json.dumps(digest)}".encode()
+        if os.pwrite(self._run, entry + _END, self._end) < len(entry + _END):  # the disk is full
+            os.pwrite(self._run, _END, self._end)
+            os.ftruncate(self._run, self._end + len(_END))
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._end, self._changed = self._end + len(entry), True
+        self._set(name, digest)
+
+    def _set(self, name: str, digest: str | None) -> None:
+        self.files.pop(name, None)
+        if digest is not None:
+            self.files[name] = digest
+
+    @contextlib.contextmanager
+    def _reached(self, name: str, *, make: bool = False) -> Iterator[tuple[int, str]]:
+        *above, last = name.split("/")
+        with _inner(self.folder, self.path, above, make=make) as folder:
+            yield folder, last
+
+    def check(self, *, whole: bool = False, replaces: bool = False, kept: Collection[str] = ()) -> None:
+        """Check what is in the folder, and remove what killed processes left half written; arguments as of `output`."""
+        for name in self._walk():
+            if whole and name not in self.files and name.partition("/")[0] not in kept:
                 raise InputError(
-                    f"{self.path}: {foreign[0]} was not written by `{self.command}`; choose another --out, or move it"
+                    f"{self.path}: {name} was not written by `{self.command}`; choose another --out, or move it"
                 )
-        self.refuse(self.files if replaces else ())
+        if replaces:
+            self.refuse(self.files)
+
+    def _walk(self) -> Iterator[str]:
+        """Yield the files in the folder; of a folder below that another command writes to, only its run.json."""
+        for root, folders, files, handle in os.fwalk(".", dir_fd=self.folder):
+            begin = "" if root == "." else f"{root[2:]}/"
+            if begin and RUN in files:
+                folders.clear()
+                yield begin + RUN
+                continue
+            for name in (*folders, *files):
+                if _TEMPORARY.fullmatch(name):
+                    _remove_tree(handle, name)
+                elif _status(handle, name, self.path / begin / name) and name in files and name not in _IGNORED:
+                    yield begin + name
+            folders[:] = [name for name in folders if not _TEMPORARY.fullmatch(name)]
 
     def refuse(self, names: Iterable[str]) -> None:
         """Raise `InputError` if a file of these names is there that the command did not write, or changed since."""
-        for name in names:
+        for name in tuple(names):
             with contextlib.suppress(FileNotFoundError), self._reached(name) as (folder, last):
                 self._admit(folder, name, last)
 
-    def is_changed(self, name: str) -> bool:
-        """Return whether a file of the list is there with another content; a link is another content."""
-        try:
-            self.refuse((name,))
-        except (OSError, InputError):
-            return True
-        return False
-
-    @contextlib.contextmanager
-    def _reached(self, name: str, *, make: bool = False) -> Iterator[tuple[Folder, str]]:
-        *above, last = name.split("/")
-        with self.folder.reached(above, make=make) as folder:
-            yield folder, last
-
-    def _admit(self, folder: Folder, name: str, last: str) -> bool:
+    def _admit(self, folder: int, name: str, last: str) -> bool:
         """Return whether a file is there; InputError unless it is the command's."""
-        found = folder.status(last)
+        found = _status(folder, last, self.path / name)
         if found is None:
             return False
-        folder.refuse_link(last)
         if stat.S_ISDIR(found.st_mode):
             raise InputError(f"{self.path / name}: expected a file, or none yet, but a folder is there")
         own = self.files.get(name)
         regular = stat.S_ISREG(found.st_mode)
-        if not regular or own is None or (own not in (_ANY, folder.digest(last)) and not _is_cut(folder.read(last))):
+        if not regular or own is None or (own not in ("", _digest(folder, last)) and not _is_cut(folder, last)):
             raise InputError(
                 f"{self.path}: {name} was not written by `{self.command}`, or changed since; choose another --out, or "
                 "move it"
             )
         return True
 
-    def note(self, name: str, digest: str | None) -> None:
-        """Note the digest of a file that is written next, None for one that is removed."""
-        if self._journal is None:
-            opened = self.folder.open(JOURNAL, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-            self._journal = open(opened, "ab", buffering=0)  # noqa: SIM115 (until the folder is closed)
-        self._journal.write(json.dumps([name, digest]).encode() + b"\n")
-        if digest is None:
-            self.files.pop(name, None)
-        else:
-            self.files[name] = digest
-
-    def forget(self, name: str, before: str | None) -> None:
-        """Take back the last note of a file, which was not written."""
-        self.files.pop(name)
-        if before is not None:
-            self.files[name] = before
-
     def remove(self, name: str) -> None:
         """Remove a file of the command, if it is there; InputError for another one."""
         with contextlib.suppress(FileNotFoundError), self._reached(name) as (folder, last):
             if self._admit(folder, name, last):
-                folder.remove(last)
+                os.unlink(last, dir_fd=folder)
                 self.note(name, None)
 
-    def clear(self, *, last: str = "") -> None:
-        """Remove all files of the list, one of them at the end, and the folders that are empty then."""
-        names = sorted(self.files, key=lambda name: (name == last, name))
+    def clear(self) -> None:
+        """Remove all files that run.json lists, and the folders that are empty then."""
+        names = sorted(self.files)
         for name in names:
             self.remove(name)
-        self.files.clear()
-        above = {name.rpartition("/")[0] for name in names} - {""}
-        for name in sorted(above, key=lambda name: -name.count("/")):
-            self.remove_empty(name)
+        for name in sorted({name.rpartition("/")[0] for name in names} - {""}, key=lambda name: -name.count("/")):
+            with contextlib.suppress(FileNotFoundError), self._reached(name) as (folder, last):
+                _remove_empty(folder, last)
+        self.head, self.files = {}, {}
         self.write_list()
 
-    def remove_empty(self, name: str) -> None:
-        """Remove a subfolder if it is empty."""
-        with contextlib.suppress(FileNotFoundError), self._reached(name) as (folder, last):
-            folder.remove_empty(last)
-
-    def move_from(self, other: Output, name: str) -> None:
-        """Take a file over from another folder of the command."""
-        digest = other.files.get(name, _ANY)
-        with other._reached(name) as (source, last), self._reached(name, make=True) as (target, _):
-            other._admit(source, name, last)
-            self._admit(target, name, last)
-            self.note(name, digest)
-            source.rename(last, target, last)
-            other.note(name, None)
-        if "/" in name:
-            other.remove_empty(name.rpartition("/")[0])
-
-    def note_all(self) -> None:
-        """Note the files in the folder that are not noted, but for those of lists below."""
-        others: dict[str, str] = {}
-        for name in list(_files(self.folder, self.path, others)):
-            if name not in self.files and name not in others:
-                with self._reached(name) as (folder, last):
-                    self.note(name, folder.digest(last))
-
-    def take(self, other: Output) -> None:
-        """Stand for another folder from now on, with its list."""
-        if self._journal is not None:
-            self._journal.close()
-        self._journal, self.files, self.listed = None, other.files, True
-        self.folder.take(other.folder)
-
-    def write_list(self) -> None:
-        """Write the list."""
-        record = {"command": self.command, "files": dict(sorted(self.files.items()))}
-        _write(self.folder, RECORD, json.dumps(record, indent=1, ensure_ascii=False).encode() + b"\n")
-        if self._journal is not None:
-            self._journal.close()
-            self._journal = None
-        if self.folder.status(JOURNAL) is not None:
-            self.folder.remove(JOURNAL)
-        self.listed = True
-
     def close(self) -> None:
-        """Write the list, or remove it if nothing is in it."""
-        if self.files:
-            if self._journal is not None or not self.listed:
-                self.write_list()
-            return
-        if self._journal is not None:
-            self._journal.close()
-            self._journal = None
-        for name in (RECORD, JOURNAL):
-            if self.folder.status(name) is not None:
-                self.folder.remove(name)
-
-
-def _read_list(folder: Folder, path: Path) -> Written | None:
-    """Read the list of a folder, with what was noted since it was written; None if there is none."""
-    for name in (RECORD, JOURNAL):
-        folder.refuse_link(name)
-    found = [folder.status(name) for name in (RECORD, JOURNAL)]
-    if found == [None, None]:
-        return None
-    if any(each is not None and (not stat.S_ISREG(each.st_mode) or each.st_size > _LARGEST) for each in found):
-        raise InputError(f"{path / RECORD}: expected what an earlier run wrote, got something else")
-    record = Written("")
-    data = folder.read(RECORD)
-    if data is not None:
+        """Write run.json, or remove it if nothing is in the folder, and give the lock back."""
         try:
-            record = msgspec.json.decode(data, type=prepared(Written))
-        except (msgspec.MsgspecError, RecursionError) as error:
-            raise InputError(
-                f"{path / RECORD}: expected what an earlier run wrote, got another file ({error})"
-            ) from None
-    before = dict(record.files)
-    noted: dict[str, list[str]] = {}
-    for line in (folder.read(JOURNAL) or b"").split(b"\n"):
-        with contextlib.suppress(msgspec.MsgspecError):  # a line that was cut when the process was killed
-            name, digest = msgspec.json.decode(line, type=tuple[str, str | None])
-            noted.setdefault(name, [before[name]] if name in before else [])
-            if digest is None:
-                record.files.pop(name, None)
-            else:
-                record.files[name] = digest
-                noted[name].append(digest)
-    strange = next((name for name in record.files if not _is_inside(name)), None)
-    if strange is not None:
-        raise InputError(f"{path / RECORD}: files: expected paths in the folder, got {strange[:200]!r}")
-    for name, digests in noted.items():  # a process that is killed after its note leaves the file as it was
-        *above, last = name.split("/")
-        with contextlib.suppress(OSError, InputError), folder.reached(above) as inner:
-            digest = inner.digest(last)
-            if digest in digests:
-                record.files[name] = digest
-    return record
+            if not self.replaced and not self.files and set(os.listdir(self.folder)) <= {RUN, HELD}:
+                os.unlink(RUN, dir_fd=self.folder)
+            elif not self.replaced and self._changed:
+                self.write_list()
+        finally:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(HELD, dir_fd=self.folder)
+            os.close(self._run)
 
 
-def _is_cut(data: bytes | None) -> bool:
+class _Opened(threading.local):
+    """The folders that this thread has opened, by their path: another thread may close its own ones at any time."""
+
+    def __init__(self) -> None:
+        self.outputs: dict[Path, Output] = {}
+
+
+_opened = _Opened()
+
+
+def _nearest(path: Path) -> tuple[Output | None, str]:
+    """Return the innermost open folder that holds a path, and the path in it."""
+    place = Path(os.path.abspath(path))
+    for folder in (place, *place.parents):
+        if folder in _opened.outputs:
+            return _opened.outputs[folder], place.relative_to(folder).as_posix()
+    return None, place.name
+
+
+def _is_cut(folder: int, name: str) -> bool:
     """Whether a file was cut off, as by a power cut: an empty one, or a document without its end."""
-    text = (data or b"").strip(b"\0 \n")
+    with open(_open(folder, name, os.O_RDONLY), "rb") as file:
+        text = file.read().strip(b"\0 \n")
     return not text or (text.startswith(b"{") and not text.endswith(b"}"))
 
 
-def _is_inside(name: str) -> bool:
-    """Whether a name of a list is a path in the folder."""
-    return all(part not in ("", ".", "..") and "\0" not in part and os.sep not in part for part in name.split("/"))
-
-
-def _files(folder: Folder, path: Path, listed: dict[str, str], begin: str = "") -> Iterator[str]:
-    """Yield the files in a folder by their path in it; those of lists below it are added to ``listed``.
-
-    Raises
-    ------
-    InputError
-        There is a link.
-    """
-    if begin and (record := _read_list(folder, path)) is not None:
-        listed.update({begin + name: digest for name, digest in record.files.items()})
-    for name, link, is_folder in folder.entries():
-        if link:
-            folder.refuse_link(name)
-        if _TEMPORARY.fullmatch(name):
-            continue
-        if is_folder:
-            with Folder(path / name, above=folder) as inner:
-                yield from _files(inner, path / name, listed, f"{begin}{name}/")
-        elif name not in _OWN and name not in _DESKTOP:
-            yield begin + name
-
-
-def changed_files(path: Path) -> set[str]:
-    """Return the files of the list of a folder that have another content since; none if it has no list."""
-    with Folder(path) as folder:
-        record = _read_list(folder, path)
-        if record is None:
-            return set()
-        out = Output(path, folder, record.command, strict=False)
-        return {name for name in out.files if out.is_changed(name)}
-
-
-@contextlib.contextmanager
-def _folder_of(path: Path, *, make: bool) -> Iterator[tuple[Folder, bool]]:
-    """Open a folder to write to, and tell whether it is below a strict one."""
-    place, names = _nearest(path)
-    if place is None:
-        with opened_above(path, make=make) as folder:
-            yield folder, False
-    else:
-        with place.folder.reached(names, make=make) as folder:
-            yield folder, place.strict
-
-
-def check_output_folder(
-    path: Path,
-    command: str,
-    *,
-    names: Iterable[str] = (),
-    owns: bool = True,
-    whole: bool = False,
-    replaces: bool = False,
-    kept: Collection[str] = (),
-) -> None:
-    """Check, before any work, that a command may write to a folder; arguments and errors as of `output`.
-
-    ``names`` are files that it will write. What is wrong without the folder's lock is looked at again with it, since
-    another command may have written a file between the list and the file that were looked at.
-    """
-    names = tuple(names)
-    with _writing(path, "a folder"):
-        if not os.path.lexists(path):
-            return
-        with _folder_of(path, make=False) as (folder, strict):
-
-            def check() -> None:
-                out = Output(path, folder, command, strict=strict)
-                out.check(owns=owns, whole=whole, replaces=replaces, kept=kept)
-                out.refuse(names)
-
-            try:
-                check()
-            except InputError as error:
-                with contextlib.ExitStack() as held:
-                    try:
-                        held.enter_context(locked(folder, wait=0.0 if owns else LONG))
-                    except OSError:
-                        raise error from None
-                    check()
+def _remove_tree(folder: int, name: str) -> None:
+    """Remove a file or a folder of a temporary name; links are removed, not followed."""
+    with contextlib.suppress(OSError):
+        os.unlink(name, dir_fd=folder)
+        return
+    shutil.rmtree(name, ignore_errors=True, dir_fd=folder)
 
 
 @contextlib.contextmanager
 def output(
-    path: Path,
+    path: str | Path,
     command: str,
     *,
-    owns: bool = True,
+    below: Path | None = None,
     whole: bool = False,
     replaces: bool = False,
     kept: Collection[str] = (),
@@ -444,17 +415,17 @@ def output(
     Parameters
     ----------
     path
-        The folder. If it is below another one that is open, no part from there on may be a link.
+        The folder: new, empty, or of an earlier run of the command. If it is open already, that is used.
     command
         The command that writes.
-    owns
-        Whether nobody else writes there: the folder must be new, empty, or of an earlier run of the command.
+    below
+        A folder, whose own links are followed, from which on no part of the path may be a link.
     whole
-        Whether it is replaced as a whole: it must have no files but those of its list.
+        Whether the folder is replaced as a whole: it must have no files but those of its run.json.
     replaces
-        Whether the files of the list are replaced: none may have been changed since.
+        Whether the files of run.json are replaced: none may have been changed since.
     kept
-        Of a folder that is replaced as a whole, subfolders with lists of their own that stay.
+        Of a folder that is replaced as a whole, subfolders that stay.
     wait
         Seconds to wait for another command that writes there.
 
@@ -466,22 +437,20 @@ def output(
     DvrkCmaesError
         Another command is writing there, or the disk is full.
     """
+    path = Path(path)
+    place = Path(os.path.abspath(path))
     with contextlib.ExitStack() as opened:
         with _writing(path, "results"):
-            folder, strict = opened.enter_context(_folder_of(path, make=True))
-            if owns:
-                Output(path, folder, command, strict=strict)  # of another command: said so, even while that runs
-            opened.enter_context(locked(folder, wait=wait))
-            out = Output(path, folder, command, strict=strict)
-        opened.callback(_close, out)
-        with _writing(path, "results"):
-            out.check(owns=owns, whole=whole, replaces=replaces, kept=kept)
-            if owns:
-                _remove_temporary(folder)
-                if not out.listed:
-                    out.write_list()
-        with _placed(path, out):
-            yield out
+            while (out := _opened.outputs.get(place)) is None:
+                with contextlib.ExitStack() as attempt:
+                    folder = attempt.enter_context(_folder(path, below))
+                    with contextlib.suppress(FileNotFoundError):  # removed by another command, which wrote nothing
+                        _opened.outputs[place] = own = Output(path, folder, command, wait)
+                        opened.push(attempt.pop_all())
+                        opened.callback(_close, own)
+                        opened.callback(_opened.outputs.pop, place)
+            out.check(whole=whole, replaces=replaces, kept=kept)
+        yield out
 
 
 def _close(out: Output) -> None:
@@ -489,54 +458,59 @@ def _close(out: Output) -> None:
         out.close()
 
 
-def _remove_temporary(folder: Folder) -> None:
-    """Remove what killed processes left half written in a folder and those below."""
-    for name, link, is_folder in folder.entries():
-        if is_folder:
-            temporary = _TEMPORARY.fullmatch(name) is not None
-            with contextlib.suppress(OSError), Folder(folder.path / name, above=folder) as inner:
-                _remove_all(inner) if temporary else _remove_temporary(inner)
-            if temporary:
-                folder.remove_empty(name)
-        elif not link and _TEMPORARY.fullmatch(name):
-            with contextlib.suppress(OSError):
-                folder.remove(name)
+def opened_output(path: Path) -> Output:
+    """Return the output folder at a path, which is open."""
+    return _opened.outputs[Path(os.path.abspath(path))]
 
 
-def _remove_all(folder: Folder) -> None:
-    """Remove everything in a folder of a temporary name; links are removed, not followed."""
-    for name, _, is_folder in folder.entries():
-        if is_folder:
-            with Folder(folder.path / name, above=folder) as inner:
-                _remove_all(inner)
-            folder.remove_empty(name)
-        else:
-            folder.remove(name)
+def check_files(path: Path, command: str, names: Iterable[str]) -> None:
+    """Check, before any work, that a command may write files to a folder; errors as of `output`."""
+    with output(path, command, wait=LONG) as out:
+        out.refuse(names)
 
 
-def _write(folder: Folder, name: str, data: bytes) -> None:
-    """Write a file in an open folder: to a temporary file, which is then renamed."""
+def edited(path: Path, names: Iterable[str]) -> set[str]:
+    """Return which of a folder's files have another content than its run.json states."""
+    with _writing(path / RUN, "results"), open(path / RUN, "rb") as file:
+        noted = _parsed(file.read(_LARGEST), path / RUN)[1]
+    with _folder(path) as folder:
+        found = set()
+        for name in names:
+            *above, last = name.split("/")
+            with _inner(folder, path, above, make=False) as inner:
+                if name in noted and _digest(inner, last) not in noted[name]:
+                    found.add(name)
+        return found
+
+
+def _write(folder: int, name: str, data: bytes, *, lock: bool = False) -> int:
+    """Write a file under a temporary name, and rename it; returns its open descriptor."""
     beside = _temporary()
+    opened = _open(folder, beside, os.O_RDWR | os.O_CREAT | os.O_EXCL)
     try:
-        with open(folder.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL), "wb") as file:
+        if lock:
+            _lock(folder, opened)
+        with open(opened, "wb", closefd=False) as file:
             file.write(data)
-        folder.rename(beside, folder, name)
+        os.replace(beside, name, src_dir_fd=folder, dst_dir_fd=folder)
     except BaseException:
-        with contextlib.suppress(OSError):
-            folder.remove(beside)
+        os.close(opened)
+        _remove_tree(folder, beside)
         raise
+    return opened
 
 
 @contextlib.contextmanager
-def _target(path: Path) -> Iterator[tuple[Folder, Output | None, str]]:
-    """Open the folder of a file that is written; returns the output folder whose list it belongs to, and its name."""
-    place, names = _nearest(path)
-    if place is None or not names:
-        with opened_above(path.parent, make=True) as folder:
-            yield folder, None, path.name
+def _target(path: Path) -> Iterator[tuple[int, Output | None, str, str]]:
+    """Open the folder of a file that is written; returns the open output, the file's path in it, and its name."""
+    out, name = _nearest(path)
+    if out is None:
+        with _folder(path.parent) as folder:
+            yield folder, None, name, path.name
     else:
-        with place.folder.reached(names[:-1], make=True) as folder:
-            yield folder, place if isinstance(place, Output) else None, "/".join(names)
+        with out._reached(name, make=True) as (folder, last):
+            out._admit(folder, name, last)
+            yield folder, out, name, last
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
@@ -549,56 +523,48 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     DvrkCmaesError
         The disk is full or failing.
     """
-    with _writing(path, "a file"), _target(Path(path)) as (folder, out, name):
-        last = Path(path).name
-        before = None
+    with _writing(path, "a file"), _target(Path(path)) as (folder, out, name, last):
+        before = None if out is None else out.files.get(name)
         if out is not None:
-            out._admit(folder, name, last)
-            before = out.files.get(name)
             out.note(name, hashlib.sha256(data).hexdigest())
         try:
-            _write(folder, last, data)
+            os.close(_write(folder, last, data))
         except BaseException:
             if out is not None:
-                out.forget(name, before)
+                out._set(name, before)
             raise
 
 
 def remove(path: Path) -> None:
     """Remove a file that a command wrote, if it is there; InputError for a file of the user."""
-    place, names = _nearest(path)
+    out, name = _nearest(path)
     with _writing(path, "a file"):
-        if isinstance(place, Output):
-            place.remove("/".join(names))
-        else:
+        if out is None:
             path.unlink(missing_ok=True)
+        else:
+            out.remove(name)
 
 
 @contextlib.contextmanager
 def written_beside(path: Path, what: str) -> Iterator[Path]:
-    """Give a path of the same extension, in a temporary folder, for a program that writes files itself.
+    """Give a path of the same name, in a temporary folder, for a program that writes files itself.
 
     Its file is renamed to the target at the end, or removed after an error. ``what`` is named in messages. Errors are
     those of ``write_bytes``.
     """
     with contextlib.ExitStack() as opened:
         with _writing(path, what):
-            folder, out, name = opened.enter_context(_target(path))
-            if out is not None:
-                out._admit(folder, name, path.name)
+            folder, out, name, last = opened.enter_context(_target(path))
             beside = _temporary()
-            folder.make(beside)
-            inner = opened.enter_context(Folder(path.parent / beside, above=folder))
-        try:
-            yield inner.path / path.name
-            with _writing(path, what):
-                if out is not None:
-                    out._admit(folder, name, path.name)
-                    out.note(name, inner.digest(path.name) or _ANY)
-                inner.rename(path.name, folder, path.name)
-        finally:
-            _remove_all(inner)
-            folder.remove_empty(beside)
+            os.mkdir(beside, dir_fd=folder)
+            opened.callback(_remove_tree, folder, beside)
+            inner = opened.enter_context(_inner(folder, path.parent, [beside]))
+        yield path.parent / beside / last
+        with _writing(path, what):
+            if out is not None:
+                out._admit(folder, name, last)
+                out.note(name, _digest(inner, last) or "")
+            os.replace(last, last, src_dir_fd=inner, dst_dir_fd=folder)
 
 
 @contextlib.contextmanager
@@ -607,17 +573,13 @@ def appended(path: Path, begin: bytes) -> Iterator[IO[bytes]]:
 
     In an output folder, an earlier file is replaced if it is the command's.
     """
-    with _target(path) as (folder, out, name):
+    with _target(path) as (folder, out, name, last):
         if out is not None:
-            out._admit(folder, name, path.name)
-            out.note(name, _ANY)
-        beside = _temporary()
-        with open(folder.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL), "wb", buffering=0) as file:
-            file.write(begin)
-            folder.rename(beside, folder, path.name)
+            out.note(name, "")
+        with open(_write(folder, last, begin), "ab", buffering=0) as file:
             yield file
         if out is not None:
-            out.note(name, folder.digest(path.name) or _ANY)
+            out.note(name, _digest(folder, last) or "")
 
 
 @contextlib.contextmanager
@@ -628,7 +590,6 @@ def whole_folder(
     overwrite: bool = False,
     kept: Sequence[str] = (),
     source: str | Path | None = None,
-    opened_before: Output | None = None,
 ) -> Iterator[Path]:
     """Yield a temporary folder, which takes the place of the target at the end, or is removed after an error.
 
@@ -646,8 +607,6 @@ def whole_folder(
         Subfolders of the earlier folder that are in the new one from the start.
     source
         A file or folder that is read meanwhile; it must not lie in the target.
-    opened_before
-        The target, if it is open already, by the same arguments.
 
     Raises
     ------
@@ -656,116 +615,69 @@ def whole_folder(
     DvrkCmaesError
         The disk is full or failing. In errors raised by the block, the temporary path is replaced by ``path``.
     """
-    path = Path(path)
-    beside = path
+    path = beside = Path(path)
     try:
         real = Path(os.path.realpath(path))
+        begin = hashlib.sha256(os.fsencode(real)).hexdigest()[:16]
+        beside = real.with_name(f".{begin}{uuid.uuid4().hex[:16]}.tmp")
         if source is not None and real in ((read := Path(os.path.realpath(source))), *read.parents):
             raise InputError(f"{path}: expected a folder apart from {source}, got one that holds it")
-        with contextlib.ExitStack() as opened:
-            if not overwrite:
-                _refuse_filled(path)
-            place = _nearest(path.parent)[0]
-            out = opened_before
-            if out is None:
-                out = opened.enter_context(output(path, command, whole=True, replaces=overwrite, kept=kept))
-            # its own name, below the folder that holds it: what is typed may be a link to it
-            target = path if place is not None else real
-            above = opened.enter_context(_folder_of(target.parent, make=False))[0]
-            begin = hashlib.sha256(os.fsencode(real)).hexdigest()[:16]
-            _remove_left(above, begin)
-            beside = target.with_name(f".{begin}{uuid.uuid4().hex[:16]}.tmp")
-            opened.callback(_remove_beside, above, beside.name)
-            with output(beside, command) as made:
-                for name in kept:
-                    _keep(out, made, name)
-                yield beside
-                made.note_all()
-                out.check(owns=True, whole=True, replaces=True, kept=kept)  # files may have been added meanwhile
-                made.write_list()
-                _exchange(above, beside.name, target.name)
-                left = opened.enter_context(Folder(beside, above=above))
-                _move_foreign(left, made.folder, {*out.files, *(f"{name}/" for name in kept)})
-                out.take(made)
-    except DvrkCmaesError as error:
-        raise type(error)(str(error).replace(str(beside), str(path))) from None
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
-        raise not_written(path, error, "a folder") from None
-
-
-def _refuse_filled(path: Path) -> None:
-    """Raise `InputError` unless a folder does not exist or is empty."""
-    if not os.path.lexists(path):
-        return
-    if not path.is_dir():
-        raise InputError(f"{path}: expected a folder to write, got a file of that name")
-    with Folder(path) as folder:
-        if any(name not in _OWN for name, _, _ in folder.entries()):
+        if not overwrite and path.is_dir() and any(name not in (RUN, HELD) for name in os.listdir(path)):
             raise InputError(
                 f"{path}: expected a new or empty folder, got one with files in it (--overwrite replaces it)"
             )
+        with contextlib.ExitStack() as opened:
+            out = opened.enter_context(output(path, command, whole=True, replaces=overwrite, kept=kept))
+            above = os.open("..", _FOLDER, dir_fd=out.folder)
+            opened.callback(os.close, above)
+            for name in os.listdir(above):  # what killed processes left for the same target
+                if re.fullmatch(rf"\.{begin}[0-9a-f]{{16}}\.tmp", name):
+                    _remove_tree(above, name)
+            opened.callback(_remove_tree, above, beside.name)
+            with output(beside, command) as made:
+                for name in kept:
+                    if (path / name).is_dir():
+                        shutil.copytree(path / name, beside / name, symlinks=True, copy_function=_link)
+                made.files |= {name: digest for name, digest in out.files.items() if name.partition("/")[0] in kept}
+                yield beside
+                for name in made._walk():
+                    if name not in made.files and name.partition("/")[0] not in kept:
+                        with made._reached(name) as (folder, last):
+                            made.note(name, _digest(folder, last))
+                out.check(whole=True, replaces=True, kept=kept)  # files may have been added meanwhile
+                made.write_list()
+                _exchange(above, beside.name, real.name)
+                out.replaced = True
+                for name in list(out._walk()):  # added in the last moment
+                    if name not in out.files and name.partition("/")[0] not in kept:
+                        with out._reached(name) as (folder, last), made._reached(name, make=True) as (to, _):
+                            os.rename(last, last, src_dir_fd=folder, dst_dir_fd=to)
+    except DvrkCmaesError as error:
+        raise type(error)(str(error).replace(str(beside), str(path))) from None
+    except (OSError, ValueError) as error:
+        raise not_written(path, error, "a folder") from None
 
 
-def _remove_left(above: Folder, begin: str) -> None:
-    """Remove the temporary folders that killed processes left for the same target, whose lock is held."""
-    for name, _, is_folder in above.entries():
-        if is_folder and re.fullmatch(rf"\.{begin}[0-9a-f]{{16}}\.tmp", name):
-            with contextlib.suppress(OSError):
-                _remove_beside(above, name)
-
-
-def _remove_beside(above: Folder, name: str) -> None:
-    """Remove a temporary folder, if it is there."""
-    if above.status(name) is not None:
-        with Folder(above.path / name, above=above) as folder:
-            _remove_all(folder)
-        above.remove_empty(name)
-
-
-def _keep(out: Output, made: Output, name: str) -> None:
-    """Give the files of a subfolder, and what a list says of them, to a new folder, too."""
-
-    def keep(folder: Folder, to: Folder, begin: str) -> None:
-        for each, _, is_folder in folder.entries():
-            if is_folder:
-                to.make(each)
-                with Folder(folder.path / each, above=folder) as inner, Folder(to.path / each, above=to) as inner_to:
-                    keep(inner, inner_to, f"{begin}{each}/")
-            elif each not in (LOCK, HELD) and not _TEMPORARY.fullmatch(each):
-                folder.link(each, to)
-                if begin + each in out.files:
-                    made.note(begin + each, out.files[begin + each])
-
-    if out.folder.status(name) is not None:
-        made.folder.make(name)
-        with out.folder.reached([name]) as folder, made.folder.reached([name]) as to:
-            keep(folder, to, f"{name}/")
-
-
-def _move_foreign(left: Folder, to: Folder, known: Collection[str], begin: str = "") -> None:
-    """Move files that no list has from the earlier folder to the new one: they were added in the last moment."""
-    for name, _, is_folder in left.entries():
-        place = begin + name
-        if f"{place}/" in known or place in known or name in (*_OWN, *_DESKTOP) or _TEMPORARY.fullmatch(name):
-            continue
-        if is_folder:
-            with Folder(left.path / name, above=left) as inner:
-                to.make(name)
-                with Folder(to.path / name, above=to) as inner_to:
-                    _move_foreign(inner, inner_to, known, f"{place}/")
-        elif to.status(name) is None:
-            left.rename(name, to, name)
-
-
-def _exchange(above: Folder, first: str, second: str) -> None:
-    """Exchange the names of two folders, in one step where the system can."""
-    if above.exchange(first, second):
-        return
-    apart = _temporary()
-    above.rename(second, above, apart)
+def _link(source: str, target: str) -> None:
+    """Give a file a second name; it is copied where the file system has none."""
     try:
-        above.rename(first, above, second)
+        os.link(source, target, follow_symlinks=False)
     except OSError:
-        above.rename(apart, above, second)
+        shutil.copy2(source, target, follow_symlinks=False)
+
+
+def _exchange(above: int, first: str, second: str) -> None:
+    """Exchange the names of two folders, in one step where the system can."""
+    library = ctypes.CDLL(None, use_errno=True)
+    if hasattr(library, "renameat2"):
+        names = os.fsencode(first), os.fsencode(second)
+        if library.renameat2(above, names[0], above, names[1], _RENAME_EXCHANGE) == 0:
+            return
+    apart = _temporary()
+    os.rename(second, apart, src_dir_fd=above, dst_dir_fd=above)
+    try:
+        os.rename(first, second, src_dir_fd=above, dst_dir_fd=above)
+    except OSError:
+        os.rename(apart, second, src_dir_fd=above, dst_dir_fd=above)
         raise
-    above.rename(apart, above, first)
+    os.rename(apart, first, src_dir_fd=above, dst_dir_fd=above)

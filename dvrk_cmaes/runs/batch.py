@@ -25,13 +25,13 @@ from dvrk_cmaes.io.atomic import write_json, write_text
 from dvrk_cmaes.io.output import Output, output
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.results.folder import MANIFEST, SUMMARY, ResultsFolder, read_results
+from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
 from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.base_agreement import compare_bases
-from dvrk_cmaes.runs.digests import frame_digests
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
+from dvrk_cmaes.runs.inputs import frame_stamps
 from dvrk_cmaes.runs.manifest import (
     Manifest,
     any_difference,
@@ -40,7 +40,6 @@ from dvrk_cmaes.runs.manifest import (
     manifest_of,
     read_manifest,
     with_frames,
-    write_manifest,
 )
 from dvrk_cmaes.runs.output import (
     COMMAND,
@@ -178,7 +177,7 @@ def run_batch(
     with output(out, COMMAND, replaces=not resume) as own:
         if not resume:
             own.refuse((*TABLES, *results_of([files.name for files in frames], session.rig.names)))
-            own.clear(last=MANIFEST)
+            own.clear()
         todo, kept = _prepare(
             out,
             own,
@@ -257,7 +256,7 @@ def _prepare(
     ``session`` are the names of the frames of the whole session.
     """
     own.refuse(TABLES)
-    digests = {files.name: frame_digests(files) for files in frames}
+    digests = {files.name: frame_stamps(files) for files in frames}
     manifest = manifest_of(setup, digests)
     kept: dict[str, Status] = {}
     old = read_manifest(folder)
@@ -278,7 +277,7 @@ def _prepare(
         manifest = with_frames(old, digests)
     todo = [files for files in frames if files.name not in kept]
     own.refuse(results_of([files.name for files in todo], setup.rig.names))
-    write_manifest(folder, manifest)
+    own.describe(manifest)
     return todo, [kept[files.name] for files in frames if files.name in kept]
 
 

@@ -32,7 +32,7 @@ from dvrk_cmaes.estimation.masks_again import ImagesOfFrame
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import encoded_image, write_json
-from dvrk_cmaes.io.output import Output, changed_files, whole_folder, write_bytes
+from dvrk_cmaes.io.output import edited, opened_output, whole_folder, write_bytes
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.results.folder import ALONE, SESSION
 from dvrk_cmaes.results.paths import (
@@ -46,10 +46,10 @@ from dvrk_cmaes.results.paths import (
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
-from dvrk_cmaes.runs.digests import frame_digests, instrument_digest
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+from dvrk_cmaes.runs.inputs import frame_stamps, instrument_digest
 from dvrk_cmaes.runs.instrument_processes import run_with_body
-from dvrk_cmaes.runs.manifest import manifest_of, write_manifest
+from dvrk_cmaes.runs.manifest import manifest_of
 from dvrk_cmaes.runs.processes import Processes
 from dvrk_cmaes.runs.worker import BatchSetup, hints_of
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
@@ -70,7 +70,6 @@ def solving_folder(
     config: EstimateConfig,
     segment: SegmentSettings | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
-    opened: Output | None = None,
     places: Sequence[Place] = (),
 ) -> Solving[SolvedSession]:
     """Calibrate a session folder of an arm from its frames' own results, and write everything to a folder.
@@ -79,9 +78,9 @@ def solving_folder(
 
     ``processes`` are those of `instrument_processes` or `worker_processes`. ``alone`` is the folder of those results;
     masks that were found in images, and overlays of frames that are left out, are taken from there; with ``segment``,
-    how they were found there, they are found again around the silhouettes that the session expects. ``opened`` is the
-    folder, if it is open already; ``places`` are as in `solving_arm`. All files are written to a folder
-    beside, which takes the place of an earlier one when it is whole.
+    how they were found there, they are found again around the silhouettes that the session expects. ``places`` are as
+    in `solving_arm`. All files are written to a temporary folder, which takes the place of an earlier one when it is
+    whole.
 
     Raises
     ------
@@ -124,7 +123,7 @@ def solving_folder(
         tasks = [(files[k], solved.results[k], left_out, evidence[k]) for k, left_out in solved.leave_one_out.items()]
         drawn = run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
         pictures = dict(zip(solved.leave_one_out, drawn, strict=True))
-        with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,), opened_before=opened) as beside:
+        with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,)) as beside:
             for path in masks.rglob("*.png"):
                 write_bytes(beside / path.relative_to(masks), path.read_bytes())
             _write(solved, pictures, replace(arm, session=session), beside, config, alone)
@@ -146,11 +145,10 @@ def _finders(session: Session, alone: Path | None, segment: SegmentSettings | No
     """Return what finds masks again, by frame: of frames without masks, whose found ones were not corrected by hand."""
     if alone is None or segment is None or segment.model != "classic":
         return {}
-    changed = changed_files(alone)
     out: dict[str, FindMasks] = {}
     for files in session.frames:
         found = [path.relative_to(alone).as_posix() for path in found_masks(alone, files.name)]
-        if not files.has_mask and found and not changed & set(found):
+        if not files.has_mask and found and not edited(alone, found):
             out[files.name] = ImagesOfFrame(files, session.rig, segment, hints_of(files) or Hints())
     return out
 
@@ -193,8 +191,8 @@ def _write(
     write_cameras(calibration, session.rig, out)
     write_json(out / SESSION, calibration.to_dict())
     setup = BatchSetup(arm.body.instrument, session.rig, config, arm.kinematics, session.folder)
-    digests = {files.name: frame_digests(files) for files in session.frames if files.name in solved.results}
-    write_manifest(out, manifest_of(setup, digests) | {"solved": "together"})
+    stamps = {files.name: frame_stamps(files) for files in session.frames if files.name in solved.results}
+    opened_output(out).describe(manifest_of(setup, stamps) | {"solved": "together"})
     finish(out)
 
 

@@ -66,7 +66,7 @@ def run_frame(
     if out is None:
         return solved.result, ()
     overlay = draw_views(solved.result, solved.data.views, body)
-    with output(out, command, owns=False, wait=LONG):
+    with output(out, command, wait=LONG):
         return solved.result, write_frame(out, solved.result, overlay, solved.found_masks)
 
 

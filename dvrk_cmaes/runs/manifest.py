@@ -1,7 +1,8 @@
-"""Read and write ``run.json``: the inputs and settings of the results in a folder, compared before results are added.
+"""What the results in a folder were made with: fields of its ``run.json``, compared before results are added.
 
-Fields: schema, version, instrument {name, digest}, arm, camera, config, segment {model, weights}, calibration (digest
-or null), session (its path; not compared), rig (the further views of a stereo session), frames {frame: {part: digest}}
+Fields: version, instrument {name, digest}, arm, camera, config, segment {model, weights}, calibration (digest
+or null), session (its path; not compared), rig (the further views of a stereo session), frames {frame: {part: size and
+time of a file, or digest}}
 """
 
 from __future__ import annotations
@@ -17,19 +18,18 @@ from dvrk_cmaes.camera import Camera, Rig
 from dvrk_cmaes.config import TrustConfig, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.io.atomic import json_text, write_json
+from dvrk_cmaes.io.atomic import json_text
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import listed, natural
 from dvrk_cmaes.io.typed_document import PositiveNumber, convert_document
 from dvrk_cmaes.results.folder import MANIFEST
-from dvrk_cmaes.runs.digests import digest_of, frame_digests, instrument_digest
+from dvrk_cmaes.runs.inputs import digest_of, frame_stamps, instrument_digest
 from dvrk_cmaes.runs.worker import BatchSetup
 
 Manifest = dict[str, Any]
 FrameParts = Mapping[str, Mapping[str, str]]
-"""Digests of the parts of each frame."""
+"""Stamps of the parts of each frame, as of `frame_stamps`."""
 
-_SCHEMA: Final = 1
 _NOT_COMPARED: Final = ("session", "frames")
 _OF_FILES: Final = ("mask", "image", "video")
 _MOST_SHOWN: Final = 5
@@ -59,10 +59,9 @@ class _ManifestFields(Struct):
 
 
 def manifest_of(setup: BatchSetup, frames: FrameParts) -> Manifest:
-    """Return the manifest of a batch; ``frames`` are the digests of each frame's parts."""
+    """Return the manifest of a batch; ``frames`` are the stamps of each frame's parts."""
     backgrounds = {view: digest_of(background) for view, background in sorted(setup.segment.backgrounds.items())}
     return {
-        "schema": _SCHEMA,
         "version": __version__,
         "instrument": {"name": setup.instrument.name, "digest": instrument_digest(setup.instrument)},
         "arm": setup.arm,
@@ -101,16 +100,15 @@ def read_manifest(out: Path) -> Manifest | None:
     if not path.exists():
         return None
     manifest = read_json_object(path, expected="what a batch was run with (run.json)")
+    for name in ("command", "files"):
+        manifest.pop(name, None)
+    if not manifest:
+        return None
     try:
         convert_document(str(path), manifest, _ManifestFields)
     except InputError as error:
         raise InputError(f"{error}: {_ADVICE}") from None
     return manifest
-
-
-def write_manifest(out: Path, manifest: Manifest) -> None:
-    """Write a folder's manifest."""
-    write_json(out / MANIFEST, manifest)
 
 
 def check_same_settings(out: Path, old: Manifest, new: Manifest) -> None:
@@ -149,7 +147,7 @@ def check_same_session(out: Path, session: Session) -> None:
         return
     for files in session.frames:
         before = old["frames"].get(files.name, {})
-        if any(before.get(part) == digest for part, digest in frame_digests(files).items() if part in _OF_FILES):
+        if any(before.get(part) == digest for part, digest in frame_stamps(files).items() if part in _OF_FILES):
             return
     raise InputError(f"{out}: it has the results of another session ({old['session']}); choose another --out")
 
@@ -166,7 +164,7 @@ def check_same_frames(
     old
         The folder's manifest.
     new
-        Digests of the frames to be computed.
+        Stamps of the frames to be computed.
     done
         Frames whose results exist and are not computed again.
     session
@@ -191,7 +189,7 @@ def check_same_frames(
 
 
 def with_frames(manifest: Manifest, more: FrameParts) -> Manifest:
-    """Add frames to a manifest; digests in ``more`` replace older ones."""
+    """Add frames to a manifest; stamps in ``more`` replace older ones."""
     return {**manifest, "frames": _sorted({**manifest["frames"], **more})}
 
 

@@ -15,7 +15,7 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.output import remove, write_bytes
 from dvrk_cmaes.io.short_text import natural, shown
 from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.results.folder import MANIFEST, SESSION, SUMMARY
+from dvrk_cmaes.results.folder import SESSION, SUMMARY
 from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.worker import FrameOutcome
@@ -23,7 +23,7 @@ from dvrk_cmaes.runs.worker import FrameOutcome
 COMMAND: Final = "batch"
 POSES: Final = "poses.csv"
 PAGE: Final = "report.html"
-TABLES: Final = (MANIFEST, POSES, SUMMARY, PAGE)
+TABLES: Final = (POSES, SUMMARY, PAGE)
 """Files of all frames together."""
 
 

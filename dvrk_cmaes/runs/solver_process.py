@@ -15,7 +15,7 @@ from typing import TypeVar
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.digests import instrument_digest
+from dvrk_cmaes.runs.inputs import instrument_digest
 from dvrk_cmaes.runs.live_session import give_back_memory
 from dvrk_cmaes.runs.processes import WorkerConnection
 from dvrk_cmaes.runs.worker_process import ProcessDiedError

@@ -22,22 +22,20 @@ from dvrk_cmaes.calibration.together import Solving, solved_alone
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json, write_text
-from dvrk_cmaes.io.handles import not_written
-from dvrk_cmaes.io.output import appended, base, output, remove
+from dvrk_cmaes.io.output import appended, not_written, output, remove
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.report.track_page import PAGE
-from dvrk_cmaes.results.folder import MANIFEST, SESSION
+from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.runs.digests import frame_digests
+from dvrk_cmaes.runs.inputs import frame_stamps
 from dvrk_cmaes.runs.manifest import (
     Manifest,
     check_same_frames,
     check_same_settings,
     manifest_of,
     read_manifest,
-    write_manifest,
 )
 from dvrk_cmaes.runs.processes import usable_cores
 from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES, KEYFRAMES_BY_IMAGES
@@ -134,8 +132,8 @@ def tracking_folder(
     for text in remarks:
         notice(f"warning: {text}")
     check_writable(out)
-    with base(out), output(out, "track", replaces=not resume) as own:
-        own.refuse((MANIFEST, TRACKS, TABLE, VIDEO, PAGE, SESSION))
+    with output(out, "track", replaces=not resume) as own:
+        own.refuse((TRACKS, TABLE, VIDEO, PAGE, SESSION))
         run = TrackRun(session, out, body, settings, frames, clock, stop, progress, notice, arm, places)
         manifest = _manifest(run)
         old = read_manifest(out)
@@ -150,7 +148,7 @@ def tracking_folder(
         followed = _finished(run) if kept else None
         for name in (SESSION, TABLE):
             remove(out / name)
-        write_manifest(out, manifest)
+        own.describe(manifest)
         if followed is None:
             followed = yield from _by_keyframes(run)
         if followed is None:
@@ -267,7 +265,7 @@ def _manifest(run: TrackRun) -> Manifest:
         "evidence": settings.evidence,
         "hints": None if settings.hints is None else settings.hints.to_dict(),
     }
-    digests = {files.name: frame_digests(files) for files in run.frames}
+    digests = {files.name: frame_stamps(files) for files in run.frames}
     return manifest_of(BatchSetup(*own, calibration=settings.calibration), digests) | {"track": followed}
 
 

@@ -17,7 +17,7 @@ from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.runs.digests import instrument_digest
+from dvrk_cmaes.runs.inputs import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.processes import usable_cores
 from dvrk_cmaes.runs.recorded import RecordedSolution, follow_window

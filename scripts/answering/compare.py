@@ -20,7 +20,7 @@ Float64 = NDArray[np.float64]
 FOLDER: Final = "FOLDER"
 """What stands for the case's folder in texts."""
 
-_UNREAD: Final = ("checkpoint.json", ".written.json")  # the state of an unfinished run; digests of the other files
+_UNREAD: Final = ("checkpoint.json", "run.json", ".written.json")  # an unfinished run; inputs and digests of files
 _LEFT_OUT: Final = frozenset({"seconds", "timing", "version", "created", "calibration"})
 """Fields with times of computation, versions, dates, or the digest of a calibration that has such fields."""
 

@@ -8,7 +8,6 @@ seen by the contents of the files.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import shutil
 import sys
@@ -57,8 +56,8 @@ def _made_by(*command: str) -> Callable[[Path, Runner], None]:
 def _calibration(out: Path, run: Runner) -> None:
     shutil.copytree("results", out, dirs_exist_ok=True)
     shutil.copy("session.json", out / "session.json")
-    document = json.loads((out / "run.json").read_text())
-    (out / "run.json").write_text(json.dumps(document | {"solved": "together"}))
+    listed = out / "run.json"
+    listed.write_text(listed.read_text().replace('"command": "batch"', '"command": "calibrate"'))
 
 
 def _copy_of(name: str) -> Callable[[Path, Runner], None]:
@@ -162,15 +161,15 @@ def _attempt(report: Report, name: str, kind: str, run: Runner) -> None:
 
 
 def _contents() -> dict[str, bytes]:
-    """Return the files below the working folder by path, without those of locks."""
-    return {str(path): path.read_bytes() for path in Path().rglob("*") if path.is_file() and path.name != ".lock"}
+    """Return the files below the working folder by path."""
+    return {str(path): path.read_bytes() for path in Path().rglob("*") if path.is_file()}
 
 
 def _is_foreign(path: Path, here: Path) -> bool:
     """Return whether a path is in the folder of the material, but neither OUT nor a temporary folder beside it."""
     if not path.is_relative_to(here) or path == here:
         return False
-    return not path.relative_to(here).parts[0].startswith((_OUT, "."))
+    return not path.relative_to(here).parts[0].startswith((_OUT, ".", "run.json"))
 
 
 _noted: list[set[str]] = []
@@ -195,7 +194,7 @@ def _note(event: str, arguments: tuple[Any, ...]) -> None:
         return
     paths: tuple[tuple[Any, Any], ...] = ()  # each with the handle of the folder that it is relative to, -1 for none
     if event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_TRUNC):
-        paths = ((arguments[0], -1),)  # the handle is not told: what is opened by one has a temporary name
+        paths = ((arguments[0], -1),)  # the handle is not told: these are run.json, or have temporary names
     elif event in ("os.remove", "os.rmdir", "os.mkdir", "shutil.rmtree"):
         paths = ((arguments[0], arguments[-1]),)
     elif event == "os.truncate":

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from dvrk_cmaes.io.output import JOURNAL, RECORD
+from dvrk_cmaes.io.output import HELD, RUN
 from fuzzing.runs import DONE, SHOWN, Report, damaged_files, fresh_copy, written
 
 _QUICK: Final = ("--config", "quick.toml")
@@ -108,14 +108,14 @@ def _at_once(place: Path, pair: Pair, wanted: dict[str, Any], wait: float) -> tu
 def list_faults(made: Path) -> list[str]:
     """Return what is wrong with the lists of a folder and those in it: files not as a list says, or in none."""
     listed: dict[str, str] = {}
-    for record in made.rglob(RECORD):
+    for record in made.rglob(RUN):
         own = json.loads(record.read_text(encoding="utf-8"))["files"]
         listed |= {(record.parent / name).relative_to(made).as_posix(): digest for name, digest in own.items()}
-    files = [path for path in made.rglob("*") if path.is_file() and not path.name.startswith(".")]
+    files = [path for path in made.rglob("*") if path.is_file() and not path.name.startswith(".") and path.name != RUN]
     there = {path.relative_to(made).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
     off = sorted(name for name in {*listed, *there} if listed.get(name) != there.get(name))
     found = [f"not as the list says: {', '.join(off)[:SHOWN]}"] if off else []
-    return found + [f"{path.relative_to(made)} is left" for path in made.rglob(JOURNAL)]
+    return found + [f"{path.relative_to(made)} is left" for path in made.rglob(HELD)]
 
 
 def _left(place: Path) -> list[str]:

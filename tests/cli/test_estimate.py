@@ -108,9 +108,9 @@ def test_good_frame_writes_result_and_overlay(run: Run, tmp_path: Path) -> None:
     overlay = cv2.imread(str(tmp_path / "out/overlays/0000.jpg"))
     assert overlay.shape[1] == 1280
     assert sorted(p.name for p in (tmp_path / "out").rglob("*") if p.is_file()) == [
-        ".written.json",
         "0000.jpg",
         "0000.json",
+        "run.json",
     ]
 
 

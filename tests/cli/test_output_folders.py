@@ -15,8 +15,8 @@ from helpers.commands import run_command
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.io.output import check_output_folder, output
-from dvrk_cmaes.runs.digests import frame_digests
+from dvrk_cmaes.io.output import output, write_bytes
+from dvrk_cmaes.runs.inputs import frame_stamps
 from dvrk_cmaes.runs.manifest import check_same_session
 
 DEMO = bundled_path() / "demo"
@@ -31,11 +31,11 @@ def written(folder: Path, **texts: str) -> None:
         path.write_text(text, encoding="utf-8")
 
 
-def by_command(command: str, folder: Path, **texts: str) -> None:
+def by_command(command: str, folder: Path, *names: str) -> None:
     """Write files as a command does."""
-    with output(folder, command) as own:
-        written(folder, **texts)
-        own.note_all()
+    with output(folder, command):
+        for name in names:
+            write_bytes(folder / name, b"{}")
 
 
 def as_session(folder: Path) -> None:
@@ -46,9 +46,9 @@ KINDS: dict[str, Callable[[Path], None]] = {
     "session": as_session,
     "images": lambda folder: written(folder, a_png="mine"),
     "masks": lambda folder: written(folder, masks__0000_png="mine"),
-    "batch": lambda folder: by_command("batch", folder, run_json="{}", frames__0000_json="{}"),
-    "calibrate": lambda folder: by_command("calibrate", folder, run_json='{"solved": "together"}', session_json="{}"),
-    "track": lambda folder: by_command("track", folder, run_json="{}", tracks_jsonl="{}"),
+    "batch": lambda folder: by_command("batch", folder, "frames/0000.json"),
+    "calibrate": lambda folder: by_command("calibrate", folder, "session.json"),
+    "track": lambda folder: by_command("track", folder, "tracks.jsonl"),
     "notes": lambda folder: written(folder, notes_json="mine"),
 }
 
@@ -102,15 +102,21 @@ def test_session_is_no_output_folder_of_its_own(
     assert content(session) == before
 
 
+def opened(path: Path, command: str, *, whole: bool = False) -> None:
+    """Open a folder in which a command replaces its files."""
+    with output(path, command, whole=whole, replaces=True):
+        pass
+
+
 def test_other_files_beside_results_stay_unless_the_folder_is_replaced(tmp_path: Path) -> None:
     KINDS["batch"](tmp_path / "batch")
     KINDS["notes"](tmp_path / "batch")
-    check_output_folder(tmp_path / "batch", "batch", replaces=True)
+    opened(tmp_path / "batch", "batch")
     KINDS["calibrate"](tmp_path / "calibrated")
-    check_output_folder(tmp_path / "calibrated", "calibrate", whole=True, replaces=True)
+    opened(tmp_path / "calibrated", "calibrate", whole=True)
     KINDS["notes"](tmp_path / "calibrated")
     with pytest.raises(InputError, match=r"notes\.json was not written by `calibrate`"):
-        check_output_folder(tmp_path / "calibrated", "calibrate", whole=True, replaces=True)
+        opened(tmp_path / "calibrated", "calibrate", whole=True)
 
 
 @pytest.mark.parametrize("way", ["session", "session/images/..", "link"])
@@ -123,8 +129,8 @@ def test_mask_of_a_session_is_not_replaced_by_that_of_an_estimate(
     options = ("--camera", session / "camera.yaml", "--joints", session / "joints.csv")
     ran = run_command(capsys, "estimate", "--image", image, *options, "--out", tmp_path / way)
     assert ran.refusal == (
-        f"{tmp_path / way}: masks/0000.png was not written by `estimate`, or changed since; choose another --out, "
-        "or move it"
+        f"{tmp_path / way}: expected a new or empty folder, or one of an earlier estimate, got one with README.md; "
+        "nothing was changed"
     )
     assert content(session) == before
 
@@ -148,7 +154,7 @@ def run_of(session: Path, frames: dict[str, Any]) -> str:
 
 def test_calibration_of_another_session_is_told_from_one_that_was_moved(session: Path, tmp_path: Path) -> None:
     read, out = read_session(session), tmp_path / "out"
-    digests = {files.name: frame_digests(files) for files in read.frames}
+    digests = {files.name: frame_stamps(files) for files in read.frames}
     other = {name: dict.fromkeys(parts, "other") for name, parts in digests.items()}
     written(out, run_json=run_of(session, other))
     check_same_session(out, read)

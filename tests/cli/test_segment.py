@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import shutil
 from importlib import import_module
@@ -20,8 +21,6 @@ from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.io.folder_lock import locked
-from dvrk_cmaes.io.handles import Folder
 from dvrk_cmaes.segment import Segmentation
 
 cli_segment = import_module("dvrk_cmaes.cli.segment")
@@ -124,7 +123,7 @@ def test_interrupted_run_leaves_the_earlier_masks(
 ) -> None:
     out = tmp_path / "found"
     assert run_command(capsys, "segment", folder, "--out", out).code in (0, 3)
-    before = {path: path.read_bytes() for path in out.rglob("*.*") if path.name != ".lock"}
+    before = {path: path.read_bytes() for path in out.rglob("*.*")}
     done = []
     segment_one = cli_segment.segment_file
 
@@ -137,7 +136,7 @@ def test_interrupted_run_leaves_the_earlier_masks(
     monkeypatch.setattr(cli_segment, "segment_file", interrupted)
     run_command(capsys, "segment", folder, "--out", out, "--point", "30,110")
     assert done == ["0001"]
-    assert {path: path.read_bytes() for path in out.rglob("*.*") if path.name != ".lock"} == before
+    assert {path: path.read_bytes() for path in out.rglob("*.*")} == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["found", "session"]
 
 
@@ -149,7 +148,7 @@ def test_images_that_are_segmented_one_by_one_share_a_folder(
         ran = run_command(capsys, "segment", folder / "images" / f"{name}.png", "--out", out, "--json")
         assert Path(ran.result["frames"][name]["mask"]) == out / "masks" / f"{name}.png"
     assert sorted(path.name for path in (out / "masks").iterdir()) == ["0001.png", "0002.png"]
-    written = json.loads((out / ".written.json").read_text())["files"]
+    written = json.loads((out / "run.json").read_text())["files"]
     assert {name for name in written if name.startswith("masks/")} == {"masks/0001.png", "masks/0002.png"}
 
 
@@ -169,11 +168,12 @@ def test_folder_that_another_run_writes_to_is_left_to_it(
     capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "found").mkdir()
-    with Folder(tmp_path / "found") as found, locked(found):
+    with (tmp_path / "found" / "run.json").open("wb") as run:
+        fcntl.flock(run, fcntl.LOCK_EX)
         ran = run_command(capsys, "segment", folder, "--out", tmp_path / "found")
     assert ran.code == 1
     assert "is writing there" in ran.err
-    assert not list((tmp_path / "found").iterdir())
+    assert [path.name for path in (tmp_path / "found").iterdir()] == ["run.json"]
 
 
 def test_guess_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

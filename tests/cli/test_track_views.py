@@ -162,7 +162,7 @@ def test_one_arm_can_be_chosen(two_arms: Path, tmp_path: Path, quick: Path, caps
     options = ("--config", quick, "--only", "PSM2", "--lag", "0", "--every", "3", "--no-video", "--no-page")
     ran = run_command(capsys, "track", two_arms, "--out", tmp_path, *options)
     assert ran.code in (0, 3)
-    assert [path.name for path in tmp_path.iterdir()] == ["PSM2"]
+    assert [path.name for path in tmp_path.iterdir()] == ["PSM2", "run.json"]
     assert len(read_tracks(tmp_path / "PSM2" / "tracks.jsonl")) == 2
 
 

@@ -10,7 +10,7 @@ from helpers.places import bundled_path
 
 from dvrk_cmaes import InputError, read_session
 from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
-from dvrk_cmaes.runs.digests import frame_digests
+from dvrk_cmaes.runs.inputs import frame_stamps
 
 
 def written(folder: Path, text: str) -> Path:
@@ -54,7 +54,7 @@ def test_prompts_are_those_of_frames_without_mask(tmp_path: Path) -> None:
         (session_folder / "masks" / f"{name}.png").unlink()
     written(session_folder, "frame,x0,y0,x1,y1\n0001,300,100,600,450\n")
     session = read_session(session_folder)
-    before = {files.name: frame_digests(files) for files in session.frames}
+    before = {files.name: frame_stamps(files) for files in session.frames}
     other = FramePrompts(None, ((1.0, 2.0),))
     prompts = {files.name: files.prompts for files in session.with_prompts(other).frames}
     assert prompts == {
@@ -64,5 +64,5 @@ def test_prompts_are_those_of_frames_without_mask(tmp_path: Path) -> None:
         "0003": None,
         "0004": None,
     }
-    after = {files.name: frame_digests(files) for files in session.with_prompts(other).frames}
+    after = {files.name: frame_stamps(files) for files in session.with_prompts(other).frames}
     assert [name for name in before if before[name] != after[name]] == ["0002"]

@@ -52,7 +52,7 @@ def make_session(folder: Path, names: list[str]) -> Path:
 
 
 def comparable(out: Path) -> dict[str, str]:
-    """Give the texts of all files of results by name, without times, and without the list of them."""
+    """Give the texts of all files of results by name, without times, and without their digests."""
     files = sorted(path for path in out.rglob("*") if path.is_file() and not path.name.startswith("."))
     return {str(path.relative_to(out)): _without_times(path) for path in files}
 
@@ -63,6 +63,8 @@ def _without_times(path: Path) -> str:
         return re.sub(r'"timing": \{.*?\n \},', "", text, flags=re.DOTALL)
     if path.name == "report.html":
         return "a page"  # it states times
+    if path.name == "run.json":
+        return text.partition('"frames": {')[0]  # without times of files, and digests of files with times
     if path.suffix == ".json":
         return re.sub(r'"seconds": [0-9.]+,', "", text)
     if path.suffix == ".csv":

@@ -14,7 +14,7 @@ import pytest
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.frames.images import read_image, read_mask
-from dvrk_cmaes.io import handles
+from dvrk_cmaes.io import output
 from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.output import write_bytes, written_beside
 
@@ -97,7 +97,7 @@ def test_full_disk_leaves_old_file_only(tmp_path: Path, monkeypatch: pytest.Monk
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(handles.os, "replace", full)
+    monkeypatch.setattr(output.os, "replace", full)
     with pytest.raises(DvrkCmaesError, match=r"a: not written \(No space left on device\)") as caught:
         write_bytes(tmp_path / "a", b"new")
     assert caught.value.exit_code == 1
@@ -109,7 +109,7 @@ def test_interruption_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(handles.os, "replace", interrupted)
+    monkeypatch.setattr(output.os, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):
         write_bytes(tmp_path / "a", b"new")
     assert names(tmp_path) == []

@@ -1,4 +1,4 @@
-"""The folder that a command writes to: its list, its lock, links in it, and files of the user."""
+"""The folder that a command writes to: its run.json, its lock, links in it, and files of the user."""
 
 from __future__ import annotations
 
@@ -8,22 +8,29 @@ import json
 import multiprocessing
 import os
 import shutil
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.io import handles
+from dvrk_cmaes.io import output as output_module
 from dvrk_cmaes.io.atomic import write_text
-from dvrk_cmaes.io.output import LONG, Output, appended, base, check_output_folder, output, remove, written_beside
+from dvrk_cmaes.io.output import LONG, Output, appended, check_files, output, remove, written_beside
 
 FILES = ("frames/a.json", "summary.json")
 
 
-def write(out: Path, text: str = "x", *, replaces: bool = False, names: tuple[str, ...] = FILES) -> None:
-    with output(out, "batch", replaces=replaces) as own:
+def write(
+    out: Path,
+    text: str = "x",
+    *,
+    replaces: bool = False,
+    names: tuple[str, ...] = FILES,
+    below: Path | None = None,
+) -> None:
+    with output(out, "batch", replaces=replaces, below=below) as own:
         if replaces:
             own.clear()
         for name in names:
@@ -31,28 +38,20 @@ def write(out: Path, text: str = "x", *, replaces: bool = False, names: tuple[st
 
 
 def listed(out: Path) -> set[str]:
-    return set(json.loads((out / ".written.json").read_text())["files"])
+    return set(json.loads((out / "run.json").read_text())["files"])
 
 
-@pytest.fixture(params=[True, False], ids=["by handle", "by path"])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reach files by handles, or by paths as on Windows."""
-    monkeypatch.setattr(handles, "BY_HANDLE", request.param)
-
-
-@pytest.mark.usefixtures("way")
 def test_files_are_listed_and_replaced(tmp_path: Path) -> None:
     out = tmp_path / "a" / "out"
     write(out)
     assert listed(out) == set(FILES)
     write(out, "y", replaces=True, names=("frames/b.json",))
     assert listed(out) == {"frames/b.json"}
-    assert sorted(path.name for path in out.iterdir()) == [".written.json", "frames"]
+    assert sorted(path.name for path in out.iterdir()) == ["frames", "run.json"]
     assert not (out / "frames" / "a.json").exists()
 
 
-@pytest.mark.usefixtures("way")
-@pytest.mark.parametrize("place", ["", "frames", "frames/a.json", "summary.json", ".written.json", ".lock", "new"])
+@pytest.mark.parametrize("place", ["", "frames", "frames/a.json", "summary.json", "run.json", "new"])
 @pytest.mark.parametrize("target", ["folder", "file", "nothing", "loop"])
 @pytest.mark.parametrize("earlier", [True, False])
 def test_nothing_is_written_or_removed_through_a_link(tmp_path: Path, place: str, target: str, earlier: bool) -> None:
@@ -63,8 +62,7 @@ def test_nothing_is_written_or_removed_through_a_link(tmp_path: Path, place: str
         path.write_text(text)
     session.mkdir()
     if earlier:
-        with base(session, strict=True):
-            write(out)
+        write(out, below=session)
         if (out / place).is_dir():
             (out / place).rename(tmp_path / "apart")
         else:
@@ -73,8 +71,10 @@ def test_nothing_is_written_or_removed_through_a_link(tmp_path: Path, place: str
     link.parent.mkdir(parents=True, exist_ok=True)
     os.symlink({"folder": home, "file": home / "file", "nothing": home / "new", "loop": link}[target], link)
     for replaces in (False, True):
-        with pytest.raises(InputError, match="got a link; nothing is written"), base(session, strict=True):
-            write(out, replaces=replaces)
+        with pytest.raises(
+            InputError, match="got a link" if earlier or not place else "got a link|new or empty folder"
+        ):
+            write(out, replaces=replaces, below=session)
     assert {path: path.read_text() for path in home.iterdir()} == home_files
     assert os.path.islink(link)
 
@@ -82,8 +82,7 @@ def test_nothing_is_written_or_removed_through_a_link(tmp_path: Path, place: str
 def test_output_folder_may_be_a_link_that_was_typed(tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     os.symlink(tmp_path / "disk", tmp_path / "out")
-    with base(tmp_path / "out"):
-        write(tmp_path / "out")
+    write(tmp_path / "out")
     assert listed(tmp_path / "disk") == set(FILES)
 
 
@@ -94,8 +93,6 @@ def test_files_of_the_user_stay(tmp_path: Path) -> None:
         path.write_text("mine")
     write(tmp_path / "out", "y", replaces=True)
     assert {path.read_text() for path in mine} == {"mine"}
-    with pytest.raises(InputError, match="was not written by `batch`"), base(tmp_path, strict=True):
-        write(tmp_path / "out")
 
 
 USERS: dict[str, Callable[[Path], None]] = {
@@ -145,18 +142,18 @@ def test_list_is_whole_after_a_process_was_killed(tmp_path: Path) -> None:
 def test_folder_of_another_command_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "out")
     with pytest.raises(InputError, match="it has what `batch` wrote"):
-        check_output_folder(tmp_path / "out", "track")
+        check_files(tmp_path / "out", "track", [])
 
 
 def test_refused_run_leaves_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError), base(tmp_path / "a"), output(tmp_path / "a" / "b", "batch"):
+    with pytest.raises(InputError), output(tmp_path / "a" / "b", "batch"):
         raise InputError("refused")
     assert not (tmp_path / "a").exists()
 
 
 def _one(arguments: tuple[Path, int]) -> None:
     out, number = arguments
-    with output(out, "estimate", owns=False, wait=LONG):
+    with output(out, "estimate", wait=LONG):
         write_text(out / "frames" / f"{number}.json", f"{number}")
 
 
@@ -167,7 +164,7 @@ def test_commands_that_write_at_once_are_all_listed(tmp_path: Path) -> None:
     assert listed(tmp_path / "out") == names
     assert {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.json")} == {
         *names,
-        ".written.json",
+        "run.json",
     }
     assert not list((tmp_path / "out").glob(".lock*"))
 
@@ -177,7 +174,7 @@ def _checked(path: Path) -> int:
     checks = 0
     while not (path / "done").exists():
         for number in range(5):
-            check_output_folder(path / f"{number}", "estimate", names=["frames/a.json"], owns=False)
+            check_files(path / f"{number}", "estimate", ["frames/a.json"])
         checks += 1
     return checks
 
@@ -187,29 +184,16 @@ def test_check_of_a_folder_that_another_command_writes_to_never_fails(tmp_path: 
         checked = others.map_async(_checked, [tmp_path])
         for number in range(40):
             out = tmp_path / f"{number // 8}"
-            with output(out, "estimate", owns=False, wait=LONG):
+            with output(out, "estimate", wait=LONG):
                 write_text(out / "frames/a.json", f"{number}")
         (tmp_path / "done").touch()
         assert all(checked.get())
 
 
-def test_folder_that_another_thread_closes_stays_open(tmp_path: Path) -> None:
+def test_folder_that_is_replaced_by_a_link_meanwhile_is_written_to_by_its_handle(tmp_path: Path) -> None:
     folder, elsewhere = tmp_path / "results", tmp_path / "elsewhere"
     elsewhere.mkdir()
-    opened, leave = threading.Event(), threading.Event()
-
-    def other() -> None:
-        with base(folder):
-            write_text(folder / "a.txt", "a")
-            opened.set()
-            leave.wait(30)
-
-    thread = threading.Thread(target=other)
-    thread.start()
-    assert opened.wait(30)
-    with output(folder, "batch", owns=False):
-        leave.set()
-        thread.join()
+    with output(folder, "batch"):
         folder.rename(tmp_path / "moved")
         folder.symlink_to(elsewhere)
         write_text(folder / "b.txt", "b")
@@ -217,11 +201,29 @@ def test_folder_that_another_thread_closes_stays_open(tmp_path: Path) -> None:
     assert not any(elsewhere.iterdir())
 
 
-def test_folder_whose_first_list_was_not_written_is_that_of_any_command(tmp_path: Path) -> None:
-    with output(tmp_path / "out", "estimate", owns=False, wait=LONG) as own:
+def test_second_command_is_refused_until_the_first_one_ends(tmp_path: Path) -> None:
+    with (
+        output(tmp_path / "results", "batch"),
+        pytest.raises(DvrkCmaesError, match="another command is writing there"),
+        ThreadPoolExecutor(1) as other,
+    ):
+        other.submit(write, tmp_path / "results").result()
+    write(tmp_path / "results")
+
+
+def test_folder_whose_files_were_not_written_yet_is_that_of_the_command(tmp_path: Path) -> None:
+    with output(tmp_path / "out", "estimate") as own:
         write_text(tmp_path / "out" / "a.json", "x")
         shutil.copytree(own.path, tmp_path / "killed")  # as a process leaves it that is killed here
-    check_output_folder(tmp_path / "killed", "estimate", names=["a.json"], owns=False)
+    check_files(tmp_path / "killed", "estimate", ["a.json"])
+
+
+def test_note_that_a_full_disk_or_a_power_cut_cuts_off_is_left_out(tmp_path: Path) -> None:
+    write(tmp_path / "out")
+    run = tmp_path / "out" / "run.json"
+    run.write_bytes(run.read_bytes().removesuffix(b"\n }\n}\n") + b',\n  "frames/b.js')
+    write(tmp_path / "out", "y", replaces=True)
+    assert listed(tmp_path / "out") == set(FILES)
 
 
 @pytest.fixture
@@ -233,28 +235,26 @@ def no_flock(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_flock")
-def test_file_stands_for_the_lock_where_the_file_system_has_none(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_file_stands_for_the_lock_where_the_file_system_has_none(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with output(out, "batch"):
-        assert (out / ".lock.held").exists()
-        with pytest.raises(DvrkCmaesError, match=r"another command is writing there; wait .*\.lock\.held"):
-            write(out)
+        assert (out / ".lock").exists()
+        with (
+            pytest.raises(DvrkCmaesError, match=r"another command is writing there; wait .*, or remove .*\.lock if"),
+            ThreadPoolExecutor(1) as other,
+        ):
+            other.submit(write, out).result()
         write_text(out / "a", "a")
-    assert "the file system has no locks" in capsys.readouterr().err
-    assert not list(out.glob(".lock.held"))
-    words = f"{os.uname().nodename} {2**22 + 1}"  # no process has this number
-    (out / ".lock.held").write_text(words)
+    assert not (out / ".lock").exists()
     write(out)
-    (out / ".lock.held").write_text("another-machine 17")
+    (out / ".lock").write_text("")  # as of a process that was killed
     with pytest.raises(DvrkCmaesError, match="another command is writing"):
         write(out)
 
 
 def test_functions_that_write_are_those_of_one_module() -> None:
-    package = Path(handles.__file__).parents[1]
-    own = {"io/handles.py", "io/output.py", "io/folder_lock.py"}
+    package = Path(output_module.__file__).parents[1]
+    own = {"io/output.py"}
     writes = (
         ".unlink(",
         ".write_text(",
@@ -272,5 +272,5 @@ def test_functions_that_write_are_those_of_one_module() -> None:
         for word in writes
         if word in path.read_text(encoding="utf-8")
     }
-    assert found == {"report/page_template.py: .mkdir("}  # the cache of templates
+    assert found == set()
     assert Output.__module__ == "dvrk_cmaes.io.output"

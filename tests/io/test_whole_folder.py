@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.io import handles
+from dvrk_cmaes.io import output as output_module
 from dvrk_cmaes.io.atomic import write_text
-from dvrk_cmaes.io.output import output, whole_folder
+from dvrk_cmaes.io.output import edited, output, whole_folder
 
 
 def write(out: Path, text: str, *, command: str = "synth", kept: tuple[str, ...] = ()) -> None:
@@ -50,16 +51,16 @@ CHANGES: dict[str, tuple[Callable[[Path], object], str]] = {
         "all: expected a place to write, got",
     ),
     "without a list": (
-        lambda out: (out / ".written.json").unlink(),
+        lambda out: (out / "run.json").unlink(),
         "one of an earlier synth, got one with came",
     ),
     "damaged list": (
-        lambda out: (out / ".written.json").write_text("[]"),
-        "written.json: expected what an earlier",
+        lambda out: (out / "run.json").write_text("[]"),
+        "run.json: expected what an earlier",
     ),
     "list of another folder": (
-        lambda out: (out / ".written.json").write_text('{"command": "synth", "files": {"../x": ""}}'),
-        r"written.json: files: expected paths in the folder, got '\.\./x'",
+        lambda out: (out / "run.json").write_text('{"command": "synth", "files": {"../x": ""}}'),
+        r"run.json: files: expected paths in the folder and their digests, got '\.\./x'",
     ),
 }
 
@@ -94,13 +95,13 @@ def test_file_that_is_added_while_the_new_folder_is_written_is_kept(out: Path) -
 
 
 def test_file_that_is_added_in_the_last_moment_is_kept(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    exchange = handles.Folder.exchange
+    exchange = output_module._exchange
 
-    def add_then_exchange(above: handles.Folder, first: str, second: str) -> bool:
+    def add_then_exchange(above: int, first: str, second: str) -> None:
         add_mask(out)
-        return exchange(above, first, second)
+        exchange(above, first, second)
 
-    monkeypatch.setattr(handles.Folder, "exchange", add_then_exchange)
+    monkeypatch.setattr(output_module, "_exchange", add_then_exchange)
     write(out, "second")
     assert (out / "masks" / "0.png").read_text() == "mine"
     assert (out / "camera.yaml").read_text() == "second"
@@ -110,7 +111,7 @@ def test_file_that_is_added_in_the_last_moment_is_kept(out: Path, monkeypatch: p
 @pytest.mark.parametrize("link", [True, False])
 def test_own_folder_is_replaced(out: Path, monkeypatch: pytest.MonkeyPatch, in_one_step: bool, link: bool) -> None:
     if not in_one_step:
-        monkeypatch.setattr(handles, "RENAME_EXCHANGE", -1)  # no such flag
+        monkeypatch.setattr(output_module, "_RENAME_EXCHANGE", -1)  # no such flag
     if link:
         os.symlink(out, out.parent / "link")
     write(out.parent / "link" if link else out, "second")
@@ -125,8 +126,9 @@ def test_what_is_kept_is_in_the_new_folder(out: Path) -> None:
     write(out, "second", kept=("alone",))
     assert (out / "alone" / "a.json").read_text() == "kept"
     assert (out / "camera.yaml").read_text() == "second"
-    with output(out / "alone", "batch") as alone:
-        assert not alone.is_changed("a.json")
+    assert not edited(out / "alone", ["a.json"])
+    (out / "alone" / "a.json").write_text("mine")
+    assert edited(out / "alone", ["a.json"]) == {"a.json"}
 
 
 def test_failure_leaves_the_earlier_folder(out: Path) -> None:
@@ -158,8 +160,8 @@ def test_folder_that_a_killed_run_left_is_removed_by_the_next_one(tmp_path: Path
 def test_folder_that_a_live_run_fills_is_left_to_it(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with whole_folder(out, "synth") as beside:
-        with pytest.raises(DvrkCmaesError, match="another command is writing there"), whole_folder(out, "synth"):
-            pass
+        with pytest.raises(DvrkCmaesError, match="another command is writing there"), ThreadPoolExecutor(1) as other:
+            other.submit(write, out, "second").result()
         write_text(beside / "camera.yaml", "first")
     assert (out / "camera.yaml").read_text() == "first"
     assert not list(out.glob(".lock*"))

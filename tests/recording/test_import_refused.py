@@ -325,7 +325,7 @@ def test_older_session_is_kept_on_failure(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("dvrk_cmaes.io.handles.os.replace", full)
+    monkeypatch.setattr("dvrk_cmaes.io.output.os.replace", full)
     assert refused(bag, "--overwrite", code=1) == (
         "session: not written (No space left on device); expected a place to write results"
     )

@@ -16,7 +16,7 @@ from dvrk_cmaes.calibration.document import read_calibration
 from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.frames.session_folder import read_session
 from dvrk_cmaes.results.track_files import read_tracks
-from dvrk_cmaes.runs import digests, solver_process
+from dvrk_cmaes.runs import inputs, solver_process
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.runs.worker_process import WorkerProcess
@@ -39,7 +39,7 @@ def solved_once() -> Iterator[None]:
     def answer(process: WorkerProcess, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
         if function not in (solver_process._estimate, solver_process._solve):
             return call(process, function, *arguments, **options)
-        key = digests.digest_of(arguments[1])
+        key = inputs.digest_of(arguments[1])
         if key not in known:
             known[key] = call(process, function, *arguments, **options)
         return known[key]

@@ -53,7 +53,7 @@ def true_moves(golden: Mapping[str, Any]) -> list[tuple[int, int]]:
 def without_ecm(folder: Path, out: Path) -> Path:
     """Copy a recording to a folder in ``out``, without the readings of the endoscope's arm; returns the copy."""
     copy = out / folder.name
-    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(".written.json"))
+    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("run.json"))
     for path in copy.glob("joints*.csv"):
         header, *rows = (line.split(",") for line in path.read_text(encoding="utf-8").splitlines())
         kept = [k for k, name in enumerate(header) if name not in ECM_JOINTS]

@@ -26,7 +26,7 @@ from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import change_between, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.runs.digests import instrument_digest
+from dvrk_cmaes.runs.inputs import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.recorded_keyframes import RecordedKeyframe, alone_task, read_shown
 from dvrk_cmaes.silhouette import Body

@@ -1,27 +1,24 @@
-"""Short digests of the inputs of results, by which changed inputs are detected."""
+"""Sizes and times of the files of frames, and digests of settings, by which changed inputs are detected."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.io.files import file_digest
 
 _FILES = ("mask", "image", "ignore")
 _LENGTH = 16
 """Hexadecimal digits of a digest; among a million digests, two are equal by chance with a probability of 3e-8."""
 
 UNREADABLE = "unreadable"
-"""Stands for the digest of a file that cannot be read."""
+"""Stands for the size and time of a file that cannot be read."""
 
 
 def instrument_digest(instrument: Instrument) -> str:
@@ -29,11 +26,14 @@ def instrument_digest(instrument: Instrument) -> str:
     return digest_of(instrument)
 
 
-def frame_digests(files: FrameFiles) -> dict[str, str]:
-    """Compute the digests of the parts of a frame, by name of the part; `UNREADABLE` for a file that cannot be read."""
-    digests = {name: _file_digest(path) for name in _FILES if (path := getattr(files, name)) is not None}
+def frame_stamps(files: FrameFiles) -> dict[str, str]:
+    """Return sizes and times of the files of a frame, and digests of its other parts, by name of the part.
+
+    Of a file that cannot be read it is `UNREADABLE`.
+    """
+    stamps = {name: _stamp(path) for name in _FILES if (path := getattr(files, name)) is not None}
     others_there = {
-        f"other tool {k}": _file_digest(tool.mask) + str(tool.label or "") for k, tool in enumerate(files.other_tools)
+        f"other tool {k}": f"{_stamp(tool.mask)} {tool.label or ''}" for k, tool in enumerate(files.other_tools)
     }
     rest: dict[str, Any] = {
         "readings": (dict(sorted(files.readings.items())), files.notes, files.problem),
@@ -44,30 +44,25 @@ def frame_digests(files: FrameFiles) -> dict[str, str]:
         rest["time"] = files.time
     if files.video is not None:
         film = files.video
-        rest["video"] = (_video_digest(film.video), film.number, film.window)
+        rest["video"] = (_stamp(film.video.path), film.number, film.window)
     if files.prompts is not None and files.mask is None:
         rest["prompts"] = files.prompts
     others = {
-        f"{view} {part}": digest
+        f"{view} {part}": stamp
         for view, other in files.others.items()
-        for part, digest in frame_digests(other).items()
+        for part, stamp in frame_stamps(other).items()
         if part in _FILES
     }
-    return digests | {name: digest_of(value) for name, value in rest.items()} | others | others_there
+    return stamps | {name: digest_of(value) for name, value in rest.items()} | others | others_there
 
 
-def _file_digest(path: Path) -> str:
-    """Compute the digest of a file's content."""
+def _stamp(path: Path) -> str:
+    """Return size, bytes, and time of change, ns, of a file."""
     try:
-        return file_digest(path)[:_LENGTH]
+        status = path.stat()
     except OSError:
         return UNREADABLE
-
-
-@lru_cache(maxsize=4)
-def _video_digest(video: Video) -> str:
-    """Compute the digest of a video's file, once for all of its frames."""
-    return _file_digest(video.path)
+    return f"{status.st_size} {status.st_mtime_ns}"
 
 
 def digest_of(value: Any) -> str:
