@@ -49,8 +49,14 @@ With --debug, any command shows where in the program an error was raised.
 _FUNCTIONS: Final = {"import": "import_recording:import_recording", "help": "help:help_topic"}
 """Module and function of the commands that are not named as these."""
 
+_COPY: Final = "copies of the files in the folder"
 _FRAMES: Final = "`--frames` patterns with an --out each, or --scheduler"
-_REMOVED: Final = {"--rehearse": "`dvrk-cmaes track --causal`", "--shard": _FRAMES, "--merge": _FRAMES}
+_REMOVED: Final = {
+    "--rehearse": "`dvrk-cmaes track --causal`",
+    "--shard": _FRAMES,
+    "--merge": _FRAMES,
+    "--follow-links": _COPY,
+}
 """Options that are no longer there, and what is used instead."""
 
 

@@ -26,7 +26,6 @@ from dvrk_cmaes.cli.options import (
     CameraOptions,
     DoubtfulSessionOption,
     Flag,
-    FollowLinksOption,
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
@@ -81,7 +80,6 @@ def batch(
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
     reading: ReadingOptions = DEFAULT_READING,
-    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -150,8 +148,6 @@ def batch(
         Use the session.json of --session even if it predicts frames badly that it has not seen.
     reading
         How files of readings are read.
-    follow_links
-        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -186,7 +182,7 @@ def batch(
 
     given = lag if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
     settings = replace(method.resolve(), threads=method.threads or 1)
-    tools = session_tools(session, instrument, only, follow_links=follow_links)
+    tools = session_tools(session, instrument, only)
     with output_folder(out, session, "results", "batch") as results:
         if len(tools) > 1 and calibration is not None and not calibration.is_dir():
             raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")

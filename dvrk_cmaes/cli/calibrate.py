@@ -22,7 +22,6 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     WORKERS,
     Flag,
-    FollowLinksOption,
     GuessedCameraOptions,
     InstrumentOptions,
     MethodOptions,
@@ -61,7 +60,6 @@ def calibrate(
     refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
     workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
     reading: ReadingOptions = DEFAULT_READING,
-    follow_links: FollowLinksOption = False,
     camera: GuessedCameraOptions = DEFAULT_GUESSED_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -116,8 +114,6 @@ def calibrate(
         Number of processes that work at a time; by default the number of cores. Few frames are done by one.
     reading
         How files of readings are read.
-    follow_links
-        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         Camera to use instead of the session's own. Without any, it is found as by --refine-camera.
     instrument
@@ -153,7 +149,7 @@ def calibrate(
         setup = read_setup_joints(session / SETUP)
         asked = _Asked(settings, workers, refine_camera, _lag(lag))
         arms: dict[str, ArmInSession] = {}
-        for name, tool in session_tools(session, instrument, only, follow_links=follow_links).items():
+        for name, tool in session_tools(session, instrument, only).items():
             arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), frames, every, keyframes)
             with output(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,)):
                 check_same_session(target / name, arms[name].session)

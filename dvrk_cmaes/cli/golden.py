@@ -17,7 +17,6 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     CameraOptions,
     Flag,
-    FollowLinksOption,
     InstrumentOptions,
     MethodOptions,
 )
@@ -92,7 +91,6 @@ def record(
     golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     allow_doubtful: Annotated[Flag, Parameter(group=OUTPUT)] = False,
-    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -120,8 +118,6 @@ def record(
         Replace the file if it exists.
     allow_doubtful
         Record the poses of doubtful frames as well.
-    follow_links
-        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         The camera.
     instrument
@@ -140,7 +136,7 @@ def record(
         raise InputError(f"{path}: expected no file yet, got one; --overwrite replaces it")
     check_writable(path.parent)
     config = method.resolve()
-    arm = single_tool(session, instrument, follow_links=follow_links).read(session, camera)
+    arm = single_tool(session, instrument).read(session, camera)
     frames, model = arm.session.frames, arm.body.instrument
     kept: dict[str, FrameTruth] = {}
     left_out: dict[str, str] = {}
@@ -168,7 +164,6 @@ def check(
     *,
     golden: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     tolerance: ToleranceOptions = DEFAULT_TOLERANCE,
-    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -192,8 +187,6 @@ def check(
         File of golden poses; golden.json in the session folder by default.
     tolerance
         Largest differences.
-    follow_links
-        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         The camera.
     instrument
@@ -209,7 +202,7 @@ def check(
     most, config = tolerance.resolve(), method.resolve()
     path = session / "golden.json" if golden is None else golden
     kept = read_golden(path)
-    arm = single_tool(session, instrument, follow_links=follow_links).read(session, camera)
+    arm = single_tool(session, instrument).read(session, camera)
     _check_names(path, kept.frames, arm.session)
     frames = [files for files in arm.session.frames if files.name in kept.frames]
     compare = partial(check_pose, instrument=arm.body.instrument, tolerance=most, modulo_twin=tolerance.modulo_twin)

@@ -17,7 +17,6 @@ from dvrk_cmaes.cli.options import (
     MOST_SKIPPED,
     OUTPUT,
     Flag,
-    FollowLinksOption,
     LayoutOption,
     check_range,
     joint_files,
@@ -129,7 +128,6 @@ def import_recording(
     side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None,
     arm: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
     episode: Annotated[int, Parameter(group=FOLDER)] = 0,
-    follow_links: FollowLinksOption = False,
     topics: TopicOptions = _DEFAULT_TOPICS,
     poses: PoseOptions = _DEFAULT_POSES,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -200,8 +198,6 @@ def import_recording(
         may be given several times: then session.toml names all of them, each with its own readings.
     episode
         Number of the episode of a LeRobot data set.
-    follow_links
-        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     topics
         The topics.
     poses
@@ -227,8 +223,7 @@ def import_recording(
     from dvrk_cmaes.recording.video import Pictures
     from dvrk_cmaes.recording.write_session import ImageSelection, write_session
 
-    for text in OwnFiles.check_folder(recording, follow_links):
-        warn(f"{recording}: {text}")
+    OwnFiles(recording).check_folder()
     table = _table(joints, poses, arm[0] if len(arm) == 1 else None)
     asked = Asked("left", arm[0] if arm else None, camera, table, video_start)
     shown_part = Pictures(layout, "left", interlaced, None if crop is None else parse_crop("--crop", crop))

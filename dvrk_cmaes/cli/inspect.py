@@ -14,7 +14,6 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     CameraOptions,
     Flag,
-    FollowLinksOption,
     ReadingOptions,
     split_packages,
 )
@@ -29,7 +28,6 @@ def inspect(
     files: Annotated[tuple[Path, ...], Parameter(negative=())],
     /,
     *,
-    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     reading: ReadingOptions = DEFAULT_READING,
     package_path: Annotated[tuple[str, ...], Parameter(group=INSTRUMENT, negative=(), show_default=False)] = (),
@@ -52,8 +50,6 @@ def inspect(
     ----------
     files
         Files or folders of any kind.
-    follow_links
-        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         How camera files are read; the camera of a folder of frames in the published layout.
     reading
@@ -68,7 +64,7 @@ def inspect(
 
     packages = split_packages(package_path)
     read_as = reading.read_as()
-    options = Options(camera.rectified, camera.side, packages, camera.camera, read_as, follow_links)
+    options = Options(camera.rectified, camera.side, packages, camera.camera, read_as)
     code = 0
     documents = []
     for number, file in enumerate(files):

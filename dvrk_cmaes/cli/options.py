@@ -43,7 +43,6 @@ LATEST = 1e11  # s, of times since any clock's start
 
 LayoutOption = Literal["mono", "side-by-side", "top-bottom", "squeezed-side-by-side", "squeezed-top-bottom"] | None
 Flag = Annotated[bool, Parameter(negative=())]
-FollowLinksOption = Annotated[bool, Parameter(name="--follow-links", negative=(), group=FOLDER)]
 SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)]
 DoubtfulSessionOption = Annotated[bool, Parameter(name="--doubtful-session", negative=(), group=METHOD)]
 

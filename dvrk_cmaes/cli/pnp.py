@@ -14,7 +14,6 @@ from dvrk_cmaes.cli.options import (
     FRAME,
     OUTPUT,
     CameraOptions,
-    FollowLinksOption,
     InstrumentOptions,
 )
 from dvrk_cmaes.cli.session_tools import single_tool
@@ -34,7 +33,6 @@ def pnp(
     points: Annotated[Literal["markers", "tips"], Parameter(group=FRAME)] = "markers",
     solver: Annotated[Literal["sqpnp", "ransac"], Parameter(group=FRAME)] = "sqpnp",
     markers: Annotated[Path | None, Parameter(group=FRAME)] = None,
-    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
 ) -> int:
@@ -65,8 +63,6 @@ def pnp(
     markers
         Positions of the markers on the links: JSON of link and position_m (metres) by name of the marker. By default a
         bundled table of the painted markers of the Large Needle Driver.
-    follow_links
-        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         The camera.
     instrument
@@ -76,7 +72,7 @@ def pnp(
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.paths import check_output, result_path
 
-    arm = single_tool(session, instrument, follow_links=follow_links).read(session, camera)
+    arm = single_tool(session, instrument).read(session, camera)
     for frame in arm.session.frames:
         check_output(out, frame.name)
     with output(out, "pnp") as own:

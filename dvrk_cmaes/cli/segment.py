@@ -17,7 +17,6 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     SEGMENT,
     Flag,
-    FollowLinksOption,
     PromptOptions,
     SegmentOptions,
     check_range,
@@ -74,7 +73,6 @@ def segment(
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
     instrument: Annotated[str, Parameter(group=SEGMENT)] = "lnd",
-    follow_links: FollowLinksOption = False,
     threads: Annotated[int, Parameter(group=OUTPUT)] = 2,
     out: Annotated[Path, Parameter(group=OUTPUT)] = Path("dvrk-cmaes-masks"),
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -111,8 +109,6 @@ def segment(
         Prompts; in a folder, the same for every image.
     instrument
         Name of a bundled instrument, or path of a URDF.
-    follow_links
-        Read what links in a folder lead to, also outside of it; such links are refused otherwise.
     threads
         Number of threads.
     out
@@ -134,7 +130,7 @@ def segment(
     prepare(instrument)  # before any image is read, and cached
     cv2.setNumThreads(threads)
     single = not source.is_dir()
-    images = {source.stem: source} if single else find_images(source, follow_links=follow_links)
+    images = {source.stem: source} if single else find_images(source)
     views = {view: [images[frame] for frame in frames] for view, frames in _by_view(images).items()}
     settings = learned_backgrounds(model.resolve(), views)
     for view in settings.backgrounds:

@@ -44,13 +44,12 @@ def _same(instrument: str, other: str) -> bool:
 class SessionTool:
     """A tool of a session that a command works on, the options of its instrument, and the entries of session.toml.
 
-    The tool of a session that names none has the arm "". ``follow_links`` tells whether links may leave the session.
+    The tool of a session that names none has the arm "".
     """
 
     tool: ToolEntry
     options: InstrumentOptions
     entries: SessionEntries | None
-    follow_links: bool = False
 
     def read(
         self,
@@ -70,7 +69,6 @@ class SessionTool:
         ``labelled``, may be in the folder labels. With ``ahead``, all images tell what lies over them.
         """
         from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
-        from dvrk_cmaes.frames.own_files import FOLLOWED
         from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, read_session
         from dvrk_cmaes.frames.session_toml import CameraEntry
         from dvrk_cmaes.frames.tool_frames import frames_of_tool
@@ -93,13 +91,12 @@ class SessionTool:
             masks=tool.masks or (labels if labels.is_dir() and not (folder / "masks").exists() else None),
             video=video,
             guess=camera.guess,
-            follow_links=self.follow_links,
         )
         if entries is not None and entries.tools:
-            session = frames_of_tool(session, entries, tool.arm, follow_links=self.follow_links)
+            session = frames_of_tool(session, entries, tool.arm)
         session = with_overlaid(session) if ahead else session
         for note in session.notes:
-            if note.startswith((COUNTS_DIFFER, FOLLOWED, OVERLAID)):
+            if note.startswith((COUNTS_DIFFER, OVERLAID)):
                 warn(f"{folder}: {note}")
         return ArmInSession(session, body, self.options.kinematics)
 
@@ -119,9 +116,7 @@ def output_folder(out: Path | None, inside: Path, name: str, command: str, *, wa
         yield path
 
 
-def session_tools(
-    folder: Path, options: InstrumentOptions, only: Sequence[str] = (), *, follow_links: bool = False
-) -> dict[str, SessionTool]:
+def session_tools(folder: Path, options: InstrumentOptions, only: Sequence[str] = ()) -> dict[str, SessionTool]:
     """Return the tools of a session, or those of the arms ``only``, by the subfolder that their results have.
 
     That is the arm's name, or "" if the session has one tool: its results are in the folder itself.
@@ -133,7 +128,7 @@ def session_tools(
     """
     from dvrk_cmaes.frames.session_toml import ToolEntry, read_session_toml
 
-    entries = read_session_toml(folder, follow_links=follow_links)
+    entries = read_session_toml(folder)
     named = () if entries is None else entries.tools
     if entries is None or not named:
         if only:
@@ -142,12 +137,11 @@ def session_tools(
     else:
         chosen = [entries.tool(arm) for arm in only] if only else named
     return {
-        tool.arm if len(named) > 1 else "": SessionTool(tool, _options_of(options, tool), entries, follow_links)
-        for tool in chosen
+        tool.arm if len(named) > 1 else "": SessionTool(tool, _options_of(options, tool), entries) for tool in chosen
     }
 
 
-def single_tool(folder: Path, options: InstrumentOptions, *, follow_links: bool = False) -> SessionTool:
+def single_tool(folder: Path, options: InstrumentOptions) -> SessionTool:
     """Return the tool of a session for a command that works on one.
 
     Raises
@@ -155,7 +149,7 @@ def single_tool(folder: Path, options: InstrumentOptions, *, follow_links: bool 
     InputError
         The session names several arms.
     """
-    first, *others = session_tools(folder, options, follow_links=follow_links).values()
+    first, *others = session_tools(folder, options).values()
     if others and first.entries is not None:
         named = ", ".join(tool.arm for tool in first.entries.tools)
         raise InputError(f"{first.entries.path}: tool: expected one, got {named}")

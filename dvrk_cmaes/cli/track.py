@@ -25,7 +25,6 @@ from dvrk_cmaes.cli.options import (
     CameraOptions,
     DoubtfulSessionOption,
     Flag,
-    FollowLinksOption,
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
@@ -76,7 +75,6 @@ def track(
     calibration: SessionOption = None,
     doubtful_session: DoubtfulSessionOption = False,
     reading: ReadingOptions = DEFAULT_READING,
-    follow_links: FollowLinksOption = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
@@ -159,8 +157,6 @@ def track(
         Use the session.json of --session even if it predicts frames badly that it has not seen.
     reading
         How files of readings are read.
-    follow_links
-        Read what links in the folder lead to, also outside of it; such links are refused otherwise.
     camera
         Camera to use instead of the session's own.
     instrument
@@ -192,8 +188,8 @@ def track(
     seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
     with output_folder(out, session if session.is_dir() else session.parent, "tracks", "track") as target:
         readings = None if joints is None or joints == "none" else Path(joints)
-        source = Source.of(session, evidence, target, camera=camera.camera, joints=readings, follow_links=follow_links)
-        tools = session_tools(source.folder, instrument, only, follow_links=follow_links)
+        source = Source.of(session, evidence, target, camera=camera.camera, joints=readings)
+        tools = session_tools(source.folder, instrument, only)
         if len(tools) > 1:
             of_one = {"--first-mask": first_mask, "--rerun": rerun, "--joints FILE": readings}
             _check_of_several(of_one, calibration, prompts)

@@ -65,9 +65,7 @@ class Source:
     video: Path | None = None
 
     @staticmethod
-    def of(
-        path: Path, evidence: str | None, out: Path, *, camera: Path | None, joints: Path | None, follow_links: bool
-    ) -> Source:
+    def of(path: Path, evidence: str | None, out: Path, *, camera: Path | None, joints: Path | None) -> Source:
         """Find the session of a path; that of a ROS recording is written to a folder in ``out``.
 
         The video of a session counts where it has no images, and its masks are not all that is asked for.
@@ -85,13 +83,13 @@ class Source:
         if path.suffix.lower() in SUFFIXES and not path.is_dir():
             return Source(path.parent, path)
         if is_bag(path):
-            OwnFiles.check_folder(path, follow_links)
+            OwnFiles(path).check_folder()
             return Source(_imported(path, out / _IMPORTED, camera, joints))
         if not path.is_dir():
             raise InputError(f"{path}: {no_folder(path)}; expected a session folder, a video or a ROS recording")
         needed = evidence == "images" or not (path / "masks").is_dir()
         video = own_video(path) if needed else None
-        OwnFiles(path, follow_links).check_all([video])
+        OwnFiles(path).check_all([video])
         return Source(path, video)
 
     def read(

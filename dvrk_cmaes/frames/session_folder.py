@@ -164,7 +164,6 @@ def read_session(
     video: SessionVideo | None = None,
     tolerance: int = TIME_TOLERANCE,
     guess: CameraGuess | None = None,
-    follow_links: bool = False,
 ) -> Session:
     """Find the frames of a session folder and read its files, except masks and images.
 
@@ -202,8 +201,6 @@ def read_session(
     guess
         The camera to use where there is no file, or in any case if it has a focal length; by default there must be a
         file.
-    follow_links
-        Whether links in the folder that lead out of it are followed; a note tells which.
 
     Raises
     ------
@@ -215,7 +212,7 @@ def read_session(
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: {no_folder(folder)}; expected a session with camera.yaml, joints.csv and masks")
-    mask_folder, own = root / "masks" if masks is None else masks, OwnFiles(root, follow_links)
+    mask_folder, own = root / "masks" if masks is None else masks, OwnFiles(root)
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
         frames, readings, times, notes = _session_frames(
             own, root, mask_folder, tuple(known), joints, read_as, video, tolerance
@@ -257,7 +254,7 @@ def read_session(
         rig=lens.rig,
         frames=tuple(replace(frame, notes=(*lens.notes, *frame.notes)) for frame in frames),
         truth=read_golden(golden) if os.path.lexists(golden) else SessionTruth(),
-        notes=(*notes, f"camera: {lens.kind}", *lens.notes, *own.notes),
+        notes=(*notes, f"camera: {lens.kind}", *lens.notes),
         joint_files=readings,
         image_times=times,
         guessed=guessed,
@@ -481,11 +478,11 @@ def _interpolation(farthest: int | None, tolerance: int) -> tuple[str, ...]:
     )
 
 
-def find_images(folder: str | Path, *, follow_links: bool = False) -> dict[str, Path]:
+def find_images(folder: str | Path) -> dict[str, Path]:
     """Find the images of a session of either layout, or all images of another folder, by frame name, sorted.
 
     Those of a stereo session are named by view and frame, such as left/0000. The folder need not have a camera, masks
-    or readings. Links that lead out of it are refused, unless ``follow_links``.
+    or readings. Links that lead out of it are refused.
 
     Raises
     ------
@@ -495,7 +492,7 @@ def find_images(folder: str | Path, *, follow_links: bool = False) -> dict[str, 
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: {no_folder(folder)}; expected images, or a session with images")
-    own = OwnFiles(root, follow_links)
+    own = OwnFiles(root)
     if not is_session_layout(root) and is_published_layout(root):
         found = {frame.name: frame.image for frame in find_published_frames(root, own) if frame.image is not None}
     elif any((root / "images" / view).is_dir() for view in _VIEWS):

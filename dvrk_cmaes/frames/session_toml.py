@@ -105,7 +105,7 @@ class _Document:
     tool: tuple[ToolEntry, ...] = ()
 
 
-def read_session_toml(folder: str | Path, *, follow_links: bool = False) -> SessionEntries | None:
+def read_session_toml(folder: str | Path) -> SessionEntries | None:
     """Read the session.toml of a folder; None if there is none.
 
     Raises
@@ -113,13 +113,13 @@ def read_session_toml(folder: str | Path, *, follow_links: bool = False) -> Sess
     InputError
         The file is no TOML file or too large, a key is unknown or has a value of another type, two tools have one arm
         or one label, or a tool among several has neither a label nor a folder of masks. The file is a link that leaves
-        the folder, and ``follow_links`` is not set.
+        the folder.
     """
     root = Path(folder)
     path = root / SESSION_FILE
     if not os.path.lexists(path):
         return None
-    document = read_toml(OwnFiles(root, follow_links).check(path), expected="a session's description (TOML)")
+    document = read_toml(OwnFiles(root).check(path), expected="a session's description (TOML)")
     tables = document.get("tool")
     tools: list[object] = tables if isinstance(tables, list) else []
     for prefix, table, kind in [

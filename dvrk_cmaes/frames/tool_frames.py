@@ -14,7 +14,7 @@ from dvrk_cmaes.frames.session_folder import Session, image_files
 from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
 
 
-def frames_of_tool(session: Session, entries: SessionEntries, arm: str, *, follow_links: bool = False) -> Session:
+def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Session:
     """Return a session with the masks of one tool only; the other tools' pixels do not count.
 
     ``session`` was read with the tool's own folder of masks, if it has one. Another tool may be before or behind this
@@ -25,10 +25,10 @@ def frames_of_tool(session: Session, entries: SessionEntries, arm: str, *, follo
     InputError
         There is no such arm, the folder of masks of another tool has none, or one is a link that leaves the session.
     """
-    tool, own = entries.tool(arm), OwnFiles(session.folder, follow_links)
+    tool, own = entries.tool(arm), OwnFiles(session.folder)
     others = [_Masks.of(other, session, own) for other in entries.tools if other.arm != arm]
     frames = tuple(_of_tool(files, session.view_names[0], tool, others) for files in session.frames)
-    return replace(session, frames=frames, notes=(*session.notes, *own.notes))
+    return replace(session, frames=frames)
 
 
 @dataclass(frozen=True)

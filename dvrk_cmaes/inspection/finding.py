@@ -52,7 +52,6 @@ class Options:
     package_paths: Mapping[str, Path] = field(default_factory=dict)
     camera: Path | None = None
     read_as: ReadAs = BY_THEMSELVES
-    follow_links: bool = False
 
 
 def unit_of(joint: str) -> tuple[float, str]:

@@ -38,7 +38,7 @@ def inspect_folder(path: Path, options: Options) -> Finding:
         return inspect_lerobot(path)
     if is_published_layout(path):
         if options.camera is None and not (path / "camera.yaml").exists():
-            return _without_camera(path, OwnFiles(path, options.follow_links))
+            return _without_camera(path, OwnFiles(path))
         return _session(path, options)
     pictures = [
         file for file in sorted(path.iterdir()) if file.suffix.lower() in PICTURES and not file.name.startswith(".")
@@ -82,7 +82,7 @@ def inspect_recording(path: Path) -> Finding:
 
 def _session(path: Path, options: Options) -> Finding:
     """Describe a session folder; of several arms, what each of them sees and reads."""
-    entries = read_session_toml(path, follow_links=options.follow_links)
+    entries = read_session_toml(path)
     tools = (ToolEntry(""),) if entries is None or not entries.tools else entries.tools
     said = CameraEntry() if entries is None or options.camera is not None else entries.camera
     findings: dict[str, Finding] = {}
@@ -97,11 +97,10 @@ def _session(path: Path, options: Options) -> Finding:
             read_as=replace(options.read_as, arm=tool.arm or None, columns=options.read_as.columns or tool.columns),
             fit=said.fit,
             masks=tool.masks,
-            follow_links=options.follow_links,
         )
         if entries is None or len(tools) < 2:
             return _of_arm(session)
-        findings[tool.arm] = _of_arm(frames_of_tool(session, entries, tool.arm, follow_links=options.follow_links))
+        findings[tool.arm] = _of_arm(frames_of_tool(session, entries, tool.arm))
     lines = tuple(f"{arm}: {line}" for arm, finding in findings.items() for line in finding.lines)
     read = {"arms": {arm: finding.read for arm, finding in findings.items()}}
     notes = dict.fromkeys(note for finding in findings.values() for note in finding.notes)
