@@ -30,7 +30,7 @@ experiments: $(VENV)/.tools
 	$(BIN)/python scripts/experiments/figure4.py
 	$(BIN)/python scripts/experiments/table2.py
 	$(BIN)/python scripts/experiments/ablation.py
-	$(BIN)/python scripts/experiments/readme_table.py
+	$(BIN)/python scripts/measure.py write
 
 clean:
 	rm -rf $(VENV)

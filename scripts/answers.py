@@ -4,18 +4,11 @@
     python scripts/answers.py --against DIR --only demo "track masks"
     python scripts/answers.py --against DIR --keep FOLDER          keep and reuse the other checkout's answers
     python scripts/answers.py --against DIR --largest-change 0.05  accept poses that change by less than 0.05 std
-    python scripts/answers.py --processors                         compare with this checkout as on other processors
-    python scripts/answers.py --processors --only none --sessions DIR... --recordings DIR...
 
 Each case runs commands of both checkouts, on the same inputs, with one thread and one process. All JSON and CSV files
 that they write are compared value by value; times of computation and versions are left out. For each case the report
 has the numbers of files, values and values that differ, the largest relative difference, changed statuses, reasons and
 modes, and the largest change of a pose with its joints, in standard deviations as the other checkout states them.
-
-With --processors each case runs again with other BLAS kernels (OPENBLAS_CORETYPE), and with OpenCV and NumPy kept from
-using the later CPU sets (OPENCV_CPU_DISABLE, NPY_DISABLE_CPU_FEATURES); those that the machine lacks are named as not
-run. Digits may differ; status, reasons, modes and frames left out must not. --sessions are solved frame by frame
-besides the cases, and --recordings followed by masks, with all images and, by --causal, with those before each.
 
 Exit codes: 0 all answers are equal, or accepted; 1 answers differ; 2 wrong usage or input.
 """
@@ -28,15 +21,14 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from answering.cases import CASES, Case, given_recording, given_session
+from answering.cases import CASES, Case
+from answering.checkouts import Checkout, two_checkouts
 from answering.compare import accepted, compare, read_answers
-from answering.processors import processors
-from measure.bench.checkouts import Checkout, two_checkouts
-from measure.places import ROOT, SCANNED
+from measuring.report import ROOT, SCANNED
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_text
@@ -53,7 +45,7 @@ def main() -> int:
         print(f"answers.py: {error}", file=sys.stderr)
         return 2
     if arguments.json:
-        print(json.dumps({"processors" if arguments.processors else "cases": rows}, indent=1))
+        print(json.dumps({"cases": rows}, indent=1))
     return 0 if all(row["accepted"] for row in rows.values()) else 1
 
 
@@ -61,11 +53,7 @@ def _report(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Compare all chosen cases, and print each as soon as it is known; returns a row for each by name."""
     rows: dict[str, dict[str, Any]] = {}
     chosen = [case for case in CASES if arguments.only is None or case.name in arguments.only]
-    if arguments.processors:
-        chosen += [given_session(folder) for folder in arguments.sessions]
-        chosen += [given_recording(folder) for folder in arguments.recordings]
-        return _of_processors(arguments, chosen)
-    with two_checkouts(arguments.checkout, arguments.against, timed=False) as both:
+    with two_checkouts(arguments.checkout, arguments.against) as both:
         if not arguments.json:
             print("  ".join([f"{'case':<22s}", *(column.rjust(6) for column in _COLUMNS)]))
         for case in chosen:
@@ -75,33 +63,6 @@ def _report(arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
             rows[case.name] = row
             if not arguments.json:
                 _show(case.name, row)
-    return rows
-
-
-def _of_processors(arguments: argparse.Namespace, chosen: Sequence[Case]) -> dict[str, dict[str, Any]]:
-    """Compare cases as on other processors with this one, and print each; returns a row for each pair by their names.
-
-    A row is accepted if no verdict changes, whatever the digits.
-    """
-    rows: dict[str, dict[str, Any]] = {}
-    others = processors()
-    if not arguments.json:
-        for one in others:
-            print(f"{one.name}: {f'not run: {one.lacking}' if one.lacking else one.used}", flush=True)
-        print("  ".join([f"{'case':<22s}", *(column.rjust(6) for column in _COLUMNS)]), flush=True)
-    with two_checkouts(arguments.checkout, arguments.checkout, timed=False) as (checkout, _):
-        for case in chosen:
-            own = _kept(checkout, case, arguments.instrument, arguments.keep)
-            for one in others:
-                name = f"{case.name}, {one.name}"
-                if one.lacking:
-                    rows[name] = {"not run": one.lacking, "accepted": True}
-                    continue
-                row = compare(answers_of(checkout, case, arguments.instrument, one.variables), own)
-                row["accepted"] = not row["verdicts"] and not row["missing"]
-                rows[name] = row
-                if not arguments.json:
-                    _show(name, row)
     return rows
 
 
@@ -149,19 +110,13 @@ def _commands(case: Case, instrument: str) -> list[list[str]]:
     return [[*command, *options] for command in case.commands]
 
 
-def answers_of(
-    checkout: Checkout, case: Case, instrument: str, variables: Mapping[str, str] | None = None
-) -> dict[str, Any]:
-    """Run a case's commands in a new folder, with environment variables if given.
-
-    Returns what they wrote, as `read_answers`, and their exit codes.
-    """
+def answers_of(checkout: Checkout, case: Case, instrument: str) -> dict[str, Any]:
+    """Run a case's commands in a new folder; return what they wrote, as `read_answers`, and their exit codes."""
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made).resolve()
         case.write(folder / "inputs")
         commands = _commands(case, instrument)
-        given = {"DVRK_CMAES_CACHE": checkout.cache, **(variables or {})}
-        codes = [checkout.run(command, folder, **given) for command in commands]
+        codes = [checkout.run(command, folder, DVRK_CMAES_CACHE=checkout.cache) for command in commands]
         return {"exit codes": codes, **read_answers(folder)}
 
 
@@ -179,13 +134,7 @@ def _show(name: str, row: Mapping[str, Any]) -> None:
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    others = parser.add_mutually_exclusive_group(required=True)
-    others.add_argument("--against", type=Path, metavar="DIR", help="the checkout to compare with")
-    others.add_argument("--processors", action="store_true", help="compare with itself as on other processors")
-    for name, kind in (("--sessions", "sessions"), ("--recordings", "recordings")):
-        parser.add_argument(
-            name, type=Path, nargs="+", default=[], metavar="DIR", help=f"{kind} besides the cases, with --processors"
-        )
+    parser.add_argument("--against", type=Path, required=True, metavar="DIR", help="the checkout to compare with")
     parser.add_argument(
         "--checkout", type=Path, default=ROOT, metavar="DIR", help="the checkout to compare (default: the script's own)"
     )
@@ -193,9 +142,7 @@ def _parser() -> argparse.ArgumentParser:
         "--keep", type=Path, metavar="FOLDER", help="folder of the other checkout's answers, by its commit"
     )
     names = [case.name for case in CASES]
-    parser.add_argument(
-        "--only", nargs="+", choices=[*names, "none"], metavar="NAME", help=f"cases: {', '.join(names)}, or none"
-    )
+    parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=f"cases: {', '.join(names)}")
     parser.add_argument(
         "--instrument",
         default=str(SCANNED.resolve()),

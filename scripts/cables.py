@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 from committed_data import refuse_in_ci
-from measure.tables import show
+from measuring.report import show
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 

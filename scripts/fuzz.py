@@ -18,8 +18,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import functools
-import os
 import random
 import shutil
 import stat
@@ -39,9 +37,6 @@ from fuzzing.runs import SLOW, Outcome, Report, Runner, in_a_process, in_this_pr
 LARGE = 1500.0  # MB
 _LONGEST_LINE = 1000
 _PLACES = 0.1  # share of the tries in which something else than a file is in its place
-Status = tuple[int, int]
-"""Size of a file, and its time of change, ns; zeros for a folder."""
-
 _JSON = ("inspect", "--json")  # which reports on stdout as well
 
 
@@ -113,15 +108,16 @@ def attempt(
 ) -> tuple[list[str], Outcome, str | None]:
     """Damage a copy of the material, run a command on it, and say how the outcome violates what is promised, if so.
 
-    ``place`` is the folder of the copy; one of an earlier try is restored. With ``inspected``, the command is `inspect`
-    where that reads the family's file, which takes a fraction of the time of others.
+    ``place`` is the folder of the copy. With ``inspected``, the command is `inspect` where that reads the family's
+    file, which takes a fraction of the time of others.
     """
     chance = random.Random(f"{seed} {family.name} {number}")
-    copied = restore(material, place)
+    shutil.rmtree(place, ignore_errors=True)
+    shutil.copytree(material, place, symlinks=True)
     quick = [command for command in family.commands if inspected and command[0] == "inspect"]
     command = list(chance.choice(quick or family.commands))
     unreadable = damage(family, place, command, chance)
-    before = {name: status for name, status in copied.items() if name != family.file} | _status(place, family.file)
+    before = contents(place)
     with contextlib.chdir(place):
         outcome = run(command)
     changed = contents(place) != before
@@ -166,57 +162,14 @@ def violation_of(outcome: Outcome, command: Sequence[str], *, changed: bool, unr
     return "exit code 2, but files were written" if changed else None
 
 
-def restore(material: Path, place: Path) -> dict[str, Status]:
-    """Make a folder a copy of the material again, by the files that differ; returns its contents.
-
-    The material must not have changed since it was restored for the first time.
-    """
-    place.mkdir(exist_ok=True)
-    wanted, there = _contents_once(material), contents(place)
-    for name in [name for name, status in there.items() if wanted.get(name) != status]:
-        path = place / name
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)  # gone with its folder
-    for name in sorted(name for name, status in wanted.items() if there.get(name) != status):
-        source, path = material / name, place / name
-        if source.is_dir():
-            path.mkdir()
-        else:
-            shutil.copy2(source, path, follow_symlinks=False)
-    return wanted
-
-
-def contents(folder: Path) -> dict[str, Status]:
-    """Return size and time of change of everything in a folder, by its path."""
-    found: dict[str, Status] = {}
-    left = [""]
-    while left:
-        below = left.pop()
-        with os.scandir(folder / below) as entries:
-            for entry in entries:
-                name, status = below + entry.name, entry.stat(follow_symlinks=False)
-                if entry.is_dir(follow_symlinks=False):
-                    found[name] = (0, 0)
-                    left.append(f"{name}/")
-                else:
-                    found[name] = (status.st_size, status.st_mtime_ns)
+def contents(folder: Path) -> dict[str, tuple[int, int]]:
+    """Return size and time of change of everything in a folder, by its path; zeros for a folder."""
+    found = {}
+    for path in folder.rglob("*"):
+        status = path.lstat()
+        is_folder = stat.S_ISDIR(status.st_mode)
+        found[str(path.relative_to(folder))] = (0, 0) if is_folder else (status.st_size, status.st_mtime_ns)
     return found
-
-
-@functools.lru_cache(maxsize=2)
-def _contents_once(folder: Path) -> dict[str, Status]:
-    return contents(folder)
-
-
-def _status(folder: Path, name: str) -> dict[str, Status]:
-    """Return what `contents` says of a path in a folder; nothing if there is none."""
-    path = folder / name
-    if not name or not os.path.lexists(path):
-        return {}
-    status = path.lstat()
-    return {name: (0, 0) if stat.S_ISDIR(status.st_mode) else (status.st_size, status.st_mtime_ns)}
 
 
 if __name__ == "__main__":

@@ -18,8 +18,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final
 
-from measure.places import ROOT
-from measure.tables import Report, print_report
+from measuring.report import ROOT, Report, print_report
 
 from dvrk_cmaes.errors import InputError
 

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 from committed_data import refuse_in_ci
-from measure.fixed_readings import fixed_rms_readings
+from fixed_readings import fixed_rms_readings
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from committed_data import refuse_in_ci
-from measure.fixed_readings import fixed_rms_readings
+from fixed_readings import fixed_rms_readings
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera

@@ -48,7 +48,7 @@ WITH_OUTPUT |= {"settings", "testing"}
 """Pages whose first screen shows the output of its command, which runs here."""
 ELSEWHERE = {"tracking": "the tutorial", "uncalibrated": "tests/cli/test_calibrate.py"}
 """Pages whose first screen shows the output of a command that runs elsewhere."""
-OTHER_PROGRAMS = ("pip install ", "ros2 ", "rerun ", "hf download ", "make demo ", "python scripts/run_benchmark.py ")
+OTHER_PROGRAMS = ("pip install ", "ros2 ", "rerun ", "hf download ", "make demo ", "python scripts/measure.py ")
 
 
 class Example(NamedTuple):

@@ -61,7 +61,7 @@ _LEAST_GAIN, _HINT_GAIN = 9.84, 3.84
 
 The first is that of 98 % with three unknowns, and the least squared distance from no change, too, where it is a remark.
 Where frames near each other count as one, the distance alone tells right files from focal lengths that are 10 % off:
-`scripts/accuracy.py fleet --wrong-focal 2` on recordings of `fleet.py make`, seeds 8613 to 8618, 8707 to 8710, 8807 to
+`scripts/measure.py calibrate` on recordings of `fleet.py make`, seeds 8613 to 8618, 8707 to 8710, 8807 to
 8810 and 8907 to 8909: at most 6 and, but for one that is 4, at least 15.
 """
 _ALIKE_SECONDS = SessionConfig().alike_seconds

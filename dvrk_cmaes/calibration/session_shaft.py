@@ -30,13 +30,13 @@ _LEAST: Final = {"shaft": 0.05, "wrist": 0.1, "jaws": 0.1}
 """Shares of the sizes, beyond which a part is another one.
 
 A margin that is taken off all masks explains a part of it. Right ones are found to 0.5 %, lengths to 1 % in recordings
-of `fleet.py make` and sessions of `synth`, seeds 7701 to 7704 (`scripts/accuracy.py fleet`, `camera`).
+of `fleet.py make` and sessions of `synth`, seeds 7701 to 7704 (`scripts/measure.py track`, `calibrate`).
 """
 _HINT, _HINT_STD = 0.4, 1.5
 """Share of these, and standard deviations, beyond which that is a remark.
 
-Of 79 recordings of `fleet.py make` with the right instrument one is (`scripts/accuracy.py fleet`, seeds 8605 to 8919),
-as its masks are 3 px too wide on one side; of another make (`session-lies`, frames/made/easy and medium) all are.
+Of 79 recordings of `fleet.py make` with the right instrument one is (`scripts/measure.py track`, seeds 8605 to 8919),
+as its masks are 3 px too wide on one side; of another make (`calibrate --falsify`, frames/made/easy, medium) all are.
 """
 _TEXTS: Final = {
     "shaft": ("the shaft is", "thicker", "thinner"),

@@ -64,7 +64,7 @@ _LARGEST_SIDE_PX = 1.5
 """Standard deviation of the errors of a side of the shaft that last from frame to frame.
 
 Shadows only add to masks, and the fits hardly show what they add in the mean. Of 77 recordings of
-../shared/ruler/fleet.py (`scripts/accuracy.py fleet`, seeds 8605 to 8920) 76 have at most 0.73 px, and bases within
+../shared/ruler/fleet.py (`scripts/measure.py track`, seeds 8605 to 8920) 76 have at most 0.73 px, and bases within
 1.7 stated deviations; the other, 8720, has 2.65 px, masks 4.4 px too wide, and a base that is 4.0 deviations off. At
 twice the size, 1280 x 960, that one has 2.36 px, and the next two, 8711 and 8809, have 0.93 and 1.13 px.
 """

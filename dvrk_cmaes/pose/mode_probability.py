@@ -4,7 +4,7 @@ Each mode has the weight exp(-0.6 score), its score being a negative log-likelih
 stands for errors that long stretches of a mask's contour share, which scores take for independent. A mode that the
 search has not found has the odds (e / 10 mm)^3 against those found, e being the expected error of the tips: where the
 outline says little about the pose, a search misses more. The exponent and the 10 mm were fitted to made frames of the
-levels medium and hard; `scripts/accuracy.py trust` prints how often a stated probability is right.
+levels medium and hard.
 """
 
 from __future__ import annotations

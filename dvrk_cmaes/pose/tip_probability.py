@@ -1,8 +1,8 @@
 """Probability that the tips are within a distance of the truth.
 
 It is that of the right mode times that of tips this near in the right mode, each a logistic function: of the stated
-probability of the mode, and of the tips' expected error. The functions are fitted by `scripts/accuracy.py
-tip-probability`; what they do not know, such as another instrument or camera, is named on the page on accuracy.
+probability of the mode, and of the tips' expected error. The functions are fitted by `scripts/measure.py
+estimate --fit`; what they do not know, such as another instrument or camera, is named on the page on accuracy.
 """
 
 from __future__ import annotations

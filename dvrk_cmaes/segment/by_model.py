@@ -59,7 +59,7 @@ _USUAL: Final = 95  # percentile of the scores along all axes, over which a cand
 _LOG_ODDS: Final = np.array([2.43, 2.5, -0.62, 0.67, 1.23, -5.28])
 """Of a candidate that is an instrument, for each of its measures and its margin, and in all.
 
-Fitted to 119 candidates in 44 drawn pictures, as by ``scripts/segmentation.py fit``.
+Fitted by logistic regression to 119 candidates in 44 pictures drawn by rays, before tissue and things of a laboratory.
 """
 _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of different instruments may share
 

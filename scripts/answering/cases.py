@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 import cv2
-from measure.places import SHARED
+from measuring.report import SHARED
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.ros import write_camera_info
@@ -141,20 +141,6 @@ def _calibration(name: str, frames: Sequence[str], *options: str) -> Case:
         _frame("inputs", frames[-1], "one", "--session", "out/session.json", *_EVEN),
     )
     return Case(f"calibrate {name}", partial(_session, source=name, frames=frames), commands)
-
-
-def given_session(folder: Path) -> Case:
-    """Return the case of a session in a folder, whose frames are solved one by one."""
-    copied = partial(_session, source=folder.resolve())
-    return Case(folder.name, copied, (("batch", "inputs", "--out", "out", *_ONE),))
-
-
-def given_recording(folder: Path) -> Case:
-    """Return the case of a recording in a folder, which is followed with all images, and with those before each."""
-    follow = ("track", "inputs", "--evidence", "masks", *_PLAIN, "--out")
-    return Case(
-        folder.name, partial(_session, source=folder.resolve()), ((*follow, "out"), (*follow, "causal", "--causal"))
-    )
 
 
 _DEMO: Final = partial(_session, source=bundled_path("demo"))

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final, Literal, cast
 
 import numpy as np
-from measure.places import SCANNED, SHARED
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.instrument.arm import Arm
@@ -116,15 +115,9 @@ def _camera(size: tuple[int, int], widths: float, lens: Lens) -> Camera:
     return Camera(width, height, widths * width, widths * width, 0.51 * width, 0.49 * height, distortion, model)
 
 
-def instruments() -> tuple[str, ...]:
-    """Return the bundled instrument and, where ../shared is, the paths of the scanned one and of five others."""
-    others = sorted((SHARED / "instruments" / "dvrk_model" / "urdf").glob("*.urdf"))
-    return "lnd", *([str(SCANNED)] if SCANNED.exists() else []), *map(str, others)
-
-
-def worlds(choice: Sequence[str] | None = None) -> list[World]:
-    """Return the table, with the given instruments or those of `instruments`."""
-    values = {**VALUES, "instrument": tuple(instruments() if choice is None else choice)}
+def worlds() -> list[World]:
+    """Return the table, of the bundled instrument."""
+    values = {**VALUES, "instrument": ("lnd",)}
     return [World(number, **cast("Any", row)) for number, row in enumerate(covering_array(values))]
 
 
