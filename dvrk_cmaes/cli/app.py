@@ -49,15 +49,26 @@ With --debug, any command shows where in the program an error was raised.
 _FUNCTIONS: Final = {"import": "import_recording:import_recording", "help": "help:help_topic"}
 """Module and function of the commands that are not named as these."""
 
-_COPY: Final = "copies of the files in the folder"
-_FRAMES: Final = "`--frames` patterns with an --out each, or --scheduler"
-_REMOVED: Final = {
-    "--rehearse": "`dvrk-cmaes track --causal`",
-    "--shard": _FRAMES,
-    "--merge": _FRAMES,
-    "--follow-links": _COPY,
+_TOOL: Final = "columns, packages, root_link or tool of [[tool]] in session.toml"
+_OF_TRACK: Final = {
+    **dict.fromkeys(("--columns", "--package-path", "--root-link", "--tool"), _TOOL),
+    **dict.fromkeys(("--camera-right", "--crop", "--stretch"), "right, crop or stretch of [camera] in session.toml"),
+    **dict.fromkeys(("--layout", "--video-start"), "`dvrk-cmaes import`"),
+    **dict.fromkeys(("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),
+    "--not-point": "--box, or boxes.csv in the session",
+    "--search": "search.method in the settings file (--config)",
+    "--refine": "refine.method in the settings file (--config)",
+    "--seed": "seed in the settings file (--config)",
+    "--threads": "threads in the settings file (--config)",
+    "--shaft-radius": "the radius of the URDF's mesh",
 }
-"""Options that are no longer there, and what is used instead."""
+_LINKS: Final = {"--follow-links": "copies of the files in the folder"}
+_REMOVED: Final = {
+    "batch": dict.fromkeys(("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
+    "live": {"--rehearse": "`dvrk-cmaes track --causal`"},
+    "track": _OF_TRACK,
+}
+"""By command, options that are no longer there, and what is used instead; ``_LINKS`` those of all commands."""
 
 
 def _version() -> str:
@@ -140,8 +151,8 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
 
 def _removed(tokens: Sequence[str]) -> str | None:
     """Return the message for the first option that is no longer there; None without one."""
-    names = (token.partition("=")[0] for token in tokens)
-    return next((f"{name}: no longer an option; use {_REMOVED[name]}" for name in names if name in _REMOVED), None)
+    names, gone = (token.partition("=")[0] for token in tokens), _LINKS | _REMOVED.get(tokens[0] if tokens else "", {})
+    return next((f"{name}: no longer an option; use {gone[name]}" for name in names if name in gone), None)
 
 
 def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:

@@ -14,6 +14,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import is_number, shown
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.camera.files import CameraFile
     from dvrk_cmaes.camera.guess import CameraGuess
     from dvrk_cmaes.config import EstimateConfig
@@ -56,8 +57,8 @@ def check_range(option: str, value: float | None, least: float, most: float, wha
 
 @Parameter(name="*", group=CAMERA)
 @dataclass(frozen=True, kw_only=True)
-class CameraOptions:
-    """Options of the camera.
+class CameraFileOptions:
+    """Options of the camera's file.
 
     Parameters
     ----------
@@ -68,6 +69,20 @@ class CameraOptions:
         The images are rectified: use the projection matrix of the camera file, and no distortion.
     side
         Camera to use if the file describes a stereo pair and one view is used.
+    """
+
+    camera: Path | None = None
+    rectified: Flag = False
+    side: Literal["left", "right"] = "left"
+
+
+@Parameter(name="*", group=CAMERA)
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions(CameraFileOptions):
+    """Options of the camera.
+
+    Parameters
+    ----------
     camera_right
         File of the right camera, where both eyes are used and the files are two. A stereo session folder's own
         right.yaml by default.
@@ -78,10 +93,7 @@ class CameraOptions:
         The images were resized unevenly: scale the camera to their size, though that has another aspect.
     """
 
-    camera: Path | None = None
     camera_right: Path | None = None
-    rectified: Flag = False
-    side: Literal["left", "right"] = "left"
     crop: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     stretch: Flag = False
 
@@ -219,7 +231,7 @@ def _bag_joints(path: Path, arm: str | None) -> JointFile:
 
 @Parameter(name="*", group=INSTRUMENT)
 @dataclass(frozen=True, kw_only=True)
-class InstrumentOptions:
+class InstrumentNameOptions:
     """Options of the instrument and of the arm that carries it.
 
     Parameters
@@ -227,6 +239,22 @@ class InstrumentOptions:
     instrument
         Name of a bundled instrument (lnd, a Large Needle Driver), or path of a URDF. By default that of the session's
         session.toml, or else lnd.
+    arm
+        Arm whose kinematics are used to compute camera_from_base: classic or si. By default that of session.toml, or
+        else classic.
+    """
+
+    instrument: str | None = None
+    arm: Literal["classic", "si"] | None = None
+
+
+@Parameter(name="*", group=INSTRUMENT)
+@dataclass(frozen=True, kw_only=True)
+class InstrumentOptions(InstrumentNameOptions):
+    """Options of the instrument and of the arm that carries it.
+
+    Parameters
+    ----------
     package_path
         NAME=DIR: folder of the ROS package NAME, for package://NAME/... paths in the URDF. Other packages are searched
         for in the URDF's folder and its parents. May be given several times.
@@ -237,17 +265,12 @@ class InstrumentOptions:
     tool
         Description of the tool in the dVRK's format (JSON): its joint limits replace those of the URDF, and its roll
         offset (length along the shaft) replaces that of the tools 400xxx.
-    arm
-        Arm whose kinematics are used to compute camera_from_base: classic or si. By default that of session.toml, or
-        else classic.
     """
 
-    instrument: str | None = None
     package_path: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
     root_link: str | None = None
     shaft_radius: float | None = None
     tool: Path | None = None
-    arm: Literal["classic", "si"] | None = None
 
     @property
     def kinematics(self) -> Literal["classic", "si"]:
@@ -394,7 +417,7 @@ class SegmentOptions:
 
 @Parameter(name="*", group=SEGMENT)
 @dataclass(frozen=True, kw_only=True)
-class PromptOptions:
+class PlaceOptions:
     """Optional prompts, which state where the instrument is in the image.
 
     Parameters
@@ -403,13 +426,10 @@ class PromptOptions:
         Box around the instrument, x0,y0,x1,y1 in pixels.
     point
         Pixel u,v on the instrument. May be given several times.
-    not_point
-        Pixel u,v that is not on the instrument. May be given several times.
     """
 
     box: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     point: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)] = ()
-    not_point: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)] = ()
 
     def resolve(self) -> Hints:
         """Return the prompts as numbers; InputError if one is not valid."""
@@ -419,14 +439,58 @@ class PromptOptions:
         if self.box is not None:
             left, top, right, bottom = _numbers("box", self.box, "x0,y0,x1,y1 in pixels", 4)
             box = (left, top, right, bottom)
-        points = tuple(parse_pixel("point", text) for text in self.point)
-        return Hints(box, points, tuple(parse_pixel("not-point", text) for text in self.not_point))
+        return Hints(box, tuple(parse_pixel("point", text) for text in self.point))
+
+
+@Parameter(name="*", group=SEGMENT)
+@dataclass(frozen=True, kw_only=True)
+class PromptOptions(PlaceOptions):
+    """Optional prompts, which state where the instrument is in the image.
+
+    Parameters
+    ----------
+    not_point
+        Pixel u,v that is not on the instrument. May be given several times.
+    """
+
+    not_point: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)] = ()
+
+    def resolve(self) -> Hints:
+        """Return the prompts as numbers; InputError if one is not valid."""
+        return replace(super().resolve(), not_points=tuple(parse_pixel("not-point", text) for text in self.not_point))
+
+
+@Parameter(name="*", group=METHOD)
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions:
+    """Options of a calibration that is used.
+
+    Parameters
+    ----------
+    calibration
+        A session.json written by `calibrate` or `track`, or the folder that has one for each of several arms.
+    doubtful_session
+        Use the session.json of --session even if it predicts frames badly that it has not seen.
+    """
+
+    calibration: Annotated[Path | None, Parameter(name="--session")] = None
+    doubtful_session: Annotated[Flag, Parameter(name="--doubtful-session")] = False
+
+    def read(self, body: Body, kinematics: Literal["classic", "si"] | None, arm: str = "") -> SessionCalibration | None:
+        """Read the calibration of an arm, None without one; errors as of `session_tools.read_calibration_of`."""
+        from dvrk_cmaes.cli.session_tools import read_calibration_of
+
+        return read_calibration_of(self.calibration, body, kinematics, arm, doubtful=self.doubtful_session)
 
 
 DEFAULT_INSTRUMENT = InstrumentOptions()
 DEFAULT_METHOD = MethodOptions()
 DEFAULT_SEGMENT = SegmentOptions()
 DEFAULT_PROMPTS = PromptOptions()
+DEFAULT_PLACE = PlaceOptions()
+DEFAULT_CALIBRATION = CalibrationOptions()
+DEFAULT_CAMERA_FILE = CameraFileOptions()
+DEFAULT_INSTRUMENT_NAME = InstrumentNameOptions()
 
 
 def _check_name(option: str, name: str, known: Iterable[str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,28 +13,29 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    DEFAULT_CAMERA,
-    DEFAULT_INSTRUMENT,
-    DEFAULT_METHOD,
-    DEFAULT_PROMPTS,
-    DEFAULT_READING,
+    DEFAULT_CALIBRATION,
+    DEFAULT_CAMERA_FILE,
+    DEFAULT_INSTRUMENT_NAME,
+    DEFAULT_PLACE,
     FOLDER,
+    METHOD,
     MOST_SKIPPED,
     MOST_WORKERS,
+    NO_READINGS,
     OUTPUT,
+    CalibrationOptions,
+    CameraFileOptions,
     CameraOptions,
-    DoubtfulSessionOption,
     Flag,
+    InstrumentNameOptions,
     InstrumentOptions,
     MethodOptions,
-    PromptOptions,
-    ReadingOptions,
-    SessionOption,
+    PlaceOptions,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_calibration_of, session_tools, write_bases
+from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools, write_bases
 from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, Line, frames_text, note, show, stopping_on_interrupt, warn
-from dvrk_cmaes.cli.track_source import DEFAULT_VIDEO, Source, VideoOptions
+from dvrk_cmaes.cli.track_source import Source
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed
 
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.results.tracked import TrackResult
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.runs.track_folder import TrackSummary
+    from dvrk_cmaes.runs.track_frames import TrackSettings
 
 
 AUTO = "auto"
@@ -52,68 +54,17 @@ _MOST_REASONS = 8
 _REPORT_EVERY = 5.0  # s
 
 
-def track(
-    session: Annotated[Path, Parameter(group=FOLDER)],
-    /,
-    *,
-    out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
-    every: Annotated[int, Parameter(group=FOLDER)] = 1,
-    joints: Annotated[str | None, Parameter(group=FOLDER)] = None,
-    only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    lag: Annotated[str, Parameter(group=FOLDER, allow_leading_hyphen=True)] = AUTO,
-    fps: Annotated[float, Parameter(group=FOLDER)] = 30.0,
-    causal: Annotated[Flag, Parameter(group=FOLDER)] = False,
-    workers: Annotated[int | None, Parameter(group=FOLDER)] = None,
-    resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
-    video: Annotated[bool, Parameter(group=FOLDER)] = True,
-    page: Annotated[bool, Parameter(group=FOLDER)] = True,
-    rerun: Annotated[Path | None, Parameter(group=FOLDER)] = None,
-    evidence: Annotated[Literal["masks", "images"] | None, Parameter(group=FOLDER)] = None,
-    first_mask: Annotated[Path | None, Parameter(group=FOLDER)] = None,
-    prompts: PromptOptions = DEFAULT_PROMPTS,
-    recording: VideoOptions = DEFAULT_VIDEO,
-    calibration: SessionOption = None,
-    doubtful_session: DoubtfulSessionOption = False,
-    reading: ReadingOptions = DEFAULT_READING,
-    camera: CameraOptions = DEFAULT_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
-    method: MethodOptions = DEFAULT_METHOD,
-    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
-) -> int:
-    """Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
-
-    Keyframes over the whole recording are solved together, as by `calibrate`, those of several arms in one problem;
-    every frame is then fitted with what that solution and its neighbours expect. With --causal, and where keyframes
-    cannot be solved, the first frame is solved as by `estimate`, the others start from what the readings did since the
-    frame before, and keyframes are solved as they come: no result depends on later frames, and none is ok before
-    keyframes tell the arm's base. The table [track] of the settings file configures that.
-
-    Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
-    lost, 130 interrupted; the same command then goes on after the keyframes, or begins anew with --causal.
-
-    Without masks, those of the keyframes are found in their images, and those of all frames by the colours that the
-    keyframes tell. With --causal, the instrument is segmented in the first frame alone; in the others its mask is found
-    by colours, which are learned on the way.
-
-    Example:
-
-    ```
-    dvrk-cmaes track session --out tracks
-    ```
-
-    ```
-    dvrk-cmaes track session/video.mp4 --box 250,180,639,380 --out tracks
-    ```
+@Parameter(name="*", group=FOLDER)
+@dataclass(frozen=True, kw_only=True)
+class TrackOptions:
+    """What is followed, and what is written.
 
     Parameters
     ----------
-    session
-        Session folder, as for `batch`, with consecutive frames, whose images may be in its video.mp4. Or a video,
-        beside camera.yaml and joints.csv. Or a ROS recording, which is converted to OUT/session as by `import`.
     out
         Folder for tracks.jsonl, tracks.csv, session.json, tracks.mp4 and report.html; SESSION/tracks by default, or
-        tracks beside the recording. Those of several arms are in OUT/ARM, and a video, a page and arms.json, how their
-        bases lie to each other, in OUT.
+        tracks beside the recording. Those of several arms are in OUT/ARM, and a video and arms.json, how their bases
+        lie to each other, in OUT.
     every
         Follow only every N-th frame.
     joints
@@ -137,7 +88,7 @@ def track(
     video
         --no-video leaves out the overlay video.
     page
-        --no-page leaves out report.html, the page with curves over time and pictures.
+        --no-page leaves out report.html, the page with the recording, curves over time and places to look at.
     rerun
         File .rrd for the Rerun viewer: images, masks, meshes, camera and joints on a timeline. Needs rerun-sdk (pip
         install '.[viewer]').
@@ -145,146 +96,248 @@ def track(
         masks or images; by default the masks of frames that have one, and the images of the others.
     first_mask
         Mask of the first frame, if that has none.
-    prompts
+    """
+
+    out: Path | None = None
+    every: int = 1
+    joints: str | None = None
+    only: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
+    lag: Annotated[str, Parameter(allow_leading_hyphen=True)] = AUTO
+    fps: float = 30.0
+    causal: Flag = False
+    workers: int | None = None
+    resume: Annotated[bool, Parameter(negative="--overwrite")] = True
+    video: bool = True
+    page: bool = True
+    rerun: Path | None = None
+    evidence: Literal["masks", "images"] | None = None
+    first_mask: Path | None = None
+
+    @property
+    def readings(self) -> Path | None:
+        """The file of readings that is given."""
+        return None if self.joints is None or self.joints == NO_READINGS else Path(self.joints)
+
+    def check(self) -> None:
+        """Raise an InputError for a value that is not valid."""
+        check_range("--every", self.every, 1, MOST_SKIPPED)
+        check_range("--workers", self.workers, 1, MOST_WORKERS)
+        if not (math.isfinite(self.fps) and self.fps > 0):
+            raise InputError(f"--fps: expected frames a second above 0, got {self.fps:g}")
+        check_range("--fps", self.fps, 1e-3, 1e6, "frames a second")
+        if self.rerun is not None:
+            from dvrk_cmaes.export.rerun_file import check_rerun
+
+            check_rerun("--rerun", self.rerun)
+
+    def check_for_several(self, calibration: Path | None, place: PlaceOptions) -> None:
+        """Raise an InputError for an option that cannot hold for several arms."""
+        of_one = {"--first-mask": self.first_mask, "--rerun": self.rerun, "--joints FILE": self.readings}
+        given = [name for name, path in of_one.items() if path is not None]
+        if place != DEFAULT_PLACE:
+            given.append("--box, --point")
+        if given:
+            raise InputError(f"{given[0]}: expected one arm (--only ARM), got a session of several")
+        if calibration is not None and not calibration.is_dir():
+            raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Recording:
+    """The arms of a recording in its session ``folder``, and how each is followed, by name."""
+
+    folder: Path
+    arms: dict[str, ArmInSession]
+    settings: dict[str, TrackSettings]
+
+
+DEFAULT_FOLLOW = TrackOptions()
+
+
+def track(
+    session: Annotated[Path, Parameter(group=FOLDER)],
+    /,
+    *,
+    follow: TrackOptions = DEFAULT_FOLLOW,
+    place: PlaceOptions = DEFAULT_PLACE,
+    calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
+    camera: CameraFileOptions = DEFAULT_CAMERA_FILE,
+    instrument: InstrumentNameOptions = DEFAULT_INSTRUMENT_NAME,
+    config: Annotated[Path | None, Parameter(group=METHOD)] = None,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Follow an instrument through the consecutive frames of a session or a video, by masks or images, and readings.
+
+    Keyframes over the whole recording are solved together, as by `calibrate`, those of several arms in one problem;
+    every frame is then fitted with what that solution and its neighbours expect. With --causal, and where keyframes
+    cannot be solved, the first frame is solved as by `estimate`, the others start from what the readings did since the
+    frame before, and keyframes are solved as they come: no result depends on later frames, and none is ok before
+    keyframes tell the arm's base.
+
+    Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
+    lost, 130 interrupted; the same command then goes on after the keyframes, or begins anew with --causal.
+
+    Example:
+
+    ```
+    dvrk-cmaes track session --out tracks
+    ```
+
+    ```
+    dvrk-cmaes track session/video.mp4 --box 250,180,639,380 --out tracks
+    ```
+
+    Parameters
+    ----------
+    session
+        Session folder, as for `batch`, with consecutive frames, whose images may be in its video.mp4. Or a video,
+        beside camera.yaml and joints.csv. Or a ROS recording, which is converted to OUT/session as by `import`.
+    follow
+        What is followed, and what is written.
+    place
         Where the instrument is in the first image, if that has no mask: which of two tools is followed. By default
         what boxes.csv says of it.
-    recording
-        The video.
-    calibration
-        A session.json written by `calibrate` or by this command, or the folder that has one for each of several arms:
-        it is used instead of the keyframes' solution. With --causal it is followed by from the first frame on.
-    doubtful_session
-        Use the session.json of --session even if it predicts frames badly that it has not seen.
-    reading
-        How files of readings are read.
+    calibrated
+        A calibration that is used instead of the keyframes' solution; with --causal, from the first frame on.
     camera
         Camera to use instead of the session's own.
     instrument
         The instrument, and the arm that carries it.
-    method
-        The method of frames that are searched globally.
+    config
+        Settings file (TOML); `dvrk-cmaes help settings` lists its keys, of which those of [track] are of this command.
     json
         Print only the numbers of frames by status, as JSON, on stdout.
     """
-    check_range("--every", every, 1, MOST_SKIPPED)
-    check_range("--workers", workers, 1, MOST_WORKERS)
-    if not (math.isfinite(fps) and fps > 0):
-        raise InputError(f"--fps: expected frames a second above 0, got {fps:g}")
-    check_range("--fps", fps, 1e-3, 1e6, "frames a second")
-    if rerun is not None:
-        from dvrk_cmaes.export.rerun_file import check_rerun
+    follow.check()
+    with output_folder(follow.out, session if session.is_dir() else session.parent, "tracks", "track") as target:
+        recording = _described(session, target, follow, place, calibrated, camera, instrument, config)
+        finished = _followed(recording, target, follow)
+        interrupted = len(finished) < len(recording.arms) or any(own.interrupted for own in finished.values())
+        doubts = _compared(recording, finished, target, follow, quiet=json) if not interrupted else []
+        counts = {name: summary.counts for name, summary in finished.items()}
+        answer_by_arm(counts, {name: _lines(own, target / name, follow) for name, own in finished.items()}, json=json)
+        _report(recording, finished, doubts)
+    if interrupted:
+        return INTERRUPTED
+    return DOUBTFUL if doubts or any(set(of_arm) - {"ok"} for of_arm in counts.values()) else 0
 
-        check_rerun("--rerun", rerun)
-    from dvrk_cmaes.calibration.together import solved_together
-    from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
+
+def _described(
+    session: Path,
+    target: Path,
+    follow: TrackOptions,
+    place: PlaceOptions,
+    calibrated: CalibrationOptions,
+    camera: CameraFileOptions,
+    instrument: InstrumentNameOptions,
+    config: Path | None,
+) -> _Recording:
+    """Read the arms of a recording, and say how each is followed."""
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.results.track_files import VIDEO
-    from dvrk_cmaes.runs.track_arms import exchanged_while_followed, write_track_arms
-    from dvrk_cmaes.runs.track_folder import tracking_folder
     from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask, with_increasing_times
     from dvrk_cmaes.runs.worker import hints_of
     from dvrk_cmaes.segment.segmentation import hints_within
 
-    seconds = None if lag == AUTO else Lag.parse("--lag", lag).in_seconds(fps)
-    with output_folder(out, session if session.is_dir() else session.parent, "tracks", "track") as target:
-        readings = None if joints is None or joints == "none" else Path(joints)
-        source = Source.of(session, evidence, target, camera=camera.camera, joints=readings)
-        tools = session_tools(source.folder, instrument, only)
-        if len(tools) > 1:
-            of_one = {"--first-mask": first_mask, "--rerun": rerun, "--joints FILE": readings}
-            _check_of_several(of_one, calibration, prompts)
-        files = () if readings is None else (readings,)
-        arms: dict[str, ArmInSession] = {}
-        settings: dict[str, TrackSettings] = {}
-        for name, tool in tools.items():
-            own = None if joints == "none" else files
-            arm = source.read(tool, camera, recording, joints=own, reading=reading, ahead=not causal)
-            timed, doubled = with_increasing_times(arm.session)
-            if doubled:
-                warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
-            followed, used = used_session(timed, evidence)
-            arms[name] = replace(arm, session=with_first_mask(followed, first_mask))
-            settings[name] = TrackSettings(
-                method.resolve(),
-                arm.kinematics,
-                read_calibration_of(calibration, arm.body, instrument.arm, tool.tool.arm, doubtful=doubtful_session),
-                seconds,
-                every,
-                joints != "none",
-                fps,
-                causal,
-                used,
-                (hints_of(followed.frames[0]) if prompts == DEFAULT_PROMPTS else None)
-                or hints_within(prompts.resolve(), followed.frames[0].crop),
-                workers,
-            )
+    source = Source.of(session, follow.evidence, target, camera=camera.camera, joints=follow.readings)
+    named = InstrumentOptions(instrument=instrument.instrument, arm=instrument.arm)
+    cameras = CameraOptions(camera=camera.camera, rectified=camera.rectified, side=camera.side)
+    tools = session_tools(source.folder, named, follow.only)
+    if len(tools) > 1:
+        follow.check_for_several(calibrated.calibration, place)
+    read = follow.joints != NO_READINGS
+    files = (() if follow.readings is None else (follow.readings,)) if read else None
+    lag = None if follow.lag == AUTO else Lag.parse("--lag", follow.lag).in_seconds(follow.fps)
+    found = _Recording(source.folder, {}, {})
+    for name, tool in tools.items():
+        arm = source.read(tool, cameras, joints=files, ahead=not follow.causal)
+        timed, doubled = with_increasing_times(arm.session)
+        if doubled:
+            warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
+        used, evidence = used_session(timed, follow.evidence)
+        found.arms[name] = replace(arm, session=with_first_mask(used, follow.first_mask))
+        hints = hints_of(used.frames[0]) if place == DEFAULT_PLACE else None
+        found.settings[name] = TrackSettings(
+            MethodOptions(config=config).resolve(),
+            arm.kinematics,
+            calibrated.read(arm.body, instrument.arm, tool.tool.arm),
+            lag,
+            follow.every,
+            use_joints=read,
+            frames_a_second=follow.fps,
+            causal=follow.causal,
+            evidence=evidence,
+            hints=hints or hints_within(place.resolve(), used.frames[0].crop),
+            workers=follow.workers,
+        )
+    return found
 
-        def tracking(name: str, places: Sequence[Place]) -> Solving[TrackSummary | None]:
-            if stop.is_set() and name != next(iter(arms)):
-                return None
-            return (
-                yield from tracking_folder(
-                    arms[name].session,
-                    target / name,
-                    arms[name].body,
-                    settings[name],
-                    resume=resume,
-                    video=video,
-                    page=page,
-                    rerun=rerun,
-                    stop=stop,
-                    progress=_progress(name),
-                    notice=partial(_notice, name),
-                    arm=name,
-                    places=places,
-                )
-            )
 
-        with stopping_on_interrupt() as stop:
-            found = solved_together({name: partial(tracking, name) for name in arms})
-        finished = {name: summary for name, summary in found.items() if summary is not None}
-        interrupted = len(finished) < len(arms) or any(own.interrupted for own in finished.values())
-        exchanged: list[str] = []
-        agree, setup = True, read_setup_joints(source.folder / SETUP)
-        if len(tools) > 1 and not interrupted:
-            of_arms = {name: summary.readings for name, summary in finished.items()}
-            seen = {
-                name: replace(arm, session=replace(arm.session, frames=arm.session.frames[::every]))
-                for name, arm in arms.items()
-            }
-            exchanged = exchanged_while_followed(target, of_arms)
-            rate = next(iter(finished.values())).frames_a_second
-            if video:
-                write_track_arms(target, seen, rate)
-            known = {name: own.calibration for name, own in finished.items() if own.calibration is not None}
-            if len(known) == len(arms):
-                agree = write_bases(known, setup, target, quiet=json)
-        counts = {name: summary.counts for name, summary in finished.items()}
-        lines = {name: _lines(own, target / name, page=page, rerun=rerun) for name, own in finished.items()}
-        answer_by_arm(counts, lines, json=json)
-        if len(tools) > 1 and video and not (interrupted or json):
+def _followed(recording: _Recording, target: Path, follow: TrackOptions) -> dict[str, TrackSummary]:
+    """Follow the arms of a recording, whose keyframes are solved together; without those after an interruption."""
+    from dvrk_cmaes.calibration.together import solved_together
+    from dvrk_cmaes.runs.track_folder import tracking_folder
+
+    def tracking(name: str, places: Sequence[Place]) -> Solving[TrackSummary | None]:
+        if stop.is_set() and name != next(iter(recording.arms)):
+            return None
+        arm = recording.arms[name]
+        return (
+            yield from tracking_folder(
+                arm.session,
+                target / name,
+                arm.body,
+                recording.settings[name],
+                resume=follow.resume,
+                video=follow.video,
+                page=follow.page,
+                rerun=follow.rerun,
+                stop=stop,
+                progress=_progress(name),
+                notice=partial(_notice, name),
+                arm=name,
+                places=places,
+            )
+        )
+
+    with stopping_on_interrupt() as stop:
+        found = solved_together({name: partial(tracking, name) for name in recording.arms})
+    return {name: summary for name, summary in found.items() if summary is not None}
+
+
+def _compared(
+    recording: _Recording, finished: Mapping[str, TrackSummary], target: Path, follow: TrackOptions, *, quiet: bool
+) -> list[str]:
+    """Write what several arms have in common; returns why they are doubtful together, "" where that is said already."""
+    if len(recording.arms) == 1:
+        return []
+    from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
+    from dvrk_cmaes.results.track_files import VIDEO
+    from dvrk_cmaes.runs.track_arms import exchanged_while_followed, write_track_arms
+
+    doubts = list(exchanged_while_followed(target, {name: own.readings for name, own in finished.items()}))
+    setup = read_setup_joints(recording.folder / SETUP)
+    if follow.video:
+        seen = {
+            name: replace(arm, session=replace(arm.session, frames=arm.session.frames[:: follow.every]))
+            for name, arm in recording.arms.items()
+        }
+        write_track_arms(target, seen, next(iter(finished.values())).frames_a_second)
+        if not quiet:
             show([Line(f"all arms: {target / VIDEO}")])
-        for name, summary in finished.items():
-            told = () if summary.calibration is None else summary.calibration.warnings
-            for text in dict.fromkeys((*arms[name].session.rig.remarks, *told)):
-                warn(text, name)
-        for text in exchanged:
-            warn(text)
-        if interrupted:
-            return INTERRUPTED
-        doubtful = exchanged or not agree or any(set(summary.counts) - {"ok"} for summary in finished.values())
-        return DOUBTFUL if doubtful else 0
+    known = {name: own.calibration for name, own in finished.items() if own.calibration is not None}
+    if len(known) == len(recording.arms) and not write_bases(known, setup, target, quiet=quiet):
+        doubts.append("")
+    return doubts
 
 
-def _check_of_several(of_one: Mapping[str, Path | None], calibration: Path | None, prompts: PromptOptions) -> None:
-    """Raise an InputError for an option that cannot hold for several arms; ``of_one`` are files of such options."""
-    given = [name for name, path in of_one.items() if path is not None]
-    if prompts != DEFAULT_PROMPTS:
-        given.append("--box, --point, --not-point")
-    if given:
-        raise InputError(f"{given[0]}: expected one arm (--only ARM), got a session of several")
-    if calibration is not None and not calibration.is_dir():
-        raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
+def _report(recording: _Recording, finished: Mapping[str, TrackSummary], doubts: Sequence[str]) -> None:
+    """Warn of what concerns whole arms."""
+    for name, summary in finished.items():
+        own = () if summary.calibration is None else summary.calibration.warnings
+        for text in dict.fromkeys((*recording.arms[name].session.rig.remarks, *own)):
+            warn(text, name)
+    for text in filter(None, doubts):
+        warn(text)
 
 
 def _notice(arm: str, text: str) -> None:
@@ -312,7 +365,7 @@ def _progress(arm: str) -> Callable[[int, int, TrackResult | None], None]:
     return report
 
 
-def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> Iterator[Line]:
+def _lines(done: TrackSummary, out: Path, follow: TrackOptions) -> Iterator[Line]:
     """Yield the lines of a summary."""
     import numpy as np
 
@@ -330,10 +383,10 @@ def _lines(done: TrackSummary, out: Path, *, page: bool, rerun: Path | None) -> 
     yield Line(f"written: {out / 'tracks.jsonl'}")
     if (out / VIDEO).is_file() and not done.interrupted:
         yield Line(f"video: {out / VIDEO}")
-    if page and not done.interrupted:
+    if follow.page and not done.interrupted:
         yield Line(f"page: {out / 'report.html'}")
-    if rerun is not None and not done.interrupted:
-        yield Line(f"for the Rerun viewer: {rerun}")
+    if follow.rerun is not None and not done.interrupted:
+        yield Line(f"for the Rerun viewer: {follow.rerun}")
 
 
 def reason_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[Line]:

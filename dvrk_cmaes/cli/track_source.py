@@ -2,59 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from cyclopts import Group, Parameter
-
-from dvrk_cmaes.cli.options import LATEST, LayoutOption, check_range
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import no_folder
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.cli.options import CameraOptions, ReadingOptions
+    from dvrk_cmaes.cli.options import CameraOptions
     from dvrk_cmaes.cli.session_tools import SessionTool
-    from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
-VIDEO = Group.create_ordered("Video")
 _IMPORTED = "session"
 _TOLERANCE = 0.05  # s, as of import
-
-
-@Parameter(name="*", group=VIDEO)
-@dataclass(frozen=True, kw_only=True)
-class VideoOptions:
-    """Options of a video.
-
-    Parameters
-    ----------
-    layout
-        Where the eyes are in the picture of a stereo video; --side chooses one. By default found from the size of the
-        camera's images. A squeezed picture has both eyes in the size of one.
-    video_start
-        Time of the video's first image on the clock of the readings, in seconds, if these have no column frame.
-    """
-
-    layout: LayoutOption = None
-    video_start: float = 0.0
-
-    def open(self, path: Path, side: Literal["left", "right"]) -> SessionVideo:
-        """Open the video of a session."""
-        from dvrk_cmaes.frames.session_video import SessionVideo
-        from dvrk_cmaes.joints.interpolation import NANOSECONDS
-
-        if not math.isfinite(self.video_start):
-            raise InputError(f"--video-start: expected a finite number of seconds, got {self.video_start:g}")
-        check_range("--video-start", self.video_start, -LATEST, LATEST, "seconds")
-        start = round(self.video_start * NANOSECONDS)
-        return SessionVideo.open(path, layout=self.layout, side=side, start=start)
-
-
-DEFAULT_VIDEO = VideoOptions()
 
 
 @dataclass(frozen=True)
@@ -93,20 +55,13 @@ class Source:
         return Source(path, video)
 
     def read(
-        self,
-        tool: SessionTool,
-        camera: CameraOptions,
-        video: VideoOptions,
-        *,
-        joints: Sequence[Path] | None,
-        reading: ReadingOptions,
-        ahead: bool,
+        self, tool: SessionTool, camera: CameraOptions, *, joints: Sequence[Path] | None, ahead: bool
     ) -> ArmInSession:
         """Read the session of a tool."""
-        if self.video is None and video != DEFAULT_VIDEO:
-            raise InputError(f"{self.folder}: --layout, --video-start: expected a video, got a session of images")
-        opened = None if self.video is None else video.open(self.video, camera.side)
-        return tool.read(self.folder, camera, joints=joints, reading=reading, video=opened, ahead=ahead)
+        from dvrk_cmaes.frames.session_video import SessionVideo
+
+        opened = None if self.video is None else SessionVideo.open(self.video, layout=None, side=camera.side, start=0)
+        return tool.read(self.folder, camera, joints=joints, video=opened, ahead=ahead)
 
 
 def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:

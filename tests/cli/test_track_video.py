@@ -131,9 +131,11 @@ def test_readings_of_a_video_may_have_times_alone(
         _, time, *rest = row.split(",")
         shifted.append(",".join([f"{float(time) + 5:.6f}", *rest]))
     (tmp_path / "timed" / "joints.csv").write_text("\n".join(shifted) + "\n", encoding="utf-8")
-    options = ("--video-start", "5", "--first-mask", session / "first.png", "--no-video")
-    found = follow(capsys, tmp_path / "timed", tmp_path / "out", *options)
-    assert [row["frame"] for row in found] == [f"{k:06d}" for k in range(FRAMES)]
+    timed, imported = tmp_path / "timed", tmp_path / "imported"
+    files = timed / "video.mp4", "--camera", timed / "camera.yaml", "--joints", timed / "joints.csv"
+    assert run_command(capsys, "import", *files, "--video-start", "5", "--out", imported).code == 0
+    found = follow(capsys, imported, tmp_path / "out", "--first-mask", session / "first.png", "--no-video")
+    assert len(found) == FRAMES
     assert error_mm(world, found[-1], FRAMES - 1) < 2
 
 
@@ -178,11 +180,9 @@ def test_masks_count_where_there_are_any(
     ("options", "expected"),
     [
         (["--evidence", "masks"], "--evidence masks: expected masks of the frames, got none"),
-        (
-            ["--layout", "side-by-side"],
-            "--layout side-by-side: expected pictures of the aspect of the calibration's 320 x 240, got 160 x 240",
-        ),
-        (["--video-start", "nan"], "--video-start: expected a finite number of seconds, got nan"),
+        (["--layout", "side-by-side"], "--layout: no longer an option; use `dvrk-cmaes import`"),
+        (["--crop=1,2,3,4"], "--crop: no longer an option; use right, crop or stretch of [camera] in session.toml"),
+        (["--seed", "3"], "--seed: no longer an option; use seed in the settings file (--config)"),
         (["--first-mask", "none.png"], "none.png: no such file"),
         (["--box", "1,2,3"], "--box: expected x0,y0,x1,y1 in pixels, got '1,2,3'"),
     ],

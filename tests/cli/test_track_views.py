@@ -170,7 +170,7 @@ def test_one_arm_can_be_chosen(two_arms: Path, tmp_path: Path, quick: Path, caps
     ("options", "expected"),
     [
         (("--first-mask", "a.png"), "--first-mask: expected one arm (--only ARM), got a session of several"),
-        (("--box", "1,2,30,40"), "--box, --point, --not-point: expected one arm (--only ARM)"),
+        (("--box", "1,2,30,40"), "--box, --point: expected one arm (--only ARM)"),
         (("--joints", "a.csv"), "--joints FILE: expected one arm (--only ARM)"),
         (
             ("--session", "session.json"),
