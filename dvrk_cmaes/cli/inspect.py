@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -20,9 +20,6 @@ from dvrk_cmaes.cli.options import (
 from dvrk_cmaes.cli.terminal import Line, print_error, show
 from dvrk_cmaes.errors import InputError
 
-if TYPE_CHECKING:
-    from dvrk_cmaes.inspection import Finding
-
 
 def inspect(
     files: Annotated[tuple[Path, ...], Parameter(negative=())],
@@ -35,10 +32,9 @@ def inspect(
 ) -> int:
     """Print what each file is taken for, what is read from it, and the rules that were applied to ambiguous content.
 
-    Files of cameras, joint readings, masks, images, jaw tips, URDFs, meshes, the dVRK's tools, kinematics and
-    registrations, and results; folders of sessions and of results; the topics of a ROS recording. A
-    folder of frames in the published layout is read with the camera of --camera. Exit codes: 0 ok, 2 a file could not
-    be read.
+    Files of cameras, joint readings, masks, images, jaw tips, URDFs, meshes, the dVRK's tools and kinematics, videos
+    and results; folders of sessions and of results; the topics of a ROS recording. A folder of frames in the published
+    layout is read with the camera of --camera. Exit codes: 0 ok, 2 a file could not be read.
 
     Example:
 
@@ -69,7 +65,7 @@ def inspect(
     documents = []
     for number, file in enumerate(files):
         try:
-            found = _recording(file) or inspect_path(file, options)
+            found = inspect_path(file, options)
         except InputError as error:
             code = error.exit_code
             documents.append({"path": str(file), "kind": None, "error": str(error)})
@@ -83,24 +79,3 @@ def inspect(
     if json:
         print(json_text(documents), end="")
     return code
-
-
-def _recording(path: Path) -> Finding | None:
-    """Describe the topics of a ROS recording; None for other files, and without the library that reads recordings."""
-    from importlib.util import find_spec
-
-    from dvrk_cmaes.inspection.finding import RECORDINGS
-
-    if not (path.is_dir() or path.suffix.lower() in RECORDINGS) or not path.exists() or find_spec("rosbags") is None:
-        return None
-    from dvrk_cmaes.inspection import Finding
-    from dvrk_cmaes.recording.bag import list_topics
-    from dvrk_cmaes.recording.topics import is_bag
-
-    if not is_bag(path):
-        return None
-    seconds, topics = list_topics(path)
-    lines = [f"{seconds:.3f} s, {len(topics)} topics"]
-    lines += [f"{own.name}: {own.kind}, {own.count} messages, {own.rate:.1f} a second" for own in topics]
-    read = {"seconds": seconds, "topics": {own.name: {"type": own.kind, "messages": own.count} for own in topics}}
-    return Finding("ROS recording", tuple(lines), read, ("dvrk-cmaes import reads images, camera and readings of it",))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dvrk_cmaes.inspection.finding import Finding, Options
-from dvrk_cmaes.inspection.path import inspect_path
+from dvrk_cmaes.inspection.path import Finding, Options, inspect_path
 
 __all__ = ["Finding", "Options", "inspect_path"]

@@ -1,30 +1,122 @@
-"""Recognition of a file's format by its first bytes and fields; recordings, meshes and settings by their suffix.
+"""What a file or folder is, and what is read of it, by the readers that the commands use.
 
-The readers of each kind are imported where a file is of that kind: importing those of all takes longer than reading.
+Formats are told apart by suffix, first bytes and fields.
 """
 
 from __future__ import annotations
 
+import math
 import re
+import shlex
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any, Final
 
+import numpy as np
+
+from dvrk_cmaes.camera.document import is_camera, unwrapped
+from dvrk_cmaes.camera.fields import Side
+from dvrk_cmaes.camera.files import read_intrinsics
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.inspection.finding import MESHES, RECORDINGS, VIDEOS, Finding, Options
+from dvrk_cmaes.frames.boxes import read_boxes
+from dvrk_cmaes.frames.coco_mask import frames_of
+from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
+from dvrk_cmaes.frames.keypoints import read_keypoints
+from dvrk_cmaes.frames.markers import read_detections
+from dvrk_cmaes.frames.published_layout import is_published_layout
+from dvrk_cmaes.frames.session_folder import Session, read_session
+from dvrk_cmaes.frames.session_toml import CameraEntry, ToolEntry, read_session_toml
+from dvrk_cmaes.frames.tool_frames import frames_of_tool
+from dvrk_cmaes.frames.truth import read_golden
+from dvrk_cmaes.frames.video_frames import Video
+from dvrk_cmaes.instrument.dvrk_description import is_arm, is_description, read_kinematics, read_tool
 from dvrk_cmaes.io.csv_file import separator_of
 from dvrk_cmaes.io.files import check_file
-from dvrk_cmaes.io.short_text import is_number
+from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes.io.short_text import is_number, listed
+from dvrk_cmaes.io.toml_file import leaves, read_config
+from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import is_joint_state
+from dvrk_cmaes.joints.reading import TIME_TOLERANCE, read_joint_file
+from dvrk_cmaes.joints.rows import BY_THEMSELVES, ReadAs
+from dvrk_cmaes.joints.times import read_image_times
+from dvrk_cmaes.recording.lerobot import is_lerobot
+from dvrk_cmaes.recording.topics import is_bag
+from dvrk_cmaes.results.file import read_result
+from dvrk_cmaes.results.folder import is_followed, read_results
 
+_VIDEOS: Final = (".mp4", ".avi", ".mkv", ".mov")
+_MESHES: Final = (".stl", ".obj", ".dae", ".ply")
+_PICTURES: Final = (".png", ".jpg", ".jpeg")
 _EXPECTED = "a file or folder to look at"
 _KNOWN = "a camera file, joint readings, a mask, an image, a URDF, a mesh, or a JSON document of a known kind"
-_NUMPY = b"\x93NUMPY"
-MAT_FILE = b"MATLAB "
 _IMAGE_STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8")
-_TEXTS = (".md", ".rst", ".html", ".log")
 _START = 65536  # bytes read to recognise the format
 _ROOT = re.compile(rb"<\s*(?!\?|!)([\w:.-]+)")
-_IMAGE_TIMES = {"frame", "time"}
-_TRACKER = re.compile(r".*_ctr|optimized_joint_angles")
+_LABEL_RULES = {
+    "frame": "a frame's readings are found by its name",
+    "number": "a frame's readings are found by the number that its name ends in",
+    "message": "a frame's readings are found by the image's time",
+}
+_THRESHOLD = 127
+_SOFT = 40  # largest deviation of a mask's pixels from 0 or 255 due to JPEG compression
+_SHARP_SHARE = 0.98  # least fraction of pixels near 0 or 255 in a mask
+_MOST_LABELS = 16
+_DESCRIPTIONS = ("readings: ", "camera: ")
+_FOLLOWED, _CALIBRATED = 12, 3  # least numbers of frames that are followed, and that are calibrated
+_CONSECUTIVE = 0.25  # s, between images that are taken for consecutive ones
+_BOTH_EYES = 2.2  # width by height of a video, from which on it is likely to show both eyes beside each other
+_STACKED = 0.9  # the same, below which they are likely to be above each other
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of the inspection of one file or folder.
+
+    Parameters
+    ----------
+    kind
+        Name of the recognised format.
+    lines
+        The content as text, in mm and degrees.
+    read
+        The content as plain values for JSON, in m and rad.
+    notes
+        The rules applied where the content is ambiguous.
+    """
+
+    kind: str
+    lines: tuple[str, ...]
+    read: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the finding as plain values for JSON."""
+        return {"kind": self.kind, "in_words": list(self.lines), "read": self.read, "notes": list(self.notes)}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options for reading ambiguous files, with the meaning of the same options of the other commands."""
+
+    rectified: bool = False
+    side: Side = "left"
+    package_paths: Mapping[str, Path] = field(default_factory=dict)
+    camera: Path | None = None
+    read_as: ReadAs = BY_THEMSELVES
+
+
+def unit_of(joint: str) -> tuple[float, str]:
+    """Return the factor from m or rad to the unit in which a joint is described, and that unit, mm or deg."""
+    return (1e3, "mm") if joint.endswith("insertion") else (180 / math.pi, "deg")
+
+
+def counted(number: int, what: str) -> str:
+    """Format a number with a noun, in the plural unless the number is one."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
@@ -39,60 +131,40 @@ def inspect_path(path: str | Path, options: Options | None = None) -> Finding:
     file = Path(path)
     try:
         if file.is_dir():
-            from dvrk_cmaes.inspection.folders import inspect_folder
-
-            return inspect_folder(file, settings)
+            return _inspect_bag(file) if is_bag(file) else _inspect_folder(file, settings)
         check_file(file, expected=_EXPECTED)
         with file.open("rb") as stream:
             start = stream.read(_START)
     except OSError as error:
         raise InputError(f"{path}: not readable ({error.strerror}); expected {_EXPECTED}") from None
-    if file.suffix.lower() in (*RECORDINGS, *VIDEOS):
-        from dvrk_cmaes.inspection.folders import inspect_recording
-
-        return inspect_recording(file)
-    if file.suffix.lower() in MESHES:
-        from dvrk_cmaes.inspection.instruments import inspect_mesh
-
-        return inspect_mesh(file)
-    if file.suffix.lower() in _TEXTS:
-        return Finding("text for people", ("skipped: it has no data that is read",), {})
-    if file.suffix.lower() == ".toml":
+    if is_bag(file):
+        return _inspect_bag(file)
+    suffix = file.suffix.lower()
+    if suffix in _VIDEOS:
+        return _inspect_video(file)
+    if suffix in _MESHES:
+        return _inspect_mesh(file)
+    if suffix == ".toml":
         return _inspect_settings(file)
     if start.startswith(_IMAGE_STARTS):
-        from dvrk_cmaes.inspection.pictures import inspect_image
-
-        return inspect_image(file)
-    if start.startswith(MAT_FILE):
-        return _inspect_camera(file, settings)
-    if start.startswith(_NUMPY):
-        from dvrk_cmaes.inspection.tables import inspect_joints, inspect_tracker_array
-
-        return inspect_tracker_array(file) if _TRACKER.fullmatch(file.stem) else inspect_joints(file, settings)
-    return _inspect_text(file, start.removeprefix(b"\xef\xbb\xbf"), settings)
+        return _inspect_picture(file)
+    if start.startswith(b"\x93NUMPY"):
+        return _inspect_joints(file, settings)
+    if b"\0" in start:
+        raise InputError(f"{path}: expected {_KNOWN}, got something else")
+    return _inspect_text(file, start.removeprefix(b"\xef\xbb\xbf").lstrip(), settings)
 
 
 def _inspect_text(path: Path, start: bytes, options: Options) -> Finding:
     """Recognise the format of a text file and describe it; ``start`` is the beginning of the file."""
-    if b"\0" in start:
-        raise InputError(f"{path}: expected {_KNOWN}, got something else")
-    content = start.lstrip()
-    if content.startswith(b"<"):
-        root = _ROOT.search(content)
-        if root is None or root[1] != b"robot":
-            return _inspect_camera(path, options)
-        from dvrk_cmaes.inspection.instruments import inspect_urdf
-
-        return inspect_urdf(path, options)
-    if content.startswith((b"{", b"/*", b"//")):
-        from dvrk_cmaes.inspection.documents import inspect_json
-
-        return inspect_json(path, options)
+    root = _ROOT.match(start) if not start.startswith(b"<?") else _ROOT.search(start)
+    if root is not None and root[1] == b"robot":
+        return _inspect_urdf(path, options)
+    if start.startswith((b"{", b"/*", b"//")):
+        return _inspect_json(path, options)
     text = start.decode("utf-8", errors="replace")
     if is_joint_state(text):
-        from dvrk_cmaes.inspection.tables import inspect_joints
-
-        return inspect_joints(path, options)
+        return _inspect_joints(path, options)
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     separator = separator_of(lines[0]) if lines else ","
     names = [name.strip() for name in lines[0].split(separator)] if lines else []
@@ -102,36 +174,408 @@ def _inspect_text(path: Path, start: bytes, options: Options) -> Finding:
     return _inspect_camera(path, options)
 
 
-def _inspect_camera(path: Path, options: Options) -> Finding:
-    """Describe a camera file."""
-    from dvrk_cmaes.inspection.cameras import inspect_camera
-
-    return inspect_camera(path, options)
-
-
 def _inspect_table(path: Path, header: set[str], options: Options) -> Finding:
     """Describe a table by the names of its columns."""
-    from dvrk_cmaes.inspection import tables
+    readers: tuple[tuple[set[str], str, Callable[[Path], Mapping[str, Any]]], ...] = (
+        ({"tip_1_u"}, "jaw tips", read_keypoints),
+        ({"marker"}, "marker detections", read_detections),
+        ({"x0"}, "boxes", read_boxes),
+    )
+    if header == {"frame", "time"}:
+        readers = (({"frame"}, "image times", read_image_times),)
+    for columns, kind, read in readers:
+        if columns <= header:
+            found = read(path)
+            return Finding(kind, (f"{counted(len(found), 'frame')}: {listed(found)}",), {"frames": list(found)})
+    return _inspect_joints(path, options)
 
-    if "tip_1_u" in header:
-        return tables.inspect_keypoints(path)
-    if "marker" in header:
-        return tables.inspect_detections(path)
-    if header == _IMAGE_TIMES:
-        return tables.inspect_image_times(path)
-    if {"rx", "tx", "jaw_1"} <= header:
-        return tables.inspect_published_poses(path)
-    return tables.inspect_joints(path, options)
+
+def _inspect_json(path: Path, options: Options) -> Finding:
+    """Describe a JSON document by the reader that its fields tell; InputError if it is of none."""
+    from dvrk_cmaes.calibration.document import read_calibration  # takes long to import, as `load_instrument`
+
+    document = read_json_object(path, expected="a JSON document", comments=True)
+    fields = document.keys()
+    if is_description(document):
+        return _inspect_description(path, document)
+    storage = any(isinstance(value, dict) and "type_id" in value for value in document.values())
+    if storage or is_camera(unwrapped(document)):
+        return _inspect_camera(path, options)
+    if "camera_from_root" in fields:
+        result = read_result(path)
+        line = f"frame {result.frame or '(unnamed)'}, {result.status}, {result.instrument or 'unnamed instrument'}"
+        return Finding("result", (line, *result.reasons), {"frame": result.frame, "status": result.status})
+    if "rcm" in fields:
+        offsets = read_calibration(path).offsets
+        lines = tuple(f"offset of {_range_text(name, value, value)}" for name, value in offsets.items())
+        return Finding("session calibration (session.json)", lines, {"offsets": offsets})
+    if {"images", "annotations"} <= fields:
+        names = list(frames_of(path))
+        return Finding("masks of a data set", (f"{counted(len(names), 'frame')}: {listed(names)}",), {"frames": names})
+    if fields & {"counts", "segmentation", "shapes"}:
+        mask = read_mask(path)
+        return Finding("mask", (f"{mask.shape[1]} x {mask.shape[0]} px, {mask.mean():.2%} instrument",))
+    if isinstance(document.get("frames"), dict):
+        names = list(read_golden(path).frames)
+        line = f"{counted(len(names), 'frame')}: {listed(names)}"
+        return Finding("known poses (golden.json)", (line,), {"frames": names})
+    raise InputError(
+        f"{path}: expected a camera, a dVRK tool or kinematics, a mask, a result, a session or golden.json, got the "
+        f"fields {listed(document) or '(none)'}"
+    )
+
+
+# tables and cameras
+
+
+def _inspect_joints(path: Path, options: Options) -> Finding:
+    """Describe a file of joint readings of any format; InputError if it is not valid."""
+    file = read_joint_file(path, read_as=options.read_as)
+    rows = [row.readings() for row in file.rows.values()]
+    read_of = {name: [row[name] for row in rows if name in row] for name in file.joints}
+    ranges = {name: (min(values), max(values)) for name, values in read_of.items() if values}
+    lines = [f"{file.kind}: {counted(len(rows), 'row')}", *(_range_text(name, *pair) for name, pair in ranges.items())]
+    if without_readings := [name for name in file.joints if name not in ranges]:
+        lines.append(f"no reading of {', '.join(without_readings)}")
+    notes = list(file.notes)
+    times = [row.time for row in file.rows.values() if row.time is not None]
+    span = (min(times), max(times)) if times else None
+    if span is not None:
+        lines.append(f"times from {span[0] / NANOSECONDS:.3f} to {span[1] / NANOSECONDS:.3f} s")
+        notes.append(
+            f"readings are interpolated to an image's time, from at most {TIME_TOLERANCE / NANOSECONDS:g} s away"
+        )
+    if len(rows) > 1:
+        notes.append(_LABEL_RULES[file.labels])
+    read: dict[str, Any] = {
+        "form": file.kind,
+        "rows": len(rows),
+        "found_by": file.labels,
+        "ranges": ranges,
+        "time_ns": span,
+    }
+    if len(rows) == 1:
+        read["readings"] = rows[0]
+    return Finding("joint readings", tuple(lines), read, tuple(notes))
+
+
+def _range_text(name: str, low: float, high: float) -> str:
+    """Format the range of a joint, in mm or degrees."""
+    scale, unit = unit_of(name)
+    low, high = scale * low, scale * high
+    return f"{name} {low:.2f} {unit}" if low == high else f"{name} from {low:.2f} to {high:.2f} {unit}"
+
+
+def _inspect_camera(path: Path, options: Options) -> Finding:
+    """Describe a camera file; InputError if it is not valid."""
+    intrinsics = read_intrinsics(path, rectified=options.rectified, side=options.side)
+    notes = list(intrinsics.notes)
+    remarks: tuple[str, ...] = ()
+    distorted = intrinsics.model == "equidistant" or any(intrinsics.distortion)
+    if intrinsics.size is None:
+        size = "image size not stated"
+        notes.append("without a stated image size, that of the masks or images is taken")
+    else:
+        size = f"{intrinsics.size[0]} x {intrinsics.size[1]} px"
+        remarks = intrinsics.camera(path, intrinsics.size).remarks
+    if not options.rectified and "ROS" in intrinsics.kind:
+        notes.append("images are taken for raw ones unless --rectified says otherwise")
+    if "stereo" in intrinsics.kind or "camchain" in intrinsics.kind:
+        notes.append("the left camera is taken unless --side says otherwise")
+    lens = f"{intrinsics.model} {' '.join(f'{c:.6g}' for c in intrinsics.distortion)}" if distorted else "no distortion"
+    read = asdict(intrinsics)
+    del read["kind"], read["notes"], read["ratio"]
+    return Finding(
+        "camera",
+        (
+            intrinsics.kind,
+            f"{size}, focal lengths {intrinsics.fx:.3f} and {intrinsics.fy:.3f} px, "
+            f"principal point {intrinsics.cx:.3f}, {intrinsics.cy:.3f}",
+            lens,
+            *remarks,
+        ),
+        {"form": intrinsics.kind, **read, "remarks": list(remarks)},
+        tuple(notes),
+    )
+
+
+# pictures
+
+
+def _inspect_picture(path: Path) -> Finding:
+    """Describe a PNG or JPEG as image, mask, mask of labels or ignored pixels; InputError if it is not valid."""
+    pixels = read_image(path)
+    height, width = pixels.shape[:2]
+    read = {"width": width, "height": height}
+    size = f"{width} x {height} px"
+    grey = pixels[:, :, 0]
+    if not (np.array_equal(grey, pixels[:, :, 1]) and np.array_equal(grey, pixels[:, :, 2])):
+        return Finding("image", (f"{size}, in colour",), read)
+    if path.parent.name == "ignore":
+        share = float(read_ignore(path).mean())
+        notes = ("it lies in a folder called ignore: above 127 counts neither way",)
+        return Finding("ignored pixels", (f"{size}, {share:.2%} ignored",), {**read, "ignored": share}, notes)
+    labels, counts = np.unique(grey, return_counts=True)
+    if labels.max() <= _THRESHOLD and len(labels) <= _MOST_LABELS:
+        shares = {str(label): float(count / grey.size) for label, count in zip(labels, counts, strict=True)}
+        text = ", ".join(f"{label}: {share:.2%}" for label, share in shares.items())
+        rule = f"no value is above {_THRESHOLD} and few differ: labels; --label says which is the instrument"
+        return Finding("mask of labels", (f"{size}, shares of the labels {text}",), {**read, "labels": shares}, (rule,))
+    sharp = float(np.mean((grey < _SOFT) | (grey > 255 - _SOFT)))
+    if sharp < _SHARP_SHARE:
+        return Finding("image", (f"{size}, grey",), read, ("grey with many values between: an image, not a mask",))
+    mask = read_mask(path)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    box = [int(columns[0]), int(rows[0]), int(columns[-1]), int(rows[-1])]
+    return Finding(
+        "mask",
+        (f"{size}, {mask.mean():.2%} instrument, within columns {box[0]} to {box[2]} and rows {box[1]} to {box[3]}",),
+        {**read, "instrument": float(mask.mean()), "box": box},
+        (f"almost all pixels are near 0 or 255: a mask; above {_THRESHOLD} is instrument",),
+    )
+
+
+# instruments and settings
+
+
+def _inspect_urdf(path: Path, options: Options) -> Finding:
+    """Describe an instrument; InputError if it cannot be loaded."""
+    from dvrk_cmaes.instrument import load_instrument
+
+    instrument = load_instrument(path, package_paths=options.package_paths)
+    shaft, faces = instrument.shaft, {link.name: len(link.faces) for link in instrument.links}
+    limits = dict(zip(instrument.joint_names, instrument.limits.tolist(), strict=True))
+    lines = (
+        f"{instrument.name}, pose sought of {instrument.root_link}",
+        f"links with meshes: {', '.join(f'{name} ({count} triangles)' for name, count in faces.items())}",
+        *_limits(limits),
+        "no straight shaft found"
+        if shaft is None
+        else f"shaft of {1e3 * shaft.radius:.2f} mm radius, straight over {1e3 * shaft.length:.0f} mm",
+        "a pair of jaws" if instrument.jaw_tips else "no pair of jaws",
+        f"{'looks' if instrument.has_twin else 'does not look'} alike in its mirror twin",
+    )
+    read = {"name": instrument.name, "root_link": instrument.root_link, "triangles": faces, "limits": limits}
+    return Finding("instrument (URDF)", lines, read, ("limits are the URDF's unless --tool gives others",))
+
+
+def _inspect_mesh(path: Path) -> Finding:
+    """Describe a mesh; InputError if it is not valid."""
+    from dvrk_cmaes.instrument.meshes import read_mesh
+
+    vertices, faces = read_mesh(path)
+    sides = " x ".join(f"{1e3 * side:.2f}" for side in np.ptp(vertices, axis=0))
+    lines = f"{len(faces)} triangles, {len(vertices)} vertices", f"{sides} mm, if its unit is the metre"
+    return Finding("mesh", lines, {"triangles": len(faces), "vertices": len(vertices)})
+
+
+def _inspect_description(path: Path, document: Mapping[str, Any]) -> Finding:
+    """Describe the dVRK's description of a tool or of an arm; InputError if it is not valid."""
+    if is_arm(document):
+        arm = read_kinematics(path)
+        which = "neither the Classic's nor the Si's" if arm.arm is None else f"that of --arm {arm.arm}"
+        line = f"insertion offset {1e3 * arm.insertion_offset:.1f} mm, {which}"
+        return Finding("dVRK kinematics", (line, *_limits(arm.limits)), {"limits": dict(arm.limits)})
+    tool = read_tool(path)
+    line = (
+        f"wrist {1e3 * tool.roll_offset:.1f} mm beyond the frame of the insertion (D of roll), "
+        f"{1e3 * tool.wrist_length:.2f} mm between its axes"
+    )
+    return Finding("dVRK tool", (line, *_limits(tool.limits)), {"limits": dict(tool.limits)})
+
+
+def _limits(limits: Mapping[str, Sequence[float]]) -> tuple[str, ...]:
+    """Format the limits of joints, in mm or degrees."""
+    texts = [_range_text(name, low, high) for name, (low, high) in limits.items()]
+    return (f"limits: {', '.join(texts)}",) if texts else ("no joints",)
 
 
 def _inspect_settings(path: Path) -> Finding:
     """Describe a settings file by the settings that differ from the defaults."""
-    from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.io.toml_file import leaves, read_config
-
     default = EstimateConfig()
     changed = dict(leaves(read_config(path, default)))
     defaults = dict(leaves(default))
     changes = {name: value for name, value in changed.items() if value != defaults[name]}
     lines = tuple(f"{name} = {value} instead of {defaults[name]}" for name, value in changes.items())
     return Finding("settings", lines or ("nothing but the defaults",), changes)
+
+
+# recordings and folders
+
+
+def _next_command(*words: object) -> str:
+    """Say which command to type next."""
+    return f"next: dvrk-cmaes {shlex.join(map(str, words))}"
+
+
+def _inspect_bag(path: Path) -> Finding:
+    """Describe the topics of a ROS recording."""
+    from dvrk_cmaes.recording.bag import list_topics
+
+    seconds, topics = list_topics(path)
+    lines = [f"{seconds:.3f} s, {len(topics)} topics"]
+    lines += [f"{own.name}: {own.kind}, {own.count} messages, {own.rate:.1f} a second" for own in topics]
+    read = {"seconds": seconds, "topics": {own.name: {"type": own.kind, "messages": own.count} for own in topics}}
+    return Finding("ROS recording", tuple(lines), read, ("dvrk-cmaes import reads images, camera and readings of it",))
+
+
+def _inspect_video(path: Path) -> Finding:
+    """Describe a video by its size, its images and its rate; InputError if it cannot be decoded."""
+    video = Video(path)
+    (width, height), count = video.size, len(video.times)
+    seconds = (video.times[-1] - video.times[0]) / NANOSECONDS
+    rate = (count - 1) / seconds if seconds else None
+    lines = [f"{width} x {height} px, {counted(count, 'image')}" + (f", {rate:.2f} a second" if rate else "")]
+    lines.append("clock: its images are counted from 0 s on; --video-start is that of the first on the readings' clock")
+    notes = []
+    if width >= _BOTH_EYES * height or width < _STACKED * height:
+        layout = "side-by-side" if width > height else "top-bottom"
+        notes.append(f"of this shape it may show both eyes: then give --layout {layout}")
+    names = ("camera.yaml", "joints.csv")
+    if all((path.parent / name).is_file() for name in names):
+        lines += ["taken for a recording: camera.yaml and joints.csv are beside it", _next_command("track", path)]
+    else:
+        lines += [
+            "a camera file is needed, and readings",
+            _next_command("import", path, "--camera", "camera.yaml", "--joints", "joints.csv", "--out", "session"),
+        ]
+    read = {"width": width, "height": height, "images": count, "rate": rate}
+    return Finding("video", tuple(lines), read, tuple(notes))
+
+
+def _inspect_folder(path: Path, options: Options) -> Finding:
+    """Describe a folder, recognised by the names in it, as results, a data set, pictures or a session."""
+    if (path / "frames").is_dir() or is_followed(path):
+        return _inspect_results(path)
+    if is_lerobot(path):
+        words = ("import", path, "--episode", 0, "--camera", "camera.yaml", "--out", "session")
+        return Finding("LeRobot data set", ("no camera file: --camera is needed", _next_command(*words)))
+    pictures = [p for p in sorted(path.iterdir()) if p.suffix.lower() in _PICTURES and not p.name.startswith(".")]
+    subfolders = any((path / name).exists() for name in ("masks", "images", "session.toml"))
+    if pictures and not subfolders and not is_published_layout(path):
+        return _inspect_pictures(path, pictures)
+    return _inspect_session(path, options)
+
+
+def _inspect_pictures(path: Path, pictures: Sequence[Path]) -> Finding:
+    """Describe a folder of masks or images by what each of its pictures is; other files in it are skipped."""
+    kinds: Counter[str] = Counter()
+    problems = []
+    for picture in pictures:
+        try:
+            finding = _inspect_picture(picture)
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        kinds[f"{finding.kind}, {finding.read['width']} x {finding.read['height']} px"] += 1
+    skipped = sorted({file.name for file in path.iterdir()} - {picture.name for picture in pictures})
+    lines = (
+        f"{counted(len(pictures), 'picture')}: {listed(picture.stem for picture in pictures)}",
+        *(f"{number} of {len(pictures)}: {kind}" for kind, number in kinds.most_common()),
+        *problems,
+        *([f"skipped: {listed(skipped)}"] if skipped else []),
+    )
+    read = {"pictures": [picture.stem for picture in pictures], "kinds": dict(kinds), "skipped": skipped}
+    return Finding("folder of pictures", lines, read, ("the kind of each picture is told by its pixels",))
+
+
+def _inspect_session(path: Path, options: Options) -> Finding:
+    """Describe a session folder; of several arms, what each of them sees and reads."""
+    entries = read_session_toml(path)
+    tools = (ToolEntry(""),) if entries is None or not entries.tools else entries.tools
+    said = CameraEntry() if entries is None or options.camera is not None else entries.camera
+    findings: dict[str, Finding] = {}
+    for tool in tools:
+        session = read_session(
+            path,
+            camera=options.camera or said.file or said.left,
+            camera_right=said.right,
+            rectified=options.rectified or said.rectified,
+            side=options.side,
+            joints=() if tool.joints is None else (tool.joints,),
+            read_as=replace(options.read_as, arm=tool.arm or None, columns=options.read_as.columns or tool.columns),
+            fit=said.fit,
+            masks=tool.masks,
+        )
+        if entries is None or len(tools) < 2:
+            return _of_arm(session)
+        findings[tool.arm] = _of_arm(frames_of_tool(session, entries, tool.arm))
+    lines = tuple(f"{arm}: {line}" for arm, finding in findings.items() for line in finding.lines)
+    read = {"arms": {arm: finding.read for arm, finding in findings.items()}}
+    notes = dict.fromkeys(note for finding in findings.values() for note in finding.notes)
+    return Finding(f"session of {len(findings)} arms", lines, read, tuple(notes))
+
+
+def _of_arm(session: Session) -> Finding:
+    """Describe a session of one arm."""
+    frames = session.frames
+    problems = {frame.name: frame.problem for frame in frames if frame.problem is not None}
+    parts = {
+        "masks": sum(frame.mask is not None for frame in frames),
+        "images": sum(frame.image is not None for frame in frames),
+        "readings": sum(bool(frame.readings) for frame in frames),
+        "ignored pixels": sum(frame.ignore is not None for frame in frames),
+        "jaw tips": sum(frame.keypoints is not None for frame in frames),
+        "truth": len(session.truth.frames),
+    }
+    camera = session.camera
+    lines = [
+        f"{counted(len(frames), 'frame')}: {listed(frame.name for frame in frames)}",
+        f"of these with {', '.join(f'{name} {count}' for name, count in parts.items())}",
+        *(note for note in session.notes if note.startswith(_DESCRIPTIONS)),
+        f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
+        *_clock(session),
+        *session.rig.remarks,
+        *problems.values(),
+        _next(session),
+    ]
+    rules = [note for note in session.notes if not note.startswith(_DESCRIPTIONS)]
+    rules += dict.fromkeys(note for frame in frames for note in frame.notes if note not in session.notes)
+    read = {
+        "frames": [frame.name for frame in frames],
+        "counts": parts,
+        "problems": problems,
+        "remarks": session.rig.remarks,
+    }
+    return Finding("session", tuple(lines), read, ("its layout is found by looking", *rules[1:]))
+
+
+def _clock(session: Session) -> list[str]:
+    """Say at which rates images and readings of a session follow each other, and by which clock."""
+    series = session.reading_series()
+    if series is None or not series.times:
+        return ["clock: none that images and readings share; rows belong to frames by their names"]
+    begin, end = (choose(times[at] for times in series.times.values()) for choose, at in ((min, 0), (max, -1)))
+    rows = max(map(len, series.times.values()))
+    if series.unit == "frames":
+        return [f"clock: none; {counted(rows, 'row')} of readings, in the order of the frames"]
+    images, span = sorted(series.frames.values()), end - begin
+    said = [f"{counted(rows, 'row')} of readings in {span:.2f} s"]
+    if span > 0:
+        said[0] += f", {(rows - 1) / span:.1f} a second"
+    if len(images) > 1 and images[-1] > images[0]:
+        said.append(f"images {(len(images) - 1) / (images[-1] - images[0]):.1f} a second")
+    return [f"clock: {'; '.join(said)}"]
+
+
+def _next(session: Session) -> str:
+    """Say what a session is likely to be, and which command to type next."""
+    frames, series = session.frames, session.reading_series()
+    read = sum({"yaw", "pitch", "insertion", "roll"} <= {*frame.readings} for frame in frames)
+    if len(frames) >= _FOLLOWED and series is not None and series.unit == "s" and 0 < series.interval <= _CONSECUTIVE:
+        return f"taken for a recording of consecutive frames; {_next_command('track', session.folder)}"
+    if read >= _CALIBRATED:
+        return f"taken for frames of one arm and one camera; {_next_command('calibrate', session.folder)}"
+    return f"taken for single frames; {_next_command('batch', session.folder)}"
+
+
+def _inspect_results(path: Path) -> Finding:
+    """Describe a folder of results."""
+    results = read_results(path)
+    statuses = Counter(result.status for result in results.frames.values())
+    counts = ", ".join(f"{count} {status}" for status, count in sorted(statuses.items()))
+    line = f"{counted(len(results.frames), 'frame')} ({counts}): {listed(results.frames)}"
+    session = "with a session calibration" if results.session is not None else "each frame by itself"
+    if is_followed(path):
+        session = "a recording that track followed (tracks.jsonl); lost frames are doubtful, or failed without a pose"
+    return Finding("results", (line, session), {"statuses": dict(statuses), "frames": list(results.frames)})

@@ -310,7 +310,7 @@ def test_tool_of_the_dvrk_limits_the_joints(shared: Path, quick: Path) -> None:
 
 
 def test_files_of_the_dvrk_are_inspected(shared: Path) -> None:
-    kinds = {"kinematic": "dVRK kinematics", "tool": "dVRK tool", "registration": "dVRK registration"}
+    kinds = {"kinematic": "dVRK kinematics", "tool": "dVRK tool"}
     for folder, kind in kinds.items():
         for path in (shared / "formats" / folder).iterdir():
             assert inspected(path)["kind"] == kind

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,11 @@ import cv2
 import numpy as np
 import pytest
 from helpers.made_examples import SMALL_CAMERA
+from helpers.made_recordings import write_video
+from helpers.places import ROOT
 
 from dvrk_cmaes.cli import main
+from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.inspection import Finding, Options, inspect_path
 from dvrk_cmaes.instrument.dvrk_description import read_tool
@@ -43,11 +47,6 @@ def test_folder_of_masks_is_described(tmp_path: Path) -> None:
     assert "skipped: notes.txt" in found.lines
 
 
-def test_text_for_people_is_skipped(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["inspect", str(DEMO / "README.md"), str(DEMO / "joints.csv")]) == 0
-    assert "README.md: text for people" in capsys.readouterr().out
-
-
 def said(found: Finding) -> str:
     return "\n".join((*found.lines, *(f"rule: {note}" for note in found.notes)))
 
@@ -72,17 +71,6 @@ def test_camera_file_is_summarised() -> None:
     rectified = inspect_path(DEMO / "camera.yaml", Options(rectified=True))
     assert rectified.lines[0] == "ROS camera_info calibration, rectified images (projection_matrix)"
     assert rectified.notes == ()
-
-
-def test_principal_point_off_the_middle_is_named(tmp_path: Path) -> None:
-    text = (DEMO / "camera.yaml").read_text()
-    assert not any("of the middle" in line for line in inspect_path(DEMO / "camera.yaml").lines)
-    found = inspect_path(written(tmp_path, "camera.yaml", text.replace("326.3", "445.0")))
-    assert found.lines[-1] == (
-        "camera file: principal point 445, 235.1: 20 % of the width right and 1 % of the height above of the middle of "
-        "640 x 480 px; usual for cropped or rectified images, otherwise check the camera file's size, cx and cy"
-    )
-    assert not any("of the middle" in note for note in found.notes)
 
 
 def test_readings_are_shown_in_deg_and_mm(tmp_path: Path) -> None:
@@ -127,7 +115,7 @@ def test_instrument_is_summarised() -> None:
     found = inspect_path(LND / "lnd.urdf")
     assert found.kind == "instrument (URDF)"
     assert set(found.read["limits"]) == {"wrist_pitch", "wrist_yaw", "jaw"}
-    assert "limits: wrist_pitch from -80.0 to 80.0 deg" in said(found)
+    assert "limits: wrist_pitch from -80.00 to 80.00 deg" in said(found)
     assert "a pair of jaws" in found.lines
     assert inspect_path(LND / "meshes" / "jaw_1_link.ply").kind == "mesh"
 
@@ -138,27 +126,9 @@ def test_instrument_is_summarised() -> None:
         ("k.csv", "frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\n0001,1,2,3,4.5\n", "jaw tips"),
         ("t.csv", "frame,time\n0001,1.5\n", "image times"),
         ("m.csv", "frame,marker,u,v\n0001,roll_1,1,2\n", "marker detections"),
-        ("m.json", '{"roll_1": {"link": "roll_link", "position_m": [0, 0, 0.001]}}', "marker positions"),
         ("js.txt", "name: [jaw]\nposition: [0.5]\n---\n", "joint readings"),
         ("c.xml", "<opencv_storage><K1>1 0 0 0 1 0 0 0 1</K1></opencv_storage>", None),
         ("s.toml", "seed = 3\n", "settings"),
-        ("x.bag", "anything", "ROS bag"),
-        (
-            "r.json",
-            '{"base-frame": {"reference-frame": "/c", "transform": [[1,0,0,1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}',
-            "dVRK registration",
-        ),
-        (
-            "b.json",
-            '{"base_frame": {"reference_frame": "c", "transform": [[1,0,0,1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}',
-            "dVRK registration",
-        ),
-        (
-            "session.json",
-            '{"schema": 1, "rcm": [0, 0, 0.1], "offsets": {"jaw": 0.1}}',
-            "session calibration (session.json)",
-        ),
-        ("summary.json", '{"counts": {"ok": 2}, "frames": {"0001": {"status": "ok"}}}', "summary of a batch"),
     ],
 )
 def test_small_files_are_recognised_by_content(tmp_path: Path, name: str, text: str, kind: str | None) -> None:
@@ -172,6 +142,11 @@ def test_small_files_are_recognised_by_content(tmp_path: Path, name: str, text: 
     json.dumps(found.to_dict(), allow_nan=False)
 
 
+def test_session_with_masks_of_a_data_set_alone_is_described(shared: Path) -> None:
+    found = inspect_path(shared / "reports" / "masks-json-only" / "session")
+    assert (found.kind, found.read["counts"]["masks"]) == ("session", 2)
+
+
 def test_session_is_summarised_with_unusable_frames(tmp_path: Path) -> None:
     found = inspect_path(DEMO)
     assert (found.kind, found.read["counts"]["masks"], found.read["counts"]["truth"]) == ("session", 5, 5)
@@ -182,9 +157,9 @@ def test_session_is_summarised_with_unusable_frames(tmp_path: Path) -> None:
     assert problems == {"0001": f"{folder}/joints.csv: frame 0001: jaw: expected a finite number in rad, got 'bad'"}
 
 
-def test_published_layout_is_recognised_without_camera(tmp_path: Path) -> None:
+def test_published_layout_needs_a_camera(tmp_path: Path) -> None:
     write_image(tmp_path / "0" / "frame0026.png", np.dstack([MASK] * 3))
-    assert "no camera file: --camera is needed" in inspect_path(tmp_path).lines
+    assert "expected a camera file beside the frames (--camera FILE)" in message(tmp_path)
     found = inspect_path(tmp_path, Options(camera=DEMO / "camera.yaml"))
     assert found.read["frames"] == ["0026"]
     assert "its layout is found by looking" in found.notes
@@ -192,8 +167,8 @@ def test_published_layout_is_recognised_without_camera(tmp_path: Path) -> None:
 
 def test_unknown_files_are_refused(tmp_path: Path) -> None:
     assert message(tmp_path / "none") == f"{tmp_path}/none: no such file; expected a file or folder to look at"
-    assert message(tmp_path).endswith("got a folder of nothing")
-    assert "expected a dVRK tool, kinematics or registration, a result" in message(
+    assert message(tmp_path).endswith("expected masks (PNG or JPEG) of the frames, got none")
+    assert "expected a camera, a dVRK tool or kinematics, a mask, a result" in message(
         written(tmp_path, "x.json", '{"a": 1}')
     )
     assert "expected a camera file, joint readings, a mask" in message(written(tmp_path, "x.bin", b"\x01\x00\x02"))
@@ -213,17 +188,11 @@ def test_real_files_are_recognised(shared: Path) -> None:
         "camera/*": "camera",
         "kinematic/*": "dVRK kinematics",
         "tool/*": "dVRK tool",
-        "registration/*": "dVRK registration",
-        "dvrk-2.4/system-*": "dVRK system",
-        "dvrk-2.4/suj-fixed.json": "dVRK fixed setup joints (suj-fixed.json)",
         "recording/*": "joint readings",
-        "published_layout": "session",
         "published_layout/0/frame*": "image",
         "published_layout/0/0*.jpg": "mask",
         "published_layout/0/jo*.npy": "joint readings",
         "published_layout/0/ja*.npy": "joint readings",
-        "published_layout/0/*ctr.npy": "tracker's pose",
-        "published_layout/0/optimized_j*.npy": "tracker's joints",
     }
     for pattern, kind in kinds.items():
         paths = sorted(formats.glob(pattern))
@@ -265,3 +234,52 @@ def test_session_of_several_arms_is_described_by_arm(tmp_path: Path) -> None:
     for arm in ("PSM1", "PSM2"):
         assert f"{arm}: 2 frames: 0000, 0001" in found.lines
         assert found.read["arms"][arm]["counts"]["readings"] == 2
+
+
+# recordings
+
+
+def typed(lines: tuple[str, ...]) -> list[str]:
+    """Give the command that a finding says to type next; its options must exist."""
+    command = shlex.split(lines[-1].split("next: dvrk-cmaes ")[1])
+    app.parse_args(command, exit_on_error=False, print_error=False)
+    return command
+
+
+def test_video_has_size_count_rate_and_the_command_that_imports_it(tmp_path: Path) -> None:
+    write_video(tmp_path / "a b.mp4", code="mp4v")
+    found = inspect_path(tmp_path / "a b.mp4")
+    assert found.kind == "video"
+    assert found.lines[0] == "{width} x {height} px, {images} images, {rate:.2f} a second".format(**found.read)
+    assert typed(found.lines)[:4] == ["import", str(tmp_path / "a b.mp4"), "--camera", "camera.yaml"]
+
+
+def test_video_beside_camera_and_readings_is_taken_for_a_recording(tmp_path: Path) -> None:
+    write_video(tmp_path / "v.mp4", code="mp4v")
+    for name in ("camera.yaml", "joints.csv"):
+        (tmp_path / name).touch()
+    assert typed(inspect_path(tmp_path / "v.mp4").lines) == ["track", str(tmp_path / "v.mp4")]
+
+
+def test_file_that_is_no_video_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "v.mp4").write_text("anything")
+    with pytest.raises(InputError, match=r"v\.mp4: expected a video"):
+        inspect_path(tmp_path / "v.mp4")
+
+
+def test_lerobot_set_says_which_command_imports_it(tmp_path: Path) -> None:
+    for name in ("meta", "data"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "meta" / "info.json").write_text("{}")
+    found = inspect_path(tmp_path)
+    assert found.kind == "LeRobot data set"
+    assert typed(found.lines)[:4] == ["import", str(tmp_path), "--episode", "0"]
+
+
+def test_session_says_its_clock_and_what_it_is_taken_for(tmp_path: Path) -> None:
+    found = inspect_path(ROOT / "data" / "demo")
+    assert [line for line in found.lines if line.startswith("clock: ")] == [
+        "clock: none; 5 rows of readings, in the order of the frames"
+    ]
+    assert found.lines[-1].startswith("taken for frames of one arm and one camera; next: ")
+    assert typed(found.lines) == ["calibrate", str(ROOT / "data" / "demo")]
