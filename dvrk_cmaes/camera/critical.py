@@ -15,7 +15,7 @@ WRONG: Final = f"{FILE}most likely wrong: "
 """What a remark on values of a known mistake begins with."""
 
 _APART = 0.03  # of the focal lengths, beyond which they are not equal
-_STRETCHED = 0.1, 0.4  # the same as of images that were stretched; fields and squeezed pairs of images are so by half
+_STRETCHED = 0.1, 0.4  # the same as of images that were stretched; fields are so by half
 _AT_MISTAKE = 0.06  # of the width, from where a mistake puts the principal point
 _OFF_CENTRE = 0.12  # of the width, from the middle of the image
 _STATED = (0.1, 10.0)  # ratios of a file that are taken for such

@@ -100,7 +100,7 @@ class _Fields(dict[str, tuple[str, Any]]):
 
 def plain(name: str) -> str:
     """Normalise a field's name: lower case, without underscores, hyphens and blanks."""
-    return re.sub(r"[-_ .]", "", name.lower())
+    return re.sub(r"[-_ .]", "", str(name).lower())  # a nested document of YAML may have numbers as names
 
 
 def plain_names(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -167,7 +167,9 @@ def unwrapped(document: Mapping[str, Any]) -> dict[str, Any]:
 
 def kalibr_cameras(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return the cameras of a camchain by name."""
-    return {name: entry for name, entry in document.items() if _CAMERA.fullmatch(name) and isinstance(entry, Mapping)}
+    return {
+        name: entry for name, entry in document.items() if _CAMERA.fullmatch(str(name)) and isinstance(entry, Mapping)
+    }
 
 
 def chosen_camera(where: str, cameras: Mapping[str, Mapping[str, Any]], side: Side) -> tuple[str, tuple[str, ...]]:
@@ -264,9 +266,9 @@ def _sorted_fields(where: str, document: Mapping[str, Any], side: Side | None) -
 
 def _unknown(where: str, name: str) -> InputError:
     """Return the error for a field that is not known."""
-    nearest = nearest_first(name.lower(), _KNOWN)[0]
+    nearest = nearest_first(str(name).lower(), _KNOWN)[0]
     return InputError(
-        f"{where}: {shown(name)[1:-1]}: unknown field of a camera file (nearest known: {nearest}), "
+        f"{where}: {shown(str(name))[1:-1]}: unknown field of a camera file (nearest known: {nearest}), "
         "which may state the lens: rename it, or leave it out"
     )
 

@@ -7,6 +7,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
@@ -66,9 +67,17 @@ _LINKS: Final = {"--follow-links": "copies of the files in the folder"}
 _REMOVED: Final = {
     "batch": dict.fromkeys(("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
     "live": {"--rehearse": "`dvrk-cmaes track --causal`"},
+    "export": {
+        "--to tracker": "--to csv, of which `dvrk-cmaes help problems` says how the tracker's start is made",
+        "--to joint-correction": "the offsets in session.json (`dvrk-cmaes help problems`)",
+    },
+    "import": {
+        "--layout squeezed-side-by-side": "--layout side-by-side after `ffmpeg -i IN -vf scale=2*iw:ih OUT`",
+        "--layout squeezed-top-bottom": "--layout top-bottom after `ffmpeg -i IN -vf scale=iw:2*ih OUT`",
+    },
     "track": _OF_TRACK,
 }
-"""By command, options that are no longer there, and what is used instead; ``_LINKS`` those of all commands."""
+"""By command, options and values that are no longer there, and what is used instead; ``_LINKS`` of all commands."""
 
 
 def _version() -> str:
@@ -150,9 +159,11 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
 
 
 def _removed(tokens: Sequence[str]) -> str | None:
-    """Return the message for the first option that is no longer there; None without one."""
-    names, gone = (token.partition("=")[0] for token in tokens), _LINKS | _REMOVED.get(tokens[0] if tokens else "", {})
-    return next((f"{name}: no longer an option; use {gone[name]}" for name in names if name in gone), None)
+    """Return the message for the first option, or value of one, that is no longer there; None without one."""
+    words = [word for token in tokens for word in (token.split("=", 1) if token.startswith("--") else [token])]
+    gone = _LINKS | _REMOVED.get(tokens[0] if tokens else "", {})
+    names = (name for name in (*words, *(" ".join(pair) for pair in pairwise(words))) if name in gone)
+    return next((f"{name}: no longer an option; use {gone[name]}" for name in names), None)
 
 
 def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:

@@ -185,7 +185,7 @@ def import_recording(
         Time of the first image of a video, or of stereo videos, on the clock of the readings, in seconds.
     layout
         Where the eyes are in the pictures of a stereo video, or of a folder of pictures; --side chooses one or both. By
-        default found from the size of the camera's images. A squeezed picture has both eyes in the size of one.
+        default found from the size of the camera's images.
     crop
         x,y,w,h: the part of the pictures of a video, or of a folder of pictures, that is the camera's, in pixels.
     interlaced

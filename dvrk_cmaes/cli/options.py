@@ -42,7 +42,7 @@ AUTO = "auto"  # of --lag
 NO_READINGS = "none"  # of --joints
 LATEST = 1e11  # s, of times since any clock's start
 
-LayoutOption = Literal["mono", "side-by-side", "top-bottom", "squeezed-side-by-side", "squeezed-top-bottom"] | None
+LayoutOption = Literal["mono", "side-by-side", "top-bottom"] | None
 Flag = Annotated[bool, Parameter(negative=())]
 SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)]
 DoubtfulSessionOption = Annotated[bool, Parameter(name="--doubtful-session", negative=(), group=METHOD)]

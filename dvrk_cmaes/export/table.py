@@ -67,13 +67,6 @@ _ROWS: Final = (
         "pose_texts",
     ),
     ExportFormat(
-        "tracker",
-        "camera_from_root, axis times angle in rad, translation in m",
-        "camera_from_root, m and rad; FRAME/optimized_ctr.npy and optimized_joint_angles.npy, as read by "
-        "online_dvrk_tracking.",
-        "tracker",
-    ),
-    ExportFormat(
         "ros1-bag",
         "camera_from_root and camera_from_base, m, quaternions xyzw: parent the camera",
         "camera_from_root and camera_from_base, m, quaternions xyzw; ARM.bag with PoseStamped, JointState and tf "
@@ -92,14 +85,6 @@ _ROWS: Final = (
         "the camera or the rig that a session calibration used, for raw images, as camera files that are read: "
         "ros/ (camera_info), opencv/ (XML) and plain/ (YAML).",
         "camera",
-    ),
-    ExportFormat(
-        "joint-correction",
-        "true = reading + correction: a table in degrees, and a formula in radians",
-        "true = reading + correction of roll, wrist and jaw, of a session calibration: ARM-joint-correction.csv, a "
-        "table over the readings in degrees, and ARM-joint-correction.txt, a formula in radians that has the play of "
-        "the cables, too.",
-        "joint_correction",
     ),
 )
 

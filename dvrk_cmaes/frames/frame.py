@@ -373,7 +373,7 @@ def frame_size(files: FrameFiles) -> Size:
     """
     path = files.mask or files.image
     if path is None and files.video is not None:
-        return files.video.window.size if files.crop is None else files.crop[2:]
+        return files.video.window[2:] if files.crop is None else files.crop[2:]
     if files.crop is not None:
         return files.crop[2:]
     if path is None:

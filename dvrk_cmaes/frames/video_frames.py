@@ -21,8 +21,8 @@ from dvrk_cmaes.io.image_header import MOST_PIXELS
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 
-Layout = Literal["mono", "side-by-side", "top-bottom", "squeezed-side-by-side", "squeezed-top-bottom"]
-"""Where the eyes are in a picture; squeezed pictures of both have the size of one, and half its resolution."""
+Layout = Literal["mono", "side-by-side", "top-bottom"]
+"""Where the eyes are in a picture."""
 
 Window = tuple[int, int, int, int]
 
@@ -103,30 +103,15 @@ class Video:
             raise InputError(f"{self.path}: frame {number}: expected an image, got one that cannot be decoded")
         return np.asarray(pixels, np.uint8)
 
-    def window(self, camera: Camera | None, layout: Layout | None, side: Side) -> EyeWindow:
+    def window(self, camera: Camera | None, layout: Layout | None, side: Side) -> Window:
         """Return the part of the picture that is one eye's; arguments and errors as of `eye_window`."""
         return eye_window(self.path, self.size, camera, layout, side)
 
 
-@dataclass(frozen=True)
-class EyeWindow:
-    """The part of a picture that is one eye's: left, top, width and height, px; and how it is stretched, (u, v)."""
-
-    part: Window
-    stretch: tuple[int, int] = (1, 1)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the eye's picture, px."""
-        return self.part[2] * self.stretch[0], self.part[3] * self.stretch[1]
-
-    def of(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the eye's part of a picture (H, W, ...)."""
-        left, top, width, height = self.part
-        part = np.ascontiguousarray(picture[top : top + height, left : left + width])
-        if self.stretch == (1, 1):
-            return part
-        return np.asarray(cv2.resize(part, self.size, interpolation=cv2.INTER_LINEAR), np.uint8)
+def eye_of(picture: NDArray[np.uint8], window: Window) -> NDArray[np.uint8]:
+    """Return the part of a picture (H, W, ...) that is one eye's."""
+    left, top, width, height = window
+    return np.ascontiguousarray(picture[top : top + height, left : left + width])
 
 
 def eye_window(
@@ -136,7 +121,7 @@ def eye_window(
     layout: Layout | None,
     side: Side,
     crop: Window | None = None,
-) -> EyeWindow:
+) -> Window:
     """Return the part of a picture of a ``size`` (width, height), px, that is one eye's.
 
     ``layout`` is found from the aspect of the camera's images if it is None; without a camera it is ``mono``. A
@@ -157,19 +142,17 @@ def eye_window(
     if layout is None:
         layout = "mono" if camera is None else _layout(path, size, camera)
     second = side == "right"
-    stretch = {"squeezed-side-by-side": (2, 1), "squeezed-top-bottom": (1, 2)}.get(layout, (1, 1))
     part = (0, 0, width, height) if crop is None else crop
-    if layout.endswith("side-by-side"):
+    if layout == "side-by-side":
         part = second * (width - width // 2), 0, width // 2, height
-    elif layout.endswith("top-bottom"):
+    elif layout == "top-bottom":
         part = 0, second * (height - height // 2), width, height // 2
-    window = EyeWindow(part, stretch)
-    if camera is not None and not _is_like(window.size[0] / window.size[1], camera):
+    if camera is not None and not _is_like(part[2] / part[3], camera):
         raise InputError(
             f"{path}: --layout {layout}: expected pictures of the aspect of the calibration's {camera.width} x "
-            f"{camera.height}, got {window.size[0]} x {window.size[1]}"
+            f"{camera.height}, got {part[2]} x {part[3]}"
         )
-    return window
+    return part
 
 
 def _is_like(aspect: float, camera: Camera) -> bool:
@@ -209,8 +192,8 @@ class VideoFrame:
 
     video: Video
     number: int
-    window: EyeWindow
+    window: Window
 
     def image(self) -> NDArray[np.uint8]:
         """Decode the frame's window, (H, W, 3) uint8 BGR."""
-        return self.window.of(self.video.image(self.number))
+        return eye_of(self.video.image(self.number), self.window)

@@ -18,7 +18,7 @@ from dvrk_cmaes.camera.files import Side, read_camera_file
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import image_files
-from dvrk_cmaes.frames.video_frames import EyeWindow, Layout, Window, eye_window, open_capture
+from dvrk_cmaes.frames.video_frames import Layout, Window, eye_of, eye_window, open_capture
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
@@ -44,7 +44,7 @@ class Pictures:
     first_field: Literal["top", "bottom"] | None = None
     crop: Window | None = None
 
-    def window(self, path: Path, camera: Path, size: tuple[int, int]) -> EyeWindow:
+    def window(self, path: Path, camera: Path, size: tuple[int, int]) -> Window:
         """Return the part of pictures of a size that is the eye's; InputError if that does not fit the camera file."""
         lens = read_camera_file(camera, side=self.side, size=size).camera
         return eye_window(path, size, lens, self.layout, self.side, self.crop)
@@ -83,10 +83,8 @@ def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Ite
             *said,
             f"times: the video's, its first frame at {asked.start:g} s of the readings' clock",
         ]
-        if window.part != (0, 0, *size):
-            notes.append(
-                f"images: {window.part[2]} x {window.part[3]} px at {window.part[0]}, {window.part[1]} of the video"
-            )
+        if window != (0, 0, *size):
+            notes.append(f"images: {window[2]} x {window[3]} px at {window[0]}, {window[1]} of the video")
         if pictures.first_field is not None:
             notes.append(f"images: the fields of interlaced frames, {pictures.first_field} first")
         images = _images(path, capture, round(asked.start * NANOSECONDS))
@@ -113,9 +111,9 @@ def open_pictures(path: Path, asked: Asked, pictures: Pictures) -> Iterator[Reco
     first = read_image(next(iter(files.values())))
     window = pictures.window(path, camera, (first.shape[1], first.shape[0]))
     readings, _ = asked.given_readings()
-    notes = (f"images: {len(files)} pictures, {window.part[2]} x {window.part[3]} px each", f"camera: {camera}")
+    notes = (f"images: {len(files)} pictures, {window[2]} x {window[3]} px each", f"camera: {camera}")
     recorded = (
-        RecordedImage(number, number * NANOSECONDS, lambda file=file: encode_png(window.of(read_image(file))))  # type: ignore[misc]
+        RecordedImage(number, number * NANOSECONDS, lambda file=file: encode_png(eye_of(read_image(file), window)))  # type: ignore[misc]
         for number, file in enumerate(files.values())
     )
     yield Recording(path, recorded, len(files), read_camera_bytes(camera), readings, notes)
@@ -134,7 +132,7 @@ def _images(path: Path, capture: Any, start: int) -> Iterator[tuple[int, Callabl
 
 def _of_eye(
     images: Iterator[tuple[int, Callable[[], NDArray[np.uint8]]]],
-    window: EyeWindow,
+    window: Window,
     first_field: Literal["top", "bottom"] | None,
     half: int,
 ) -> Iterator[RecordedImage]:
@@ -142,10 +140,10 @@ def _of_eye(
     numbers = count()
     for time, pixels in images:
         if first_field is None:
-            yield RecordedImage(next(numbers), time, lambda pixels=pixels: encode_png(window.of(pixels())))  # type: ignore[misc]
+            yield RecordedImage(next(numbers), time, lambda pixels=pixels: encode_png(eye_of(pixels(), window)))  # type: ignore[misc]
             continue
         for k, field in enumerate(of_fields(pixels(), first_field)):
-            yield RecordedImage(next(numbers), time + k * half, partial(encode_png, window.of(field)))
+            yield RecordedImage(next(numbers), time + k * half, partial(encode_png, eye_of(field, window)))
 
 
 def _is_interlaced(path: Path) -> bool:

@@ -101,6 +101,7 @@ class Family:
     refuses: bool = True
 
 
+_NPY = "joint_0001.npy"
 _FRAME = ["estimate", "--frame", "0000", "--config", "quick.toml", "--out", "made"]
 _CAMERA, _JOINTS = ["--camera", "session/camera.yaml"], ["--joints", "session/joints.csv"]
 _MASK = ["--mask", "session/masks/0000.png"]
@@ -128,7 +129,12 @@ FAMILIES: tuple[Family, ...] = (
     Family("session.toml", "text", "arms/session.toml", (["inspect", "arms"], _ARMS)),
     Family("readings, second arm", "text", "arms/joints_PSM2.csv", (["inspect", "arms"], _ARMS)),
     Family("mask, second arm", "bytes", "arms/masks_PSM2/0001.png", (["inspect", "arms"], _ARMS), refuses=False),
-    Family("readings, NumPy", "bytes", "q.npy", _read("q.npy", [*_FRAME, *_MASK, *_CAMERA, "--joints", "q.npy"])),
+    Family(
+        "readings, NumPy",
+        "bytes",
+        _NPY,
+        _read(_NPY, [*_FRAME, *_MASK, *_CAMERA, "--joints", _NPY]),
+    ),
     Family("settings", "text", "quick.toml", (_ESTIMATE, [*_BATCH, "new"])),
     Family("URDF", "text", "robot/box.urdf", _read("robot/box.urdf", _PARTS)),
     Family("mesh, DAE", "text", "robot/part.dae", _read("robot/part.dae", _PARTS)),
@@ -180,7 +186,7 @@ def write_material(folder: Path) -> None:
     golden["frames"] = dict(list(golden["frames"].items())[:FRAMES])
     write_json(folder / "session" / "golden.json", golden)
     write_image(folder / "mask.jpg", read_mask(folder / "session/masks/0000.png"))
-    np.save(folder / "q.npy", np.array([0.1, 0.2, 0.1, 0.3, 0.8, -0.3]))
+    np.save(folder / _NPY, np.array([0.1, 0.2, 0.1, 0.3, 0.8, -0.3]))
     (folder / "wrist.csv").write_text("frame,wrist_pitch\n0000,0.1\n")
     (folder / "tool.json").write_text(json.dumps(_TOOL))
     _write_opencv(folder / "cv.xml")

@@ -47,7 +47,7 @@ def test_frames_are_results(tracks: Path) -> None:
     assert frames["0002"].reasons == ("no mask",)
 
 
-@pytest.mark.parametrize("to", ["csv", "bop", "tum", "ros1-bag", "ros2-bag", "tracker"])
+@pytest.mark.parametrize("to", ["csv", "bop", "tum", "ros1-bag", "ros2-bag"])
 def test_recording_is_exported(capsys: pytest.CaptureFixture[str], tracks: Path, to: str) -> None:
     ran = run_command(capsys, "export", tracks, "--to", to, "--json")
     assert ran.code == 0, ran.err

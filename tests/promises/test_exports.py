@@ -166,16 +166,6 @@ def test_cameras_are_read_back(calibrated: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(read_camera(tmp_path / name, size=(640, 480)).matrix, expected.matrix, atol=1e-6)
 
 
-def test_corrections_of_joints(calibrated: Path, tmp_path: Path) -> None:
-    export(calibrated, "joint-correction", tmp_path)
-    offsets = json.loads((calibrated / "session.json").read_text())["offsets"]
-    with open(tmp_path / "PSM1-joint-correction.csv", encoding="utf-8") as file:
-        text = file.read()
-    for joint in ("roll", "wrist_pitch", "wrist_yaw", "jaw"):
-        assert f"{np.degrees(offsets[joint]):.1f}" in text or f"{np.degrees(offsets[joint]):.2f}" in text, text
-        assert joint in text
-
-
 def test_results_are_read_back_in_python(calibrated: Path) -> None:
     folder = read_results(calibrated)
     assert folder
