@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.places import bundled_path
-from helpers.transforms import inverse, rotation_angle
+from helpers.transforms import rotation_angle
 
 from dvrk_cmaes import (
     Body,
@@ -19,7 +19,6 @@ from dvrk_cmaes import (
     DvrkCmaesError,
     EstimateConfig,
     FrameData,
-    InputError,
     Renderer,
     Result,
     Session,
@@ -101,19 +100,6 @@ def test_known_mistake_of_the_camera_file_makes_a_result_doubtful(
     assert result.remarks == remarks
 
 
-def test_overlap_is_that_of_silhouette(quick_result: Result, bundled_body: Body, frame: FrameData) -> None:
-    assert quick_result.camera_from_root is not None
-    assert quick_result.quality is not None
-    joints = np.array([list(quick_result.joints.values())])
-    found = Renderer(bundled_body, frame.camera).masks(quick_result.camera_from_root[None], joints)[0]
-    assert quick_result.quality.iou == pytest.approx((found & frame.mask).sum() / (found | frame.mask).sum(), abs=1e-9)
-
-
-def test_result_is_valid_json(quick_result: Result) -> None:
-    document = quick_result.to_dict()
-    assert json.loads(json.dumps(document, allow_nan=False)) == document
-
-
 def test_mirror_twin_is_alternative_farther_from_readings(quick_result: Result, bundled_body: Body) -> None:
     twins = [other for other in quick_result.alternatives if other.relation == "mirror twin"]
     assert len(twins) == 1
@@ -124,26 +110,7 @@ def test_mirror_twin_is_alternative_farther_from_readings(quick_result: Result, 
     assert twins[0].reading_distance_deg > 30
 
 
-def test_base_follows_from_pose_and_outer_readings(
-    quick_result: Result, bundled_body: Body, frame: FrameData, readings: dict[str, float]
-) -> None:
-    from dvrk_cmaes.instrument.arm import base_from_root
-
-    assert quick_result.camera_from_root is not None
-    expected = quick_result.camera_from_root @ inverse(base_from_root(readings))
-    np.testing.assert_allclose(quick_result.camera_from_base, expected, atol=1e-12)
-    some = {name: value for name, value in readings.items() if name != "roll"}
-    assert estimate(frame.mask, frame.camera, some, bundled_body, config=QUICK).camera_from_base is None
-
-
 # reproducibility
-
-
-def test_result_does_not_depend_on_threads(
-    bundled_body: Body, frame: FrameData, readings: dict[str, float], quick_result: Result
-) -> None:
-    one = estimate(frame.mask, frame.camera, readings, bundled_body, config=replace(QUICK, threads=1))
-    assert answer(one) == answer(quick_result)
 
 
 def test_concurrent_calls_give_same_results(bundled_body: Body, session: Session) -> None:
@@ -156,18 +123,6 @@ def test_concurrent_calls_give_same_results(bundled_body: Body, session: Session
     alone = [run(job) for job in frames]
     with ThreadPoolExecutor(3) as pool:
         assert list(pool.map(run, frames)) == alone
-
-
-def test_other_seed_finds_same_pose(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> None:
-    found = [
-        estimate(frame.mask, frame.camera, readings, bundled_body, config=EstimateConfig(seed=seed)) for seed in (1, 2)
-    ]
-    assert answer(found[0]) != answer(found[1])
-    a, b = (one.camera_from_root for one in found)
-    assert a is not None
-    assert b is not None
-    assert np.linalg.norm(a[:3, 3] - b[:3, 3]) < 2e-4
-    assert np.rad2deg(rotation_angle(a, b)) < 1
 
 
 def test_other_candidates_are_refined_only_where_the_first_do_not_agree(
@@ -238,59 +193,6 @@ def test_arguments_are_not_modified(bundled_body: Body, frame: FrameData, readin
 # evidence
 
 
-def test_pose_without_readings_is_doubtful(bundled_body: Body, frame: FrameData) -> None:
-    result = estimate(frame.mask, frame.camera, None, bundled_body, config=QUICK)
-    assert result.status == "doubtful"
-    assert any("no readings" in reason for reason in result.reasons)
-    assert any(other.relation == "mirror twin" for other in result.alternatives)
-    assert all(other.reading_distance_deg is None for other in result.alternatives)
-    assert sorted(result.unused)[-3:] == [
-        f"reading of {name}: not given" for name in ("jaw", "wrist_pitch", "wrist_yaw")
-    ]
-
-
-def test_single_reading_counts_as_readings(bundled_body: Body, frame: FrameData, readings: dict[str, float]) -> None:
-    some = {name: readings[name] for name in ("wrist_pitch",)}
-    result = estimate(frame.mask, frame.camera, some, bundled_body, config=QUICK)
-    assert not any("no readings" in reason for reason in result.reasons)
-    assert result.readings == some
-
-
-def test_given_tips_attract_projected_tips(
-    bundled_body: Body, frame: FrameData, readings: dict[str, float], quick_result: Result
-) -> None:
-    def tips(result: Result) -> np.ndarray:
-        assert result.camera_from_root is not None
-        points = bundled_body.instrument.tips(list(result.joints.values()))
-        pixels = frame.camera.project(points @ result.camera_from_root[:3, :3].T + result.camera_from_root[:3, 3])
-        return pixels[np.argsort(pixels[:, 1])]
-
-    free = tips(quick_result)
-    wanted = free + np.array([[4.0, -4.0], [4.0, 4.0]])
-    given = estimate(frame.mask, frame.camera, readings, bundled_body, keypoints=wanted[::-1], config=QUICK)
-    before = np.linalg.norm(free - wanted, axis=1)
-    after = np.linalg.norm(tips(given) - wanted, axis=1)
-    assert after.sum() < 0.9 * before.sum()
-    assert not any("jaw tips" in text for text in given.unused)
-
-
-def test_ignored_pixels_have_no_effect(
-    bundled_body: Body, frame: FrameData, readings: dict[str, float], quick_result: Result
-) -> None:
-    ignore = np.zeros_like(frame.mask)
-    ignore[330:, :] = True  # no part of the instrument, as the estimate without added pixels shows
-    soiled = frame.mask.copy()
-    soiled[340:470, 200:600] = True
-    assert quick_result.camera_from_root is not None
-    clean = estimate(frame.mask, frame.camera, readings, bundled_body, ignore=ignore, config=QUICK)
-    same = estimate(soiled, frame.camera, readings, bundled_body, ignore=ignore, config=QUICK)
-    assert answer(same) == answer(clean)
-    believed = estimate(soiled, frame.camera, readings, bundled_body, config=QUICK)
-    assert believed.quality is not None
-    assert clean.quality is not None
-    assert believed.quality.iou < clean.quality.iou - 0.1
-
-
 def test_warnings_and_frame_name_are_passed_on(bundled_body: Body, frame: FrameData) -> None:
     wide = {"wrist_pitch": 2.0, "wrist_yaw": -0.5, "jaw": 0.9}
     result = estimate(frame.mask, frame.camera, wide, bundled_body, frame="0026", warnings=["rescaled"], config=QUICK)
@@ -353,28 +255,6 @@ def test_hook_without_jaws_is_estimated(shared: Any) -> None:
 
 
 # refused input
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"mask": np.zeros((480, 640), bool)}, "mask: expected some instrument"),
-        ({"mask": np.ones((480, 640), bool)}, "mask: expected some background"),
-        ({"mask": np.eye(480, dtype=bool)}, "mask: expected 640 x 480 pixels"),
-        ({"joints": {"wrist_pich": 0.1}}, "joints: unknown joint 'wrist_pich'; expected one of: wrist_pitch"),
-        ({"joints": {"jaw": float("nan")}}, "joints: jaw: expected a finite number"),
-        ({"config": replace(QUICK, seed=-1)}, "config: seed: expected"),
-        ({"config": replace(QUICK, distance_field="far")}, "config: distance_field: expected one of"),
-        ({"instrument": "lndd"}, "lndd: no such URDF"),
-    ],
-)
-def test_invalid_arguments_are_refused(
-    bundled_body: Body, frame: FrameData, changes: dict[str, Any], expected: str
-) -> None:
-    given: dict[str, Any] = {"mask": frame.mask, "camera": frame.camera, "joints": {}, "instrument": bundled_body}
-    with pytest.raises(InputError) as caught:
-        estimate(**{**given, **changes})
-    assert str(caught.value).startswith(expected)
 
 
 @pytest.mark.parametrize(

@@ -33,26 +33,6 @@ def vectors(largest: float, shape: int | tuple[int, ...] = 3) -> st.SearchStrate
 poses = st.builds(lambda turn, shift: transform(exp_rotation(turn), shift), vectors(3), vectors(1))
 
 
-@given(poses)
-def test_transform_is_rotation_and_translation(pose: np.ndarray) -> None:
-    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1, abs=1e-12)
-    np.testing.assert_array_equal(pose[3], [0, 0, 0, 1])
-
-
-@given(poses, poses, poses)
-def test_products_are_associative(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
-    np.testing.assert_allclose((a @ b) @ c, a @ (b @ c), atol=1e-12)
-    np.testing.assert_allclose(inverse(a @ b), inverse(b) @ inverse(a), atol=1e-12)
-
-
-@given(poses)
-def test_inverse_is_two_sided(pose: np.ndarray) -> None:
-    np.testing.assert_allclose(pose @ inverse(pose), np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(inverse(pose) @ pose, np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(inverse(pose), np.linalg.inv(pose), atol=1e-12)
-
-
 @given(vectors(7))
 def test_exponential_agrees_with_scipy(rotvec: np.ndarray) -> None:
     np.testing.assert_allclose(exp_rotation(rotvec), Rotation.from_rotvec(rotvec).as_matrix(), atol=1e-12)
@@ -66,19 +46,6 @@ def test_exponential_is_accurate_for_small_angles(angle: float) -> None:
     half_skew = (turned - turned.T) / 2
     recovered = np.array([half_skew[2, 1], half_skew[0, 2], half_skew[1, 0]])
     np.testing.assert_allclose(recovered, np.sin(angle) * axis, rtol=1e-9, atol=0)
-
-
-@given(poses, vectors(0.5, 6))
-def test_change_is_applied_in_body_axes(pose: np.ndarray, change: np.ndarray) -> None:
-    turn = Rotation.from_rotvec(change[3:]).as_matrix()
-    after = moved(pose, change)
-    np.testing.assert_allclose(after[:3, :3], pose[:3, :3] @ turn, atol=1e-12)
-    np.testing.assert_allclose(after[:3, 3], pose[:3, 3] + pose[:3, :3] @ change[:3], atol=1e-12)
-
-
-@given(poses)
-def test_zero_change_is_identity(pose: np.ndarray) -> None:
-    np.testing.assert_array_equal(moved(pose, np.zeros(6)), pose)
 
 
 @given(poses, st.floats(0, np.pi), vectors(1).filter(lambda v: np.linalg.norm(v) > 0.1), vectors(1))
@@ -100,24 +67,6 @@ def test_frame_along_has_direction_as_z(direction: np.ndarray) -> None:
 @given(st.floats(-7, 7))
 def test_rotation_about_z_agrees_with_scipy(angle: float) -> None:
     np.testing.assert_allclose(rotation_about_z(angle), Rotation.from_rotvec([0, 0, angle]).as_matrix(), atol=1e-12)
-
-
-def test_batches_agree_with_single_values() -> None:
-    rng = np.random.default_rng(5)
-    turns, shifts = rng.normal(size=(4, 5, 3)), rng.normal(size=(4, 5, 3))
-    batch = transform(exp_rotation(turns), shifts)
-    changes = rng.normal(size=(5, 6))
-    axes = turns / np.linalg.norm(turns, axis=-1, keepdims=True)
-    for i, j in np.ndindex(4, 5):
-        one = transform(exp_rotation(turns[i, j]), shifts[i, j])
-        np.testing.assert_allclose(batch[i, j], one, atol=1e-15)
-        np.testing.assert_allclose(inverse(batch)[i, j], inverse(one), atol=1e-15)
-        np.testing.assert_allclose(moved(batch, changes)[i, j], moved(one, changes[j]), atol=1e-14)
-        np.testing.assert_allclose(frame_along(axes)[i, j], frame_along(axes[i, j]), atol=1e-15)
-    np.testing.assert_allclose(
-        rotation_angle(batch, batch[0, 0]), [[rotation_angle(b, batch[0, 0]) for b in row] for row in batch], atol=1e-12
-    )
-    assert inverse(np.empty((0, 4, 4))).shape == (0, 4, 4)
 
 
 @given(arrays(np.float64, 3, elements=st.floats(-1.8, 1.8)))

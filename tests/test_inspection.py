@@ -11,17 +11,16 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from helpers.commands import main
+from helpers.files import write_image
 from helpers.made_examples import SMALL_CAMERA
 from helpers.made_recordings import write_video
-from helpers.places import ROOT
+from helpers.places import ROOT, bundled_path
 
-from dvrk_cmaes.cli import main
+from dvrk_cmaes import InputError
 from dvrk_cmaes.cli.app import app
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.inspection import Finding, Options, inspect_path
 from dvrk_cmaes.instrument.dvrk_description import read_tool
-from dvrk_cmaes.io.atomic import write_image
-from dvrk_cmaes.io.bundled import bundled_path
 
 DEMO = bundled_path("demo")
 LND = bundled_path("instruments", "lnd")

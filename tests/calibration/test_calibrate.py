@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.session_worlds import in_other_mode, make_frames_in_memory, with_result
+from helpers.transforms import apply, change_between, moved, rotation_angle
 from scipy.special import chdtri
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-from dvrk_cmaes.calibration.frame_task import SessionFrame, fit_task
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import (
+    Body,
+    EstimateConfig,
+    FrameData,
+    InputError,
+    Result,
+    SessionFrame,
+    SolvedSession,
+    calibrate_session,
+)
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import apply, change_between, moved, rotation_angle
-from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth
 
 ROUGH = EstimateConfig(session=SessionConfig(rounds=1))
@@ -120,29 +123,6 @@ def test_leave_one_out_predictions_cover_masks(made: Made) -> None:
     assert found[:, 0].mean() > 0.85
     assert np.median(found[:, 1]) < 3
     assert (found[:, 0] < 0.999).all()
-
-
-def test_progress_reports_stages_and_frame_counts(made: Made) -> None:
-    assert made.stages == [
-        ("gathering evidence", 8),
-        ("round 1 of 2", 8),
-        ("round 2 of 2", 8),
-        ("checking the camera", 8),
-        ("leaving one out", 8),
-    ]
-
-
-def test_frames_are_fitted_again_only_while_they_move(bundled_body: Body) -> None:
-    fitted: list[int] = []
-
-    def run(function: Callable[[Body, EstimateConfig, Any], Any], tasks: Sequence[Any]) -> list[Any]:
-        if function is fit_task:
-            fitted.append(len(tasks))
-        return [function(bundled_body, EstimateConfig(), task) for task in tasks]
-
-    calibrate_session(make_frames_in_memory(bundled_body, 5, level="clean")[2], bundled_body, run=run)
-    assert (len(fitted), fitted[0]) == (4, 5)  # four rounds, in the first of which all frames are fitted
-    assert sum(fitted[1:]) <= 5
 
 
 # the frames

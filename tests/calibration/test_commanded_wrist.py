@@ -7,14 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import in_other_mode, make_frames_in_memory, make_world, true_calibration, with_result
+from helpers.transforms import rotation_angle
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
+from dvrk_cmaes import Body, EstimateConfig, SessionCalibration, SessionFrame, SolvedSession, calibrate_session
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.geometry import rotation_angle
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth
 
 COMMANDED = {"wrist_pitch": 0.0, "wrist_yaw": 0.0, "jaw": 0.5}

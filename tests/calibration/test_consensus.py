@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, OFFSETS, SEEN, make_world
+from helpers.transforms import exp_rotation, moved, rotation_angle
 
+from dvrk_cmaes import Body, Instrument
 from dvrk_cmaes.calibration import consensus
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes, find_consensus, find_consensus_at_any_roll
-from dvrk_cmaes.geometry import Posed, exp_rotation, moved, rotation_angle
-from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.search.modes import twin_of
-from dvrk_cmaes.silhouette import Body
 
 COVARIANCE = np.diag(SEEN**2)
 

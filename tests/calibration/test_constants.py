@@ -7,18 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
+from helpers.transforms import transform
 
+from dvrk_cmaes import Body, EstimateConfig, FrameData, Renderer, Rig
 from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, ViewAsSeen
 from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.session_camera import CameraChange
 from dvrk_cmaes.calibration.session_masks import MaskMargin
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
-from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import Posed, transform
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.silhouette import Body, Renderer
 
 PLACE = transform(np.eye(3), [-0.0053, 0.0, 0.0])
 CASES: dict[str, tuple[Constant, list[float]]] = {

@@ -9,19 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.files import write_json
 from helpers.page_calibrations import OFFSETS as PAGE_OFFSETS
 from helpers.page_calibrations import cables_of, solved
 from helpers.page_calibrations import calibration as page_calibration
 from helpers.session_worlds import make_world
 
-from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
+from dvrk_cmaes import InputError, Lag, SessionCalibration, read_calibration
 from dvrk_cmaes.calibration.model import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.joints.lag import Lag
 
 WORLD = make_world(4)
 OFFSETS = dict(zip(("insertion", "roll", *WORLD.model.names), WORLD.truth.offsets.tolist(), strict=True))

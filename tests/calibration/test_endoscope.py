@@ -8,9 +8,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from helpers.session_worlds import BASE, EXPECTED_OFFSETS, NAMES, PRIOR, SEEN, make_world
+from helpers.transforms import change_between, moved
 
+from dvrk_cmaes import InputError, SessionCalibration
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
-from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import (
     Endoscope,
     EndoscopeValues,
@@ -23,8 +24,7 @@ from dvrk_cmaes.calibration.endoscope_search import find_hand_eye, find_pieces
 from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, SessionModel
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Posed, change_between, moved
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.synth.steering import Steering
 

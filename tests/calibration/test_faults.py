@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SEEN, World, make_world
+from helpers.transforms import exp_rotation, transform
 
+from dvrk_cmaes import InputError
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
 from dvrk_cmaes.calibration.endoscope_search import find_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import exp_rotation, transform
 
 
 def modes_of(world: World, seed: int = 0) -> list[list[Mode]]:

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.session_worlds import make_frames_in_memory
+from helpers.transforms import change_between, moved
 
+from dvrk_cmaes import Body, EstimateConfig, SolvedSession, calibrate_session
 from dvrk_cmaes.calibration import constants
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
 from dvrk_cmaes.calibration.constants import few_of, outline_task, shifted
 from dvrk_cmaes.calibration.frame_task import fit_task
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.geometry import Posed, change_between, moved
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.geometry import Posed
 
 COUNT, FEW = 12, 5
 

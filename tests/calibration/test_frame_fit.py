@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.transforms import lookat_pose
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.search.starts import lookat_pose
 from dvrk_cmaes.pose.terms.expected import Expected
 
 AT = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4, -0.3, 0.5]))

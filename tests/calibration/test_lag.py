@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, NAMES, PRIOR, SEEN, World, make_world
 
+from dvrk_cmaes import InputError, Lag, ReadingSeries
 from dvrk_cmaes.calibration.clock import Clock
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
 from dvrk_cmaes.calibration.lag_search import LagCurve, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.session_lag import POSTURES, FramesOfLag, LagEstimate, describe_lag, refine_lag
 from dvrk_cmaes.calibration.solve import FrameFits
-from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.typed_document import convert_document
-from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 ROWS, FPS = 240, 30.0

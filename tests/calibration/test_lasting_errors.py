@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import NAMES, PRIOR, SEEN, World, make_world
+from helpers.transforms import change_between
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import (
@@ -21,7 +22,6 @@ from dvrk_cmaes.calibration.lasting_errors import (
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.solve import FrameFits, solve
-from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 SIZE = 6 + len(NAMES)

@@ -8,26 +8,22 @@ import cv2
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
+from helpers.transforms import apply
 
-from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes import Body, EstimateConfig, FrameData, InputError, SessionCalibration, SessionFrame, calibrate_session
 from dvrk_cmaes.calibration.constants import OutlineOfView
-from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import outline_and_masks
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE
 from dvrk_cmaes.calibration.mask_growth import MaskGrowth, changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
-from dvrk_cmaes.config import EstimateConfig, OutlineConfig
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import image_axis
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.recorded_frames import views_that_show
 
 RIGHT = 2

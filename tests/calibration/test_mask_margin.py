@@ -11,19 +11,15 @@ import numpy as np
 import pytest
 from helpers.session_worlds import PRIOR, SEEN, World, make_frames_in_memory, make_world
 
-from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, calibrate_session
 from dvrk_cmaes.calibration.constants import Constant, FramesAt, SessionOutlines
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.session_camera import CameraChange, file_deviations
 from dvrk_cmaes.calibration.session_masks import MARGIN, Margin, MaskMargin, SessionMasks, estimate_margin
 from dvrk_cmaes.calibration.session_state import Imaging
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.silhouette import Body
 
 FRAMES = 10
 

@@ -9,16 +9,21 @@ import cv2
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
+from helpers.transforms import moved
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes import (
+    Body,
+    EstimateConfig,
+    FrameData,
+    Renderer,
+    SessionCalibration,
+    SessionFrame,
+    SolvedSession,
+    calibrate_session,
+)
 from dvrk_cmaes.calibration.masks_again import MasksAgain, compared
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.frames.frame import FrameData
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.frames.packed_mask import PackedMask
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.silhouette import Body, Renderer
 
 Bool = np.ndarray
 Masks = Mapping[str, Bool]

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import BASE, NAMES, OFFSETS, make_world
+from helpers.transforms import change_between
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dvrk_cmaes.calibration.model import Calibration, Correction, Deviations, SessionModel, outer_readings
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import base_from_root
 
 

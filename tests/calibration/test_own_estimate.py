@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL
+from helpers.transforms import lookat_pose, moved
 
+from dvrk_cmaes import Body, Renderer
 from dvrk_cmaes.calibration.frame_fit import OwnEstimate
 from dvrk_cmaes.evidence.gather import gather_evidence
-from dvrk_cmaes.geometry import Posed, moved
-from dvrk_cmaes.pose.search.starts import lookat_pose
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.silhouette import Body, Renderer
 
 TRUE = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.2, -0.3, 0.5]))
 

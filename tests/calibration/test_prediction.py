@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG
 from helpers.session_worlds import make_frames_in_memory, true_calibration
+from helpers.transforms import change_between, moved
 
-from dvrk_cmaes import estimate
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import Body, FrameData, InputError, Result, SessionCalibration, SessionFrame, estimate
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import change_between, moved
-from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth
 
 

@@ -7,17 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
+from helpers.transforms import apply
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes import (
+    Body,
+    Camera,
+    EstimateConfig,
+    FrameData,
+    InputError,
+    SessionFrame,
+    SolvedSession,
+    calibrate_session,
+    estimate,
+)
 from dvrk_cmaes.calibration.session_camera import covariance_of_camera
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import Posed, apply
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.geometry import Posed
 
 SCALE = 1.1
 """True focal length, relative to that of the file."""

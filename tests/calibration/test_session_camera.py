@@ -7,22 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_in_memory
+from helpers.transforms import change_between
 
+from dvrk_cmaes import Body, Camera, EstimateConfig, FrameData, SessionFrame
 from dvrk_cmaes.calibration.constants import FramesAt, SessionOutlines
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraChange, CameraCheck, CameraEstimate, SessionCamera, check_camera
 from dvrk_cmaes.calibration.session_masks import MaskMargin
 from dvrk_cmaes.calibration.solve import FrameFits, Solved, solve
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
-from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import Posed, change_between
+from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = 10

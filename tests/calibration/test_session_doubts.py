@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.page_calibrations import calibration, solved
 
-from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes import SessionCalibration, TrackResult
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, SessionCamera
 from dvrk_cmaes.calibration.session_doubts import (
     bad_predictions,
@@ -24,7 +24,6 @@ from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import DISAGREES
 from dvrk_cmaes.pose.judge import far_joints
-from dvrk_cmaes.results.tracked import TrackResult
 
 FRAMES = ("0000", "0001", "0002")
 BADLY = {"0000": (0.62, 9.0), "0001": (0.66, 8.0)}

@@ -9,18 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
+from helpers.transforms import rotation_angle, transform
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes import (
+    Body,
+    EstimateConfig,
+    FrameData,
+    Renderer,
+    Rig,
+    SessionFrame,
+    SolvedSession,
+    calibrate_session,
+    estimate,
+)
 from dvrk_cmaes.calibration.session_rig import ViewRotation, pooled_rotation, rotations_of_session
-from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.rig_files import read_rig
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import rotation_angle, transform
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.runs.calibrate_folder import write_cameras
-from dvrk_cmaes.silhouette import Body, Renderer
 
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])
 RIG = Rig.stereo(SMALL, SMALL, RIGHT_FROM_LEFT)

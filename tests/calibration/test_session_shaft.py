@@ -9,17 +9,14 @@ import numpy as np
 import pytest
 from helpers.session_worlds import make_frames_in_memory
 
-from dvrk_cmaes.calibration.calibrate import calibrate_session
+from dvrk_cmaes import Body, EstimateConfig, FrameData, calibrate_session
 from dvrk_cmaes.calibration.constants import OutlineOfView
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes, SessionShaft
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument.kinematics import Chain
 from dvrk_cmaes.instrument.model import Link
 from dvrk_cmaes.pose.terms.sized_view import SizedView
-from dvrk_cmaes.silhouette import Body
 
 
 def with_shaft(body: Body, scale: float) -> Body:

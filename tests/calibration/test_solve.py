@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import NAMES, PRIOR, SEEN, World, make_world
+from helpers.transforms import change_between, moved, rotation_angle
 from scipy.special import chdtri
 
 from dvrk_cmaes.calibration.model import Calibration
@@ -19,7 +20,7 @@ from dvrk_cmaes.calibration.solve import (
     solution_at,
     solve,
 )
-from dvrk_cmaes.geometry import Posed, change_between, moved, rotation_angle
+from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 

@@ -9,11 +9,20 @@ from functools import partial
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, near_the_truth, with_result
+from helpers.transforms import change_between
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session, in_threads, solving_arm
-from dvrk_cmaes.calibration.document import SessionCalibration
+from dvrk_cmaes import (
+    Body,
+    EstimateConfig,
+    FrameData,
+    InputError,
+    SessionCalibration,
+    SessionFrame,
+    SolvedSession,
+    calibrate_session,
+)
+from dvrk_cmaes.calibration.calibrate import in_threads, solving_arm
 from dvrk_cmaes.calibration.endoscope import Place, in_tip
-from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import (
     RelativeBase,
@@ -23,12 +32,8 @@ from dvrk_cmaes.calibration.together import (
     solved_together,
     with_others,
 )
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import change_between
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.moving_arm import MOTION_LEVELS
 from dvrk_cmaes.synth.recording import RecordedArm, record_arm

@@ -7,15 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
+from helpers.transforms import transform
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, calibrate_session
-from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.camera import Rig
-from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.estimation import estimate
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.geometry import transform
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes import (
+    Body,
+    EstimateConfig,
+    FrameData,
+    Renderer,
+    Rig,
+    SessionFrame,
+    SolvedSession,
+    calibrate_session,
+    estimate,
+)
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.synth.truth import Truth
 
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK, make_session
+from helpers.commands import main
+from helpers.files import read_mask
 
-from dvrk_cmaes.cli import main
+from dvrk_cmaes import Result
 from dvrk_cmaes.cli.batch_progress import progress
-from dvrk_cmaes.frames.images import read_mask
-from dvrk_cmaes.frames.label import EXPECTED as LABEL
-from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.batch import BatchProgress
 from dvrk_cmaes.runs.worker import FrameOutcome
 
@@ -38,36 +37,6 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 QUICKLY = ("--config", "quick.toml", "--workers", "1")
 
 
-def test_default_output_folder_and_summary(run: Run, tmp_path: Path) -> None:
-    make_session(tmp_path / "session", ["0001", "0002"])
-    Path("session/masks/0002.png").write_bytes(b"nonsense")
-    code, out, said = run("session", *QUICKLY)
-    assert (code, said) == (3, "")
-    lines = out.splitlines()
-    assert (
-        lines[0] == "0002: failed: masks/0002.png: expected a mask (PNG or JPEG), got something else or a damaged file"
-    )
-    assert lines[1] == "2 frames: 1 ok, 1 failed"
-    assert lines[-1] == (
-        "results: session/results/frames   overlays: session/results/overlays   "
-        "table: session/results/poses.csv   page: session/results/report.html"
-    )
-    assert (tmp_path / "session" / "results" / "report.html").is_file()
-
-    code, out, said = run("session", *QUICKLY, "--json")
-    assert (code, said) == (3, "dvrk-cmaes: results are there of 2 frames, 0 are to be done\n")
-    assert json.loads(out) == json.loads((tmp_path / "session" / "results" / "summary.json").read_text())
-
-    assert run("session", "--config", "quick.toml", "--seed", "4") == (
-        2,
-        "",
-        "dvrk-cmaes: session/results: its results were made otherwise (config.seed: 0 -> 4): "
-        "choose another --out, or begin anew with --overwrite\n",
-    )
-    code, out, said = run("session", *QUICKLY, "--seed", "4", "--overwrite", "--frames", "*1")
-    assert (code, out.splitlines()[0], said) == (0, "1 frame: 1 ok", "")
-
-
 @pytest.mark.usefixtures("tasks_here", "estimates_shared")
 def test_label_masks_and_other_input_paths(run: Run, tmp_path: Path) -> None:
     session = make_session(tmp_path / "session", ["a"])
@@ -83,41 +52,6 @@ def test_label_masks_and_other_input_paths(run: Run, tmp_path: Path) -> None:
     moved = run("session", "--out", "moved", *QUICKLY, "--json", *options)
     assert plain[0] == moved[0] == 0
     assert json.loads(plain[1])["medians"] == json.loads(moved[1])["medians"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        ((), "SESSION: missing; it is required (see dvrk-cmaes batch --help)"),
-        (("nowhere",), "nowhere: no such folder; expected a session with camera.yaml, joints.csv and masks"),
-        (
-            ("--merge", "out"),
-            "--merge: no longer an option; use `--frames` patterns with an --out each, or --scheduler "
-            "(see dvrk-cmaes batch --help)",
-        ),
-        (("s", "--workers", "0"), "--workers: expected a whole number of at least 1, and no --scheduler, got 0"),
-        (
-            ("s", "--workers", "2", "--scheduler", "tcp://x"),
-            "--workers: expected a whole number of at least 1, and no --scheduler, got --scheduler too",
-        ),
-        (
-            ("s", "--shard=3/2"),
-            "--shard: no longer an option; use `--frames` patterns with an --out each, or --scheduler "
-            "(see dvrk-cmaes batch --help)",
-        ),
-        (("s", "--time-limit", "0"), "--time-limit: expected seconds above 0, got 0"),
-        (("s", "--label", "70000"), f"--label: expected {LABEL}, got '70000'"),
-        (("s", "--threads", "0"), "--threads: expected a whole number of at least 1, got 0"),
-    ],
-)
-def test_wrong_usage_is_refused(run: Run, arguments: tuple[str, ...], complaint: str) -> None:
-    assert run(*arguments) == (2, "", f"dvrk-cmaes: {complaint}\n")
-
-
-def test_file_in_the_place_of_a_session_is_refused(run: Run, tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("")
-    said = "dvrk-cmaes: a.csv: a file; expected a session with camera.yaml, joints.csv and masks\n"
-    assert run("a.csv") == (2, "", said)
 
 
 def test_missing_scheduler_is_refused(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,21 +13,18 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import Ran, run_command
+from helpers.files import write_json
 from helpers.places import ROOT
 from helpers.printed_blocks import blocks, printed_parts, words
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
+from helpers.transforms import transform
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession
-from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes import Body, Renderer, SolvedSession, read_calibration, read_results
 from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.cli.calibrate import _lines
-from dvrk_cmaes.geometry import change_between, transform
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs import processes
 from dvrk_cmaes.runs.worker_process import WorkerProcess
-from dvrk_cmaes.silhouette import Body, Renderer
 
 pytestmark = pytest.mark.usefixtures("tasks_here")
 
@@ -58,7 +55,7 @@ QUICKLY = ("--config", "settings.toml", "--workers", "1")
 @pytest.fixture(scope="module")
 def calibrated(place: Path) -> Path:
     """Calibrate once for the tests that only read the output; gives the output folder."""
-    from dvrk_cmaes.cli import main
+    from helpers.commands import main
 
     before = {path: path.read_bytes() for path in (place / "results").rglob("*") if path.is_file()}
     options = ["--results", place / "results", "--out", place / "calibrated", "--config", place / "settings.toml"]
@@ -100,65 +97,6 @@ def test_results_do_not_depend_on_number_of_processes(calibrated: Path, command:
             assert path.read_bytes() == (place / "two" / folder / path.name).read_bytes()
 
 
-def test_session_json_holds_true_base(calibrated: Path, bundled_body: Body) -> None:
-    base = make_frames_in_memory(bundled_body, 5, level="clean")[0]
-    found = read_calibration(calibrated / "session.json")
-    assert found.frames == tuple(f"000{k}" for k in range(5))
-    assert (found.left_out, found.warnings, found.lag) == ({}, (), None)
-    off = change_between(found.camera_from_base, base)
-    assert 1e3 * np.linalg.norm(off[:3]) < 2
-    assert np.degrees(np.linalg.norm(off[3:])) < 2
-
-
-def test_json_output_is_session_json_and_reproducible(command: Command, calibrated: Path) -> None:
-    ran = command("calibrate", "session", "--results", "results", "--out", "again", *QUICKLY, "--json")
-    assert ran.code == 0
-    assert ran.result == json.loads(Path("again/session.json").read_text())
-    once = json.loads((calibrated / "session.json").read_text())
-    assert {**ran.result, "seconds": 0} == {**once, "seconds": 0}
-    assert ran.err.splitlines() == [
-        "dvrk-cmaes: gathering evidence: 5 frames",
-        "dvrk-cmaes: round 1 of 1: 5 frames",
-        "dvrk-cmaes: checking the camera: 5 frames",
-        "dvrk-cmaes: leaving one out: 5 frames",
-        "dvrk-cmaes: drawing: 5 frames",
-    ]
-
-
-@pytest.mark.parametrize(
-    ("format_", "expected"),
-    [("dvrk", "PSM1-registration-open-cv.json"), ("easy-handeye", ".calib"), ("tf", "static_transform_publisher")],
-)
-def test_export_from_folder_and_session_json_agree(
-    command: Command, calibrated: Path, format_: str, expected: str
-) -> None:
-    told = []
-    for k, source in enumerate((calibrated, calibrated / "session.json")):
-        ran = command("export", source, "--to", format_, "--out", f"{format_}{k}")
-        assert ran.code == 0
-        out = Path(f"{format_}{k}")
-        files = [out] if out.is_file() else sorted(out.iterdir())
-        told.append({path.name.replace(f"{format_}{k}", ""): path.read_text() for path in files})
-    assert told[0] == told[1]
-    assert any(expected in name or expected in text for name, text in told[0].items())
-
-
-def test_estimate_and_batch_use_calibration(command: Command, calibrated: Path) -> None:
-    ran = command("batch", "session", "--session", calibrated / "session.json", "--out", "batch", *QUICKLY, "--json")
-    assert ran.code in (0, 3)
-    results = [json.loads(path.read_text()) for path in sorted(Path("batch/frames").iterdir())]
-    assert {one["source"] for one in results} == {"session"}
-    with Path("session/joints.csv").open(encoding="utf-8") as file:
-        names, first = (line.strip().split(",") for line in list(file)[:2])
-    joints = ",".join(f"{name}={value}" for name, value in zip(names[1:], first[1:], strict=True))
-    options = ("--camera", "session/camera.yaml", "--joints", joints, "--session", calibrated / "session.json")
-    ran = command("estimate", "--mask", "session/masks/0000.png", *options, "--config", "settings.toml", "--json")
-    found = ran.result
-    assert found["source"] == "session"
-    keys = ("camera_from_root", "joints", "camera_from_base")
-    np.testing.assert_equal([found[key] for key in keys], [results[0][key] for key in keys])
-
-
 @pytest.mark.usefixtures("own_processes")
 def test_frames_are_estimated_first_without_results(
     command: Command, place: Path, monkeypatch: pytest.MonkeyPatch
@@ -182,25 +120,6 @@ def test_frames_are_estimated_first_without_results(
     assert [line.split()[0] for line in lines[4:9]] == ["insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw"]
     assert any(" frames; each predicted by the others, without its image: mean IoU 0." in line for line in lines)
     assert lines[-1] == "written: whole/session.json   frames: whole/frames   page: whole/report.html"
-
-
-def test_left_out_frame_is_reported_with_exit_code_3(
-    command: Command, bundled_body: Body, place: Path, tmp_path: Path
-) -> None:
-    frames = make_frames_in_memory(bundled_body, 6, level="clean")[2]
-    other = make_frames_in_memory(bundled_body, 6, level="clean", seed=11)[2][3]
-    frames[3] = replace(
-        frames[3], data=other.data, result=replace(other.result, frame="0003", readings=frames[3].result.readings)
-    )
-    write_folder(tmp_path / "session", frames)
-    ran = command(
-        "calibrate", tmp_path / "session", "--results", tmp_path / "results", "--out", tmp_path / "out", *QUICKLY
-    )
-    assert ran.code == 3
-    (line,) = (line for line in ran.out.splitlines() if line.startswith("left out: "))
-    assert line.startswith("left out: 0003: disagrees with the session: ")
-    assert json.loads((tmp_path / "out" / "session.json").read_text())["left_out"][0]["frame"] == "0003"
-    assert json.loads((tmp_path / "out" / "frames" / "0003.json").read_text())["status"] == "doubtful"
 
 
 # refused input: one line, and nothing written
@@ -233,33 +152,12 @@ def test_wrong_arm_is_refused(command: Command, place: Path) -> None:
     assert not (place / "wrong").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("nowhere",), "nowhere: "),
-        (("session", "--results", "nowhere"), "nowhere: "),
-        (("session", "--workers", "0"), "--workers: expected a whole number of at least 1, got 0"),
-    ],
-)
-def test_missing_input_is_named(command: Command, arguments: tuple[str, ...], message: str) -> None:
-    assert refusal(command, *arguments).startswith(message)
-
-
 def test_results_of_other_instrument_are_refused(command: Command, place: Path, tmp_path: Path) -> None:
     for path in (place / "results" / "frames").iterdir():
         document = json.loads(path.read_text())
         write_json(tmp_path / "frames" / path.name, {**document, "instrument": "hook"})
     options = ("--results", tmp_path, "--out", tmp_path / "out", *QUICKLY)
     assert refusal(command, "session", *options) == "frame 0000: instrument: expected lnd, got a result of hook"
-
-
-def test_damaged_session_json_is_refused(command: Command, calibrated: Path, tmp_path: Path) -> None:
-    document = json.loads((calibrated / "session.json").read_text())
-    del document["offsets"]
-    path = tmp_path / "session.json"
-    write_json(path, document)
-    ran = command("batch", "session", "--session", path, "--out", tmp_path / "out", *QUICKLY)
-    assert ran.refusal == f"{path}: offsets: expected an object, got nothing"
 
 
 def test_refined_camera_is_written_and_stated(command: Command, bundled_body: Body, tmp_path: Path) -> None:

@@ -12,11 +12,9 @@ from xml.etree import ElementTree
 import pytest
 from helpers.canned_results import canned, failed, write_results
 from helpers.commands import Ran, run_command
+from helpers.files import write_image
 from helpers.page_results import Page, overlay
-
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.io.atomic import write_image
-from dvrk_cmaes.results.paths import overlay_path
+from helpers.transforms import moved
 
 Run = Callable[..., Ran]
 FRAMES = {"0000": 0.5, "0001": 4.0, "0002": 1.0}
@@ -38,7 +36,7 @@ def sets(tmp_path: Path) -> tuple[Path, Path]:
         assert one.camera_from_root is not None
         after.append(replace(one, camera_from_root=moved(one.camera_from_root, [mm / 1e3, 0, 0, 0, 0, 0])))
     for one in after:
-        write_image(overlay_path(tmp_path / "after", one.frame), overlay(one))
+        write_image(tmp_path / "after" / "overlays" / f"{one.frame}.jpg", overlay(one))
     return before, write_results(tmp_path / "after", *after)
 
 

@@ -10,13 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.commands import main
 from helpers.damage import INPUTS, Input, stopped_after_reading
 
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.frames.seen_view import SeenView
-from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes import Body, DvrkCmaesError, Session
 
 READ = "all was read"
 TRIALS = 6
@@ -51,7 +48,7 @@ def changed(data: bytes, chance: random.Random) -> bytes:
     return (text[: word.start()] + chance.choice(HOSTILE) + text[word.end() :]).encode()
 
 
-def check_frame(views: Sequence[SeenView], readings: dict[str, float], body: Body, *_: Any, **__: Any) -> None:
+def check_frame(views: Sequence[Any], readings: dict[str, float], body: Body, *_: Any, **__: Any) -> None:
     """Check the inputs of an estimate, then stop the command."""
     ((mask, camera),) = [(view.mask, view.camera) for view in views]
     assert mask.dtype == np.bool_

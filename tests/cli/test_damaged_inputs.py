@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from helpers.commands import main
 from helpers.damage import DAMAGES, INPUTS, Input, stopped_after_reading
 
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes import DvrkCmaesError
 
 READ = "all was read"
 

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 from helpers.canned_results import canned, write_results
+from helpers.commands import main
 from helpers.damage import CAMERA, DEMO, IMAGE, JOINTS, MASK, SMALL_CAMERA, frame
 from helpers.made_recordings import good, write_bag, write_video
 
-from dvrk_cmaes.cli import main
 from dvrk_cmaes.cli.options import InstrumentOptions
 
 NAMES = {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,49 +11,16 @@ import cv2
 import numpy as np
 import pytest
 from helpers.commands import Ran, run_command
-from helpers.instrument_files import mesh_link, write_urdf
+from helpers.places import bundled_path
 
-from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes import DvrkCmaesError
 
 pytestmark = pytest.mark.usefixtures("estimates_shared")
 
 DEMO = bundled_path("demo")
 MASK, CAMERA, JOINTS = DEMO / "masks" / "0000.png", DEMO / "camera.yaml", DEMO / "joints.csv"
-CAMERA_TEXT = CAMERA.read_text(encoding="utf-8")
 QUICK = "[search]\nsamples = 128\nstarts = 3\nevaluations = 65\n"
 """Settings for tests that need a result quickly; its accuracy is low."""
-
-RESULT_FIELDS = [
-    *(
-        "schema",
-        "frame",
-        "time",
-        "status",
-        "reasons",
-        "instrument",
-        "shaft_radius",
-        "root_link",
-        "camera_from_root",
-        "joints",
-        "readings",
-    ),
-    *(
-        "tips",
-        "tips_px",
-        "warnings",
-        "remarks",
-        "unused",
-        "camera_from_base",
-        "source",
-        "change",
-        "quality",
-        "std",
-        "covariance",
-    ),
-    *("mode_probability", "tip_probability", "alternatives"),
-    *("seconds", "evaluations", "rays", "seed", "version", "config"),
-]
 
 
 Run = Callable[..., Ran]
@@ -99,36 +64,6 @@ def quick(tmp_path: Path) -> Path:
 # output
 
 
-def test_good_frame_writes_result_and_overlay(run: Run, tmp_path: Path) -> None:
-    done = run(*frame(image=DEMO / "images" / "0000.jpg", out="out"), "--json")
-    assert (done.code, done.err) == (0, "")
-    assert list(done.result) == RESULT_FIELDS
-    assert (done.result["schema"], done.result["frame"], done.result["status"]) == (1, "0000", "ok")
-    assert (tmp_path / "out/frames/0000.json").read_text(encoding="utf-8") == done.out
-    overlay = cv2.imread(str(tmp_path / "out/overlays/0000.jpg"))
-    assert overlay.shape[1] == 1280
-    assert sorted(p.name for p in (tmp_path / "out").rglob("*") if p.is_file()) == [
-        "0000.jpg",
-        "0000.json",
-        "run.json",
-    ]
-
-
-def test_text_output_lists_pose_joints_and_files(run: Run, quick: Path) -> None:
-    done = run(*frame(config=quick, out="out"))
-    assert done.code == 0
-    lines = done.out.splitlines()
-    assert re.fullmatch(r"0000: tips within \d+\.\d+ mm \(90 %\), ok", lines[0])
-    assert any(line.startswith("roll_link in the camera (x right, y down, z forward)") for line in lines)
-    assert any("axis-angle, deg" in line for line in lines)
-    pitch = next(line.split() for line in lines if line.strip().startswith("wrist_pitch"))
-    assert float(pitch[3]) == pytest.approx(np.rad2deg(0.826268), abs=0.01)
-    assert float(pitch[1]) - float(pitch[3]) == pytest.approx(float(pitch[4]), abs=0.011)
-    assert any("mirror twin" in line for line in lines)
-    assert lines[-2:] == ["written: out/frames/0000.json", "written: out/overlays/0000.jpg"]
-    assert "\x1b" not in done.out
-
-
 def test_outer_readings_give_base_of_either_arm(run: Run, quick: Path) -> None:
     classic, si = (
         np.array(run(*frame(config=quick, arm=arm), "--json").result["camera_from_base"]) for arm in ("classic", "si")
@@ -136,14 +71,6 @@ def test_outer_readings_give_base_of_either_arm(run: Run, quick: Path) -> None:
     offset = np.linalg.inv(classic) @ si
     np.testing.assert_allclose(offset[:3, :3], np.eye(3), atol=1e-6)
     assert np.linalg.norm(offset[:3, 3]) == pytest.approx(0.4826 - 0.4318, abs=1e-6)
-
-
-def test_result_without_readings_is_doubtful(run: Run, quick: Path) -> None:
-    done = run(*frame(joints="none", config=quick), "--json")
-    assert done.code == 3
-    assert done.result["status"] == "doubtful"
-    assert any("readings" in reason for reason in done.result["reasons"])
-    assert done.result["readings"] == {}
 
 
 def test_half_size_mask_rescales_camera_with_warning(run: Run, quick: Path, tmp_path: Path) -> None:
@@ -164,22 +91,6 @@ def test_reading_outside_limits_gives_warning(run: Run, quick: Path) -> None:
     assert "reading of wrist_pitch: 91.7 deg is outside its limits" in done.err
     assert any("wrist_pitch" in warning for warning in done.result["warnings"])
     assert done.result["readings"]["wrist_pitch"] == 1.6
-
-
-def test_label_pick_and_ignored_pixels_select_mask(run: Run, quick: Path, tmp_path: Path) -> None:
-    mask = cv2.imread(str(MASK), 0) > 127
-    blob = np.zeros_like(mask)
-    blob[400:470, 20:120] = True
-    labels = picture(tmp_path / "labels.png", np.where(mask, 3, np.where(blob, 5, 0)).astype(np.uint8))
-    both = picture(tmp_path / "both.png", np.where(mask | blob, 255, 0).astype(np.uint8))
-    ignore = picture(tmp_path / "ignore.png", np.where(blob, 255, 0).astype(np.uint8))
-    v, u = np.argwhere(mask)[len(np.argwhere(mask)) // 2]
-    common: dict[str, object] = {"config": quick, "frame": "0000"}
-    alone = run(*frame(**common), "--json").result
-    for options in ({"mask": labels, "label": 3}, {"mask": both, "pick": f"{u},{v}"}):
-        assert run(*frame(**common, **options), "--json").result["camera_from_root"] == alone["camera_from_root"]
-    ignored = run(*frame(**common, mask=both, ignore=ignore), "--json").result
-    np.testing.assert_allclose(ignored["camera_from_root"], alone["camera_from_root"], atol=2e-3)
 
 
 def test_flags_equal_settings_and_override_them(run: Run, tmp_path: Path) -> None:
@@ -231,115 +142,7 @@ def test_wrong_usage_is_refused(run: Run, tmp_path: Path, arguments: list[object
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("command", [[], ["estimate"], ["demo"]])
-def test_help_shows_example(run: Run, command: list[str]) -> None:
-    done = run(*command, "--help")
-    assert (done.code, done.err) == (0, "")
-    assert "dvrk-cmaes demo" in done.out or "dvrk-cmaes estimate --mask" in done.out
-
-
 # bad input
-
-
-def _files(folder: Path) -> dict[str, Path]:
-    """Write one wrong file of each kind."""
-    mask = cv2.imread(str(MASK), 0)
-    soft = mask // 3
-    cube = "\n".join(f"v {x} {y} {z}" for x in (0, 9) for y in (0, 9) for z in (0, 9))
-    return {
-        "broken": _bytes(folder / "broken.png", MASK.read_bytes()[:500]),
-        "text": write(folder / "text.png", "not a picture"),
-        "empty": picture(folder / "empty.png", 0 * mask),
-        "full": picture(folder / "full.png", np.full_like(mask, 255)),
-        "faint": picture(folder / "faint.png", soft),
-        "deep": picture(folder / "deep.png", mask.astype(np.uint16) * 257),
-        "cropped": picture(folder / "cropped.png", mask[:400]),
-        "no_matrix": write(folder / "no_matrix.yaml", CAMERA_TEXT.replace("camera_matrix", "matrix")),
-        "zero_focal": write(folder / "zero_focal.yaml", CAMERA_TEXT.replace("1042.6", "0.0")),
-        "negative_focal": write(folder / "negative_focal.yaml", CAMERA_TEXT.replace("1042.6", "-1042.6")),
-        "nan": write(folder / "nan.yaml", CAMERA_TEXT.replace("326.3", ".nan")),
-        "degrees": write(folder / "degrees.csv", "frame,wrist_pitch,jaw\n0000,47.3,54.0\n"),
-        "column": write(folder / "column.csv", "frame,wrist_pich\n0000,0.8\n"),
-        "settings": write(folder / "settings.toml", "[search]\nsampels = 3\n"),
-        "kind": write(folder / "kind.toml", "[refine.outline]\nblur = 'much'\n"),
-        "zero_samples": write(folder / "zero_samples.toml", "[search]\nsamples = 0\n"),
-        "method": write(folder / "method.toml", "[search]\nmethod = 'cmeas'\n"),
-        "no_link": write_urdf(folder, '<link name="shaft"/>', "no_link.urdf"),
-        "no_mesh": write_urdf(folder, mesh_link("package://model/away.stl"), "no_mesh.urdf"),
-        "pointer": write_urdf(folder, mesh_link("pointer.stl"), "pointer.urdf"),
-        "pointer_mesh": write(
-            folder / "pointer.stl", "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n"
-        ),
-        "hollow": write_urdf(folder, mesh_link("hollow.obj"), "hollow.urdf"),
-        "hollow_mesh": write(folder / "hollow.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n"),
-        "huge": write_urdf(folder, mesh_link("huge.obj"), "huge.urdf"),
-        "huge_mesh": write(folder / "huge.obj", f"{cube}\nf 1 2 3\nf 2 3 4\nf 5 6 7\nf 1 5 6\n"),
-        "file": write(folder / "file", ""),
-    }
-
-
-def _bytes(path: Path, data: bytes) -> Path:
-    path.write_bytes(data)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("option", "which", "expected"),
-    [
-        ("mask", "missing.png", ["missing.png", "no such file", "mask"]),
-        ("mask", ".", ["directory", "mask"]),
-        ("mask", "broken", ["broken.png", "cut off or damaged"]),
-        ("mask", "text", ["text.png", "expected a mask (PNG or JPEG)"]),
-        ("mask", "empty", ["empty.png", "mask is empty", "127"]),
-        ("mask", "full", ["full.png", "mask is full", "background"]),
-        ("mask", "faint", ["faint.png", "mask is empty", "85"]),
-        ("mask", "deep", ["deep.png", "not 8-bit", "16 bits"]),
-        ("mask", "cropped", ["cropped.png", "640 x 480", "640 x 400"]),
-        ("image", "cropped", ["cropped.png", "640 x 480", "640 x 400"]),
-        ("ignore", "cropped", ["cropped.png", "640 x 480", "640 x 400"]),
-        ("camera", "missing.yaml", ["missing.yaml", "no such file", "camera"]),
-        ("camera", "no_matrix", ["no_matrix.yaml", "camera_matrix", "missing"]),
-        ("camera", "zero_focal", ["zero_focal.yaml", "camera_matrix", "positive focal lengths", "fx 0"]),
-        ("camera", "negative_focal", ["negative_focal.yaml", "camera_matrix", "positive focal lengths", "-1042.6"]),
-        ("camera", "nan", ["nan.yaml", "camera_matrix", "finite", "nan"]),
-        ("joints", "missing.csv", ["missing.csv", "no such file", "joints.csv"]),
-        ("joints", "wrist_pich=0.8", ["joints", "'wrist_pich'", "expected one of wrist_pitch"]),
-        ("joints", "column", ["column.csv", "'wrist_pich'", "expected one of wrist_pitch"]),
-        ("joints", "wrist_pitch=47.3", ["joints", "wrist_pitch", "radians", "47.3", "looks like degrees"]),
-        ("joints", "degrees", ["degrees.csv", "0000", "wrist_pitch", "radians", "looks like degrees"]),
-        ("frame", "0007", ["joints.csv", "frame", "0000, 0001", "'0007'"]),
-        ("config", "settings", ["settings.toml", "search.sampels", "search.samples"]),
-        ("config", "kind", ["kind.toml", "refine.outline.blur", "a number", "'much'"]),
-        ("config", "zero_samples", ["zero_samples.toml", "search.samples", "above 0", "got 0"]),
-        ("config", "method", ["method.toml", "search.method", "cmaes", "'cmeas'"]),
-        ("instrument", "lnnd", ["lnnd", "no such URDF", "lnd"]),
-        ("instrument", "no_link", ["no_link.urdf", "'roll_link'", "shaft"]),
-        ("root-link", "rol_link", ["lnd.urdf", "'rol_link'", "roll_link"]),
-        ("instrument", "no_mesh", ["no_mesh.urdf", "package://model/away.stl", "tried", "--package-path"]),
-        ("instrument", "pointer", ["pointer.stl", "Git LFS"]),
-        ("instrument", "hollow", ["hollow.obj", "empty"]),
-        ("instrument", "huge", ["huge.obj", "millimetres"]),
-        ("out", "file", ["file", "folder"]),
-    ],
-)
-def test_bad_input_is_refused_without_output(
-    run: Run, tmp_path: Path, option: str, which: str, expected: list[str]
-) -> None:
-    files = _files(tmp_path)
-    before = sorted(tmp_path.rglob("*"))
-    done = run(*frame(**{"out": tmp_path / "out", option: files.get(which, which)}))
-    assert done.code == 2
-    for text in expected:
-        assert text in done.complaint
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_frame_name_must_be_valid_file_name(run: Run, tmp_path: Path) -> None:
-    done = run(*frame(joints="jaw=0.9", frame="../up", out="out"))
-    assert done.code == 2
-    assert "frame" in done.complaint
-    assert "'../up'" in done.complaint
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_missing_embree_is_reported_with_install_command(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -404,18 +207,6 @@ def test_failing_demo_states_deviations(run: Run, tmp_path: Path) -> None:
 
 
 # in a process of its own
-
-
-def _program(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "import sys; from dvrk_cmaes.cli import main; sys.exit(main())", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
-
-
-def test_exit_code_is_given_to_shell(tmp_path: Path) -> None:
-    done = _program(*map(str, frame(joints="wrist_pitch=47")))
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("dvrk-cmaes: joints: wrist_pitch: ")
-    assert "Traceback" not in done.stderr
 
 
 def test_help_and_import_load_no_heavy_library() -> None:

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import Ran, run_command
+from helpers.places import bundled_path
+from helpers.transforms import moved
 
 from dvrk_cmaes.frames.truth import FrameTruth, SessionTruth, read_golden, write_golden
-from dvrk_cmaes.geometry import moved
-from dvrk_cmaes.io.bundled import bundled_path
 
 SURE, UNSURE = "0001", "0003"
 

@@ -11,16 +11,14 @@ from typing import Any
 
 import pytest
 from helpers.commands import run_command
+from helpers.places import bundled_path
 
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes import InputError, read_session
 from dvrk_cmaes.io.output import output, write_bytes
 from dvrk_cmaes.runs.inputs import frame_stamps
 from dvrk_cmaes.runs.manifest import check_same_session
 
 DEMO = bundled_path() / "demo"
-COMMANDS = ("batch", "calibrate", "segment", "track")
 
 
 def written(folder: Path, **texts: str) -> None:
@@ -62,44 +60,6 @@ def session(tmp_path: Path) -> Path:
     """The bundled session, in a folder that may be written to."""
     as_session(tmp_path / "session")
     return tmp_path / "session"
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("kind", KINDS)
-def test_folder_of_another_kind_is_refused_and_left_as_it_is(
-    capsys: pytest.CaptureFixture[str], session: Path, tmp_path: Path, command: str, kind: str
-) -> None:
-    if command == kind:
-        kind = "notes"
-    out = tmp_path / "out"
-    KINDS[kind](out)
-    before = content(out)
-    ran = run_command(capsys, command, session, "--out", out)
-    assert ran.code == 2
-    assert ran.refusal.startswith(f"{out}: ")
-    assert content(out) == before
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("link", [False, True])
-def test_session_is_no_output_folder_of_its_own(
-    capsys: pytest.CaptureFixture[str],
-    session: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    command: str,
-    link: bool,
-) -> None:
-    before = content(session)
-    out: Path = Path()
-    if link:
-        out = tmp_path / "link"
-        os.symlink(session, out)
-    monkeypatch.chdir(session)
-    ran = run_command(capsys, command, session, "--out", out)
-    assert ran.code == 2
-    assert "got one with " in ran.refusal
-    assert content(session) == before
 
 
 def opened(path: Path, command: str, *, whole: bool = False) -> None:

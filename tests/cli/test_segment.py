@@ -15,12 +15,11 @@ import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import Ran, run_command
 from helpers.drawn_tools import draw_tool
+from helpers.files import read_mask, write_image
+from helpers.places import bundled_path
 from helpers.sam2_graphs import TOOL, write_export
 
-from dvrk_cmaes.frames.images import read_image, read_mask
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.atomic import write_image
-from dvrk_cmaes.io.bundled import bundled_path
+from dvrk_cmaes import read_session
 from dvrk_cmaes.segment import Segmentation
 
 cli_segment = import_module("dvrk_cmaes.cli.segment")
@@ -39,19 +38,6 @@ def folder(tmp_path: Path) -> Path:
     for name, shadow in (("0001", 0.0), ("0002", 0.5)):
         write_image(tmp_path / "session" / "images" / f"{name}.png", draw_tool(shadow=shadow).image)
     return tmp_path / "session"
-
-
-def test_image_gives_mask_score_and_overlay(capsys: pytest.CaptureFixture[str], image: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    ran = run_command(capsys, "segment", image, "--box", "0,85,270,160", "--point", "30,110", "--out", out)
-    assert (ran.code, ran.err) == (0, "")
-    assert ran.out.startswith("a: confidence ")
-    mask = read_mask(out / "masks" / "a.png")
-    assert draw_tool().overlap(mask) >= 0.9
-    score = cv2.imread(str(out / "scores" / "a.png"), cv2.IMREAD_UNCHANGED)
-    assert score.shape == mask.shape
-    assert ((score > 127) == mask).mean() > 0.97
-    assert read_image(out / "overlays" / "a.jpg").shape[1] >= 960
 
 
 def test_json_output(capsys: pytest.CaptureFixture[str], image: Path, tmp_path: Path) -> None:
@@ -214,18 +200,6 @@ def estimated(capsys: pytest.CaptureFixture[str], tmp_path: Path, *arguments: ob
     (tmp_path / "quick.toml").write_text(QUICK, encoding="utf-8")
     settings = ("--camera", DEMO / "camera.yaml", "--joints", DEMO / "joints.csv", "--config", tmp_path / "quick.toml")
     return run_command(capsys, "estimate", *settings, *arguments)
-
-
-def test_estimate_without_mask(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    ran = estimated(capsys, tmp_path, "--image", DEMO / "images" / "0000.jpg", "--out", out)
-    assert ran.code in (0, 3)
-    assert "dvrk-cmaes: warning: mask found in the image by the classic model, confidence 0.9" in ran.err
-    result = json.loads((out / "frames" / "0000.json").read_text(encoding="utf-8"))
-    assert result["quality"]["iou"] > 0.85
-    given = read_mask(DEMO / "masks" / "0000.png")
-    found = read_mask(out / "masks" / "0000.png")
-    assert (given & found).sum() / (given | found).sum() > 0.9
 
 
 @pytest.mark.parametrize(

@@ -7,26 +7,21 @@ import os
 import shutil
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import run_command
+from helpers.places import bundled_path
 from helpers.session_worlds import make_frames_in_memory, write_folder
-from helpers.stereo_sessions import POSES, SECOND_POSES, make_session_of_two_tools
+from helpers.stereo_sessions import make_session_of_two_tools
+from helpers.transforms import moved
 
-from dvrk_cmaes.calibration.document import read_calibration
+from dvrk_cmaes import Body
 from dvrk_cmaes.cli.options import InstrumentOptions
 from dvrk_cmaes.cli.session_tools import session_tools
-from dvrk_cmaes.draw.arms_overlay import COLOURS
-from dvrk_cmaes.geometry import change_between, moved, transform
 from dvrk_cmaes.instrument.setup_joints import setup_text
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.silhouette import Body
 
 pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
-
-SHIFTS = {"PSM1": transform(np.eye(3), [-0.012, 0, 0]), "PSM2": transform(np.eye(3), [0.012, 0, 0])}
 
 
 @pytest.fixture
@@ -52,26 +47,6 @@ def test_tools_are_named_by_the_folders_of_their_results(folder: Path) -> None:
     (folder / "session.toml").unlink()
     ((name, tool),) = session_tools(folder, InstrumentOptions()).items()
     assert (name, tool.tool.arm) == ("", "")
-
-
-def test_batch_estimates_every_arm(folder: Path, quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = folder.parent / "out"
-    ran = run_command(capsys, "batch", folder, "--out", out, "--config", quick, "--workers", 1, "--json")
-    summaries = json.loads(ran.out)
-    assert set(summaries) == {"PSM1", "PSM2"}, ran.err
-    for arm, poses in (("PSM1", POSES), ("PSM2", SECOND_POSES)):
-        assert summaries[arm]["counts"]["frames"] == 2
-        for name, truth in poses.items():
-            result = json.loads((out / arm / "frames" / f"{name}.json").read_text(encoding="utf-8"))
-            found, true = np.array(result["camera_from_root"]), SHIFTS[arm] @ truth
-            assert np.linalg.norm(found[:3, 3] - true[:3, 3]) < 8e-3
-        assert (out / arm / "report.html").is_file()
-    common = cv2.imread(str(out / "overlays" / "0000.jpg"))
-    for colour in list(COLOURS)[:2]:  # both arms are drawn, each in its colour
-        assert (np.abs(common.astype(int) - colour).max(axis=2) < 40).sum() > 100
-    written = (out / "overlays" / "0000.jpg").stat().st_mtime_ns
-    run_command(capsys, "batch", folder, "--out", out, "--config", quick, "--workers", 1)
-    assert (out / "overlays" / "0000.jpg").stat().st_mtime_ns == written  # nothing has changed
 
 
 def test_one_arm_can_be_chosen(folder: Path, quick: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -158,34 +133,3 @@ def test_bases_are_tested_against_the_set_up_joints(
     (session / "suj-fixed.json").write_text('{"arms": [{"name": "PSM1"}]}')
     refused = run_command(capsys, "calibrate", session, "--out", tmp_path / "again", *arguments).refusal
     assert "suj-fixed.json: arms[0]" in refused
-
-
-def test_all_arms_are_calibrated_and_their_bases_related(
-    two_arms: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    arguments = ("--results", two_arms / "results", "--config", two_arms / "settings.toml", "--workers", 1)
-    ran = run_command(capsys, "calibrate", two_arms / "session", "--out", tmp_path, *arguments)
-    assert ran.code in (0, 3), ran.err
-    assert "base of PSM2 from that of PSM1: " in ran.out
-    document = json.loads((tmp_path / "arms.json").read_text(encoding="utf-8"))
-    assert document["reference"] == "PSM1"
-    relative = np.array(document["arms"]["PSM2"]["reference_from_base"])
-    std = np.sqrt(np.diag(document["arms"]["PSM2"]["covariance"]))
-    off = change_between(np.eye(4), relative)  # in truth, both arms have one base
-    assert (np.abs(off) < 4 * std).all()
-    assert np.linalg.norm(off[:3]) < 4e-3
-    for arm, number in (("PSM1", 0), ("PSM2", 4)):
-        assert read_calibration(tmp_path / arm / "session.json").frames == tuple(f"{number + k:04d}" for k in range(4))
-    assert document["arms"]["PSM2"]["setup_joints"] is None
-    again = ("batch", two_arms / "session", "--config", two_arms / "settings.toml", "--workers", 1, "--json")
-    ran = run_command(capsys, *again, "--session", tmp_path, "--out", tmp_path / "out", "--frames", "000[04]")
-    for arm, name in (("PSM1", "0000"), ("PSM2", "0004")):
-        result = json.loads((tmp_path / "out" / arm / "frames" / f"{name}.json").read_text(encoding="utf-8"))
-        assert result["source"] == "session"
-    for arm in SHIFTS:
-        exported = run_command(capsys, "export", tmp_path, "--to", "dvrk", "--arm", arm, "--json")
-        assert [Path(path).parent for path in json.loads(exported.out)["written"]] == [tmp_path / arm / "exports"] * 2
-    refused = run_command(capsys, "export", tmp_path, "--to", "dvrk", "--arm", "PSM3")
-    assert refused.refusal.endswith("expected the results of arm PSM3, got those of PSM1, PSM2 (see --arm)")
-    refused = run_command(capsys, *again, "--session", tmp_path / "PSM1" / "session.json")
-    assert refused.refusal.startswith("--session: expected the folder that calibrate wrote for all arms, got ")

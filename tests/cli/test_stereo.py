@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import run_command
-from helpers.stereo_sessions import JOINTS, POSES, make_stereo_session
+from helpers.stereo_sessions import JOINTS, make_stereo_session
 
-from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes import Body
 
 pytestmark = pytest.mark.usefixtures("tasks_here")
 
@@ -23,23 +21,6 @@ READ = ",".join(f"{name}={value}" for name, value in JOINTS.items())
 def folder(tmp_path: Path, bundled_body: Body) -> Path:
     (tmp_path / "quick.toml").write_text(QUICK, encoding="utf-8")
     return make_stereo_session(tmp_path / "session", bundled_body)
-
-
-def test_batch_of_a_stereo_session_uses_and_draws_both_views(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, quick = folder.parent / "out", folder.parent / "quick.toml"
-    arguments = ("batch", folder, "--out", out, "--config", quick, "--workers", 1, "--json")
-    ran = run_command(capsys, *arguments)
-    assert json.loads(ran.out)["counts"]["frames"] == 2, ran.err
-    for name, truth in POSES.items():
-        result = json.loads((out / "frames" / f"{name}.json").read_text(encoding="utf-8"))
-        assert result["views"] == ["left", "right"]
-        found = np.array(result["camera_from_root"])
-        assert np.linalg.norm(found[:3, 3] - truth[:3, 3]) < 5e-3
-        overlay = cv2.imread(str(out / "overlays" / f"{name}.jpg"))
-        assert overlay.shape[1] == 2 * 7 * 160
-    again = run_command(capsys, *arguments)
-    assert again.code == ran.code
-    assert json.loads(again.out)["timing"]["run"] is None
 
 
 def test_changed_mask_of_the_right_view_is_noticed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

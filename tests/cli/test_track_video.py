@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 from helpers.commands import run_command
+from helpers.files import write_image
 from helpers.made_recordings import ARM, BEGIN, SECOND, camera_info, image, jaw, joints, write_bag
 from helpers.moving_worlds import SMALL, MovingWorld, moving_world
 
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes import read_session
 from dvrk_cmaes.frames.session_video import SessionVideo
-from dvrk_cmaes.io.atomic import write_image
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.synth.images import draw_image
 

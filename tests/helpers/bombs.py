@@ -200,8 +200,8 @@ def _jpeg(size: int) -> bytes:
 
 def _run_all() -> None:
     """Run the commands on stdin with limited address space and CPU time."""
+    from dvrk_cmaes.cli import main
     from dvrk_cmaes.cli.options import InstrumentOptions
-    from helpers.commands import main
 
     InstrumentOptions.load = functools.cache(InstrumentOptions.load)  # type: ignore[method-assign]
     jobs = json.load(sys.stdin)

@@ -10,12 +10,14 @@ import numpy as np
 
 from dvrk_cmaes import Result
 from dvrk_cmaes.instrument.arm import base_from_root
-from dvrk_cmaes.results.result import Quality
+from dvrk_cmaes.results.result import ExpectedError, Quality
 from helpers.files import write_json
 from helpers.transforms import moved
 
 BASE = moved(np.eye(4), [0.07, -0.07, 0.055, 0.9, 1.8, -0.4])
 """camera_from_base of every frame."""
+EXPECTED_ERROR = ExpectedError({"mean": 1.1}, {}, 1.1, 0.5)
+"""A stated error of the tips."""
 
 
 def canned(frame: str, number: int = 0, **changes: Any) -> Result:

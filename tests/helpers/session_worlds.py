@@ -18,7 +18,6 @@ from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.instrument.arm import OUTER_JOINTS, base_from_root
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.results.result import Alternative, Quality
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
@@ -161,12 +160,6 @@ def in_other_mode(frame: SessionFrame) -> SessionFrame:
 def with_result(frame: SessionFrame, **changes: Any) -> SessionFrame:
     """Return the frame with its result changed."""
     return replace(frame, result=replace(frame.result, **changes))
-
-
-def own_base(world: World, index: int) -> np.ndarray:
-    """Return the base that follows from one frame's true pose and readings with zero offsets."""
-    outer = dict(zip(OUTER_JOINTS, world.model.outer[index].tolist(), strict=True))
-    return np.asarray(world.at.pose[index] @ np.linalg.inv(base_from_root(outer)))
 
 
 def true_calibration(

@@ -100,6 +100,7 @@ class Kept:
         What tests change in such a folder they change in a copy.
         """
         words = [str(argument) for argument in arguments]
+        words += ["--workers", "1"] if words[0] in ("batch", "calibrate", "track") else []  # tests run on all cores
         place = self.base / f"{words[0]}-{hashlib.sha256(repr(words).encode()).hexdigest()[:12]}"
         place.mkdir(exist_ok=True)
         with open(place / "lock", "w", encoding="utf-8") as lock:

@@ -12,7 +12,7 @@ import numpy as np
 from dvrk_cmaes import read_calibration, read_session
 from promises.program import DEMO, OUT, Kept, distance, matrix, median, results, run, synth, tip_errors, truth
 
-EASY = ("--level", "easy", "--frames", 8, "--seed", 5)
+EASY = ("--level", "easy", "--frames", 8, "--seed", 5, "--no-images")
 TOOLS = ("--arms", 2, "--level", "easy", "--frames", 6, "--seed", 4, "--no-images")
 
 

@@ -27,8 +27,8 @@ from dvrk_cmaes import (
 from promises.program import DEMO, OUT, Kept, distance, matrix, median, results, run, synth, tip_errors, truth
 
 BODY = prepare("lnd")
-EASY = ("--level", "easy", "--frames", 8, "--seed", 5)
-MEDIUM = ("--level", "medium", "--frames", 8, "--seed", 3)
+EASY = ("--level", "easy", "--frames", 8, "--seed", 5, "--no-images")
+MEDIUM = ("--level", "medium", "--frames", 8, "--seed", 3, "--no-images")
 EYES = ("--stereo", "--level", "medium", "--frames", 4, "--seed", 2, "--no-images")
 TOOLS = ("--arms", 2, "--level", "easy", "--frames", 3, "--seed", 3, "--no-images")
 FREE = ("--motion", "free", "--level", "clean", "--frames", 4, "--seed", 9, "--no-images")

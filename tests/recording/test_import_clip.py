@@ -15,7 +15,8 @@ from helpers.made_clips import image_time, jaw_position, kinematic, positions, t
 from helpers.made_recordings import ARM, SECOND, pixels, write_video
 
 from dvrk_cmaes import read_session
-from dvrk_cmaes.joints.names import ECM_JOINTS
+
+ECM_JOINTS = ("ecm_yaw", "ecm_pitch", "ecm_insertion", "ecm_roll")
 
 Import = Callable[..., dict[str, Any]]
 Refused = Callable[..., str]

@@ -7,9 +7,9 @@ from pathlib import Path
 from helpers.canned_results import canned, write_results
 from helpers.page_results import Page
 
+from dvrk_cmaes import load_instrument
 from dvrk_cmaes.evaluate.compared_set import read_compared_set
 from dvrk_cmaes.evaluate.comparison import compare_sets
-from dvrk_cmaes.instrument import load_instrument
 from dvrk_cmaes.report.compare_page import write_compare_page
 
 

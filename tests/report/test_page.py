@@ -10,17 +10,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.files import write_json
 from helpers.page_calibrations import cables_of, calibration, solved, write_calibrated
 from helpers.page_results import doubtful, failed, page_of, result, write_results
+from helpers.transforms import exp_rotation, transform
 
+from dvrk_cmaes import InputError, Lag, Result
 from dvrk_cmaes.calibration.lag_search import LagCurve
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import exp_rotation, transform
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.report.page import session_charts, write_page
 from dvrk_cmaes.report.template import counted_reasons, reason_kind
-from dvrk_cmaes.results.result import Result
 
 NAMES = ("a", "b", "c", "d", "e")
 

@@ -16,13 +16,9 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 
-from dvrk_cmaes.config import EstimateConfig, __version__
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes import Body, DvrkCmaesError, EstimateConfig, InputError, __version__, read_results, read_session
 from dvrk_cmaes.io.output import output
-from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.runs.batch import BatchSummary, Workers, finish, run_batch
-from dvrk_cmaes.silhouette import Body
 
 Batch = Callable[..., BatchSummary]
 

@@ -10,14 +10,11 @@ from pathlib import Path
 import pytest
 from helpers.batch_sessions import QUICK, QUICK_CONFIG, make_session
 from helpers.commands import Ran, run_command
+from helpers.files import write_json
 from helpers.page_calibrations import calibration, solved
 
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes import Body, Lag, SessionCalibration, read_session
 from dvrk_cmaes.runs.batch import Workers, run_batch
-from dvrk_cmaes.silhouette import Body
 
 pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
 

@@ -14,19 +14,17 @@ from pathlib import Path
 
 import pytest
 from helpers.batch_sessions import QUICK, QUICK_CONFIG, comparable, make_session
+from helpers.commands import main
 from helpers.places import ROOT, TESTS
 from helpers.waiting import wait_for
 from helpers.worker_tasks import squared_unless_three
 
-from dvrk_cmaes.cli import main
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes import Body, DvrkCmaesError, InputError, read_session
 from dvrk_cmaes.runs.batch import BatchProgress, Workers, run_batch
 from dvrk_cmaes.runs.cluster import dask_executor
 from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
 from dvrk_cmaes.runs.processes import WorkerDied
 from dvrk_cmaes.runs.worker import FrameOutcome
-from dvrk_cmaes.silhouette import Body
 
 NAMES = [f"{k:04d}" for k in range(8)]
 

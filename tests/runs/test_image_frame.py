@@ -8,23 +8,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.done_once import segmented_anew
+from helpers.files import read_mask, write_image
+from helpers.places import bundled_path
 
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes import (
+    Body,
+    DvrkCmaesError,
+    EstimateConfig,
+    FrameFiles,
+    InputError,
+    Result,
+    Session,
+    prepare,
+    read_frame,
+    read_session,
+)
 from dvrk_cmaes.estimation import image_frame
 from dvrk_cmaes.estimation.image_frame import SegmentedFrame, segment_and_estimate
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.evaluate.pose_error import compare_poses
-from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
-from dvrk_cmaes.frames.images import read_mask
-from dvrk_cmaes.frames.session_folder import Session, read_session
-from dvrk_cmaes.io.atomic import write_image
-from dvrk_cmaes.io.bundled import bundled_path
-from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.frames.frame import read_frame_image
 from dvrk_cmaes.runs.frame import estimate_frame, read_any_frame, run_frame
 from dvrk_cmaes.segment import Segmentation
-from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.silhouette.prepare import prepare
 
 METHOD = FrameMethod("classic", EstimateConfig())
 

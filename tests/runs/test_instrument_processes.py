@@ -8,8 +8,8 @@ import os
 import pytest
 from helpers.worker_tasks import process_id
 
+from dvrk_cmaes import Body
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, processes_beside
-from dvrk_cmaes.silhouette import Body
 
 
 @pytest.mark.parametrize(("workers", "frames", "beside"), [(2, 3, 0), (2, 10, 1), (1, 1000, 0), (8, 10, 2)])

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes import InputError
 from dvrk_cmaes.runs.manifest import read_manifest
 
 WHOLE = {"version": "1.0.0", "session": "s", "instrument": {"name": "lnd"}, "config": {"seed": 0}, "frames": {}}

@@ -31,7 +31,7 @@ from helpers.worker_tasks import (
     squared_with_late_faults,
 )
 
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes import DvrkCmaesError, InputError
 from dvrk_cmaes.runs.processes import Processes, WorkerConnection, WorkerDied
 from dvrk_cmaes.runs.worker_process import ProcessDiedError, WorkerProcess
 

@@ -9,19 +9,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.files import write_json
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
 
-from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes import EstimateConfig, FrameData, InputError, prepare, read_calibration, read_session
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
-from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.truth import Truth
 

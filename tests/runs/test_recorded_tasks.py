@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes import Camera, FrameFiles, Rig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.runs import recorded
 from dvrk_cmaes.track.recorded_frames import PredictedFrame

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from dvrk_cmaes import Result
 from dvrk_cmaes.calibration.session_rig import pooled_rotation
 from dvrk_cmaes.results.parts import Quality, ViewCheck
-from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.summary import rig_doubts
 
 SPREAD = np.diag([0.03, 0.03, 0.1]) ** 2

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 
+from helpers.places import bundled_path
+
 from dvrk_cmaes import EstimateConfig, Result, estimate, read_frame, read_session
-from dvrk_cmaes.io.bundled import bundled_path
 
 _SMALL = 256 * 1024  # bytes
 

@@ -11,12 +11,9 @@ import psutil
 import pytest
 from helpers.waiting import wait_for
 
-from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes import Camera, EstimateConfig, Keyframe, KeyframeProblem, ReadingSeries, Rig, Solution, prepare
 from dvrk_cmaes.runs.solver_process import SolverProcess
-from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.track.keyframe_problem import Keyframe, KeyframeProblem, KeyframeTask, Solution
+from dvrk_cmaes.track.keyframe_problem import KeyframeTask
 
 
 def started_since(before: set[int]) -> list[psutil.Process]:

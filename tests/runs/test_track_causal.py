@@ -12,15 +12,13 @@ import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL
 
-from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.config import EstimateConfig, TrustConfig
-from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes import EstimateConfig, prepare, read_calibration, read_session
+from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import inputs, solver_process
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.runs.worker_process import WorkerProcess
-from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan

@@ -11,19 +11,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.files import write_json
 from helpers.session_worlds import make_frames_in_memory, write_folder
+from helpers.transforms import change_between
 
-from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
+from dvrk_cmaes import (
+    Body,
+    EstimateConfig,
+    FrameData,
+    InputError,
+    Result,
+    SessionCalibration,
+    prepare,
+    read_calibration,
+    read_session,
+)
 from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import solved_alone
-from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.session_folder import read_session
-from dvrk_cmaes.geometry import change_between
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.atomic import write_json
-from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import recorded_keyframes
 from dvrk_cmaes.runs.recorded_keyframes import (
@@ -35,8 +40,6 @@ from dvrk_cmaes.runs.recorded_keyframes import (
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
-from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = 14

@@ -13,7 +13,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dvrk_cmaes import Body, Camera, DvrkCmaesError, Renderer
-from dvrk_cmaes.silhouette import NEAR
+
+NEAR = 1e-3
+"""Distance from the camera's plane, m, within which nothing is drawn."""
 
 CAMERAS = {
     "pinhole": Camera(160, 120, 220.7, 220.7, 110.9, 47.2),
