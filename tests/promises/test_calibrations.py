@@ -45,8 +45,7 @@ def test_base_and_offsets_are_found_with_their_stated_errors(kept: Kept) -> None
         expected = median([true[frame]["joints"][joint] - value for frame, value in read.items()])
         assert abs(offset - expected) < 3.5 * document["std"]["offsets"][joint], joint
     assert document["frames"] == list(true)
-    assert document["lag"]["sign"] == "images late"
-    assert abs(document["lag"]["frames"]) < 3 * document["lag"]["std_frames"]
+    assert document["lag"] is None  # postures, without times
 
 
 def test_frames_solved_together_are_nearer_to_the_truth_than_alone(kept: Kept) -> None:
