@@ -11,13 +11,11 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.label_table import label_table
 from dvrk_cmaes.cli.options import DEFAULT_INSTRUMENT, OUTPUT, Flag, InstrumentOptions
-from dvrk_cmaes.cli.terminal import Line, answer
+from dvrk_cmaes.cli.terminal import Line, answer, table_lines
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.evaluate.compared_set import ComparedSet
     from dvrk_cmaes.evaluate.comparison import Comparison
-    from dvrk_cmaes.evaluate.pose_error import PoseError
 
 _TABLE = "compare.csv"
 _MOST_NAMED = 10  # frames in a line
@@ -112,54 +110,23 @@ def compare(
         write_text(picture, draw_comparison(found))
         written.append(picture)
     more = {} if of_labels is None else {"labels": of_labels.to_dict()}
-    tables = [[] if of_labels is None else of_labels.lines(), _sets(found), _sums(found), _frames(found, frames)]
+    tables = [
+        [] if of_labels is None else of_labels.lines(),
+        table_lines(found.sets_table()),
+        _sums(found),
+        _frames(found, frames),
+    ]
     lines = chain(*tables, (Line(f"written: {path}") for path in written))
     answer({**found.to_dict(), **more}, lines, json=json)
     return 0
 
 
-def _sets(comparison: Comparison) -> Iterator[Line]:
-    """Yield a row for each set: label, path, kind, statuses, overlap."""
-    from dvrk_cmaes.evaluate.comparison import median_of
-
-    width = max(len(str(compared.path)) for compared in comparison.sets)
-    yield Line(f"   {'results':<{width}}  {'what':<18}  frames    ok  doubtful  failed  IoU, median", "bold")
-    for label, compared in zip(comparison.labels, comparison.sets, strict=True):
-        overlap = median_of(frame.iou for frame in compared.frames.values())
-        cells = (
-            f"{len(compared.frames):>6d}",
-            f"{_count(compared, 'ok'):>4}",
-            f"{_count(compared, 'doubtful'):>8}",
-            f"{_count(compared, 'failed', 'lost'):>6}",
-            f"{'-' if overlap is None else f'{overlap:.4f}':>11}",
-        )
-        yield Line(f"{label}  {compared.path!s:<{width}}  {compared.kind:<18}  " + "  ".join(cells))
-
-
-def _count(compared: ComparedSet, *statuses: str) -> str:
-    """Return the number of frames with one of some statuses; a dash for a set without statuses."""
-    from dvrk_cmaes.evaluate.comparison import count_statuses
-
-    counts = count_statuses(compared)
-    return str(sum(counts.get(status, 0) for status in statuses)) if counts else "-"
-
-
 def _sums(comparison: Comparison) -> Iterator[Line]:
     """Yield the summary of each set's differences from the reference."""
-    from dvrk_cmaes.evaluate.comparison import QUANTITIES
-
     reference = comparison.labels[comparison.reference]
     for k in comparison.others:
         found = comparison.differences[k]
-        yield Line(
-            f"{comparison.labels[k]} from {reference}, {len(found)} frames      median      95 %   largest  in frame",
-            "bold",
-        )
-        for name, spread in comparison.spreads(k).items():
-            if spread is not None:
-                heading = QUANTITIES.get(name, f"{name.removesuffix('_deg')}, deg")
-                numbers = f"{spread.median:>10.3f}{spread.percentile_95:>10.3f}{spread.largest:>10.3f}"
-                yield Line(f"  {heading:<20}{numbers}  {spread.frame}")
+        yield from table_lines(comparison.sums_table(k))
         twins = sorted(frame for frame, difference in found.items() if difference.is_twin)
         if twins:
             yield Line(f"  mirror twin of {reference}: {_named(twins, len(found))}", "yellow")
@@ -189,27 +156,9 @@ def _named(names: Sequence[str], of: int) -> str:
 def _frames(comparison: Comparison, most: int) -> Iterator[Line]:
     """Yield the rows of the frames, the largest difference first; ``most`` of them, or all for 0."""
     chosen = comparison.by_size[: most or None]
-    width = max(5, *(len(frame) for frame in chosen))
-    columns = "   IoU  tips, mm  root, mm  shaft, deg  roll, deg  largest joint, deg"
-    yield Line(f"{'frame':<{width}}  set  {'status':<8}  {columns}", "bold")
-    for frame in chosen:
-        for k in comparison.others:
-            entry, found = comparison.sets[k].frames.get(frame), comparison.differences[k].get(frame)
-            if entry is None or found is None:
-                continue
-            overlap = "-" if entry.iou is None else f"{entry.iou:.4f}"
-            yield Line(
-                f"{frame:<{width}}  {comparison.labels[k]:<3}  {entry.status or '-':<8}  {overlap:>6}  {_row(found)}",
-                "yellow" if found.is_twin else "",
-            )
+    yield from table_lines(comparison.frames_table(chosen))
     if len(chosen) < len(comparison.by_size):
         yield Line(f"and {len(comparison.by_size) - len(chosen)} frames that differ less (--frames 0 shows all)")
-
-
-def _row(found: PoseError) -> str:
-    tip = "-" if found.tip_mm is None else f"{found.tip_mm:.3f}"
-    joint = "-" if found.joint_deg is None else f"{found.joint_deg:.2f}"
-    return f"{tip:>8}  {found.root_mm:>8.3f}  {found.shaft_deg:>10.3f}  {found.roll_deg:>9.3f}  {joint:>18}"
 
 
 def _csv_text(comparison: Comparison) -> str:

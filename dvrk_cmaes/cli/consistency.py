@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import OUTPUT, Flag
-from dvrk_cmaes.cli.terminal import Line, answer, show, warn
+from dvrk_cmaes.cli.terminal import Line, answer, show, table_lines, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -101,33 +101,24 @@ def consistency(
 def _table(found: Sequence[Agreement]) -> Iterator[Line]:
     """Yield a table with one row for each set of results, then the paper's rows and the frames without a pose."""
     from dvrk_cmaes.evaluate.consistency import TABLE_ONE
+    from dvrk_cmaes.io.table import Table
 
-    names = [spread.results.name for spread in found] + [f"paper, {level}, PnP" for level in TABLE_ONE]
-    width = max(len(name) for name in names)
-    yield Line("How well frames agree: sigma as the paper's Table I, the rest in mm and degrees", "bold")
-    yield Line(
-        f"{'results':<{width}}  frames  solved      sigma, m     rms  axes' turn  RCM spread  "
-        "base, median  largest  x* in the camera",
-        "bold",
-    )
+    rows: list[Sequence[str]] = []
     for spread in found:
         results, axes, rcm, base = spread.results, spread.axes, spread.rcm, spread.base
-        cells = (
-            f"{results.name:<{width}}",
-            f"{len(results.frames):>6d}",
-            f"{results.solved:<10s}",
-            f"{axes.sigma:>8.5f}",
-            f"{1e3 * axes.rms:>6.2f}",
-            f"{math.degrees(axes.turn):>10.1f}",
-            f"{'-' if rcm is None else f'{1e3 * rcm.rms:.2f}':>10s}",
-            f"{'-' if base is None else f'{base.median_deg:.1f}':>12s}",
-            f"{'-' if base is None else f'{base.largest_deg:.1f}':>7s}",
-            " ".join(f"{1e3 * value:6.1f}" for value in axes.point),
+        of_bases = ("-", "-") if base is None else (f"{base.median_deg:.1f}", f"{base.largest_deg:.1f}")
+        measures = f"{axes.sigma:.5f}", f"{1e3 * axes.rms:.2f}", f"{math.degrees(axes.turn):.1f}"
+        point = " ".join(f"{1e3 * value:.1f}" for value in axes.point)
+        spread_of_rcm = "-" if rcm is None else f"{1e3 * rcm.rms:.2f}"
+        rows.append(
+            (results.name, str(len(results.frames)), results.solved, *measures, spread_of_rcm, *of_bases, point)
         )
-        yield Line("  ".join(cells))
     for level, row in TABLE_ONE.items():
         for name, sigma in ((f"paper, {level}", row.sigma_m), (f"paper, {level}, PnP", row.pnp_sigma_m)):
-            yield Line(f"{name:<{width}}  {10:>6d}  {'one by one':<10s}  {sigma:>8.5f}")
+            rows.append((name, "10", "one by one", f"{sigma:.5f}", *("",) * 6))
+    yield Line("How well frames agree: sigma as the paper's Table I, the rest in mm and degrees", "bold")
+    measured = "sigma, m", "rms", "axes' turn", "RCM spread", "base, median", "largest", "x* in the camera"
+    yield from table_lines(Table(("results", "frames", "solved", *measured), rows))
     for spread in found:
         if spread.results.failed:
             yield Line(f"{spread.results.name}: without a pose, left out: {', '.join(spread.results.failed)}", "yellow")

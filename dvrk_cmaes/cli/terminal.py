@@ -10,7 +10,10 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator
 from types import FrameType
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.io.table import Table
 
 T = TypeVar("T")
 
@@ -82,6 +85,13 @@ def show(lines: Iterable[Line]) -> None:
     console = Console()
     for line in lines:
         console.print(Text(line.text, style=line.style))
+
+
+def table_lines(table: Table) -> Iterator[Line]:
+    """Yield the lines of a table, the heading in bold."""
+    head, *rows = table.lines()
+    yield Line(head, "bold")
+    yield from map(Line, rows)
 
 
 def answer(document: Any, lines: Iterable[Line], *, json: bool) -> None:

@@ -19,6 +19,7 @@ from dvrk_cmaes.geometry import Float64, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded
+from dvrk_cmaes.io.table import Table, fixed
 
 QUANTITIES: Final = {"tip_mm": "tips, mm", "root_mm": "root, mm", "shaft_deg": "shaft, deg", "roll_deg": "roll, deg"}
 """Names of a difference's quantities beside the joints, and their headings with units."""
@@ -109,6 +110,46 @@ class Comparison:
         known = [(d.tip_mm, frames[name].tip_std_mm) for name, d in self.differences[index].items()]
         ratios = np.array([error / std for error, std in known if error is not None and std])
         return (int((ratios <= 1).sum()), int((ratios <= 2).sum()), len(ratios)) if len(ratios) else None
+
+    def sets_table(self) -> Table:
+        """Return a row for each set: its label and path, what it is, numbers of frames by status, and overlap."""
+        rows = []
+        for label, compared in zip(self.labels, self.sets, strict=True):
+            counts, overlap = count_statuses(compared), median_of(frame.iou for frame in compared.frames.values())
+            failed = counts.get("failed", 0) + counts.get("lost", 0)
+            by_status = (counts.get("ok", 0), counts.get("doubtful", 0), failed) if counts else ("-",) * 3
+            cells = str(compared.path), compared.kind, len(compared.frames), *by_status, fixed(overlap, 4)
+            rows.append((label, *map(str, cells)))
+        return Table(("set", "results", "what", "frames", "ok", "doubtful", "failed", "IoU, median"), rows)
+
+    def sums_table(self, index: int) -> Table:
+        """Return a row for each quantity by which a set differs from the reference."""
+        name = f"{self.labels[index]} from {self.labels[self.reference]}, {len(self.differences[index])} frames"
+        rows = [
+            (
+                f"  {QUANTITIES.get(name, name.removesuffix('_deg') + ', deg')}",
+                *(f"{value:.3f}" for value in (spread.median, spread.percentile_95, spread.largest)),
+                spread.frame,
+            )
+            for name, spread in self.spreads(index).items()
+            if spread is not None
+        ]
+        return Table((name, "median", "95 %", "largest", "in frame"), rows)
+
+    def frames_table(self, frames: Sequence[str]) -> Table:
+        """Return a row for each of some frames and each set that is compared there."""
+        rows = []
+        for frame in frames:
+            for k in self.others:
+                entry, found = self.sets[k].frames.get(frame), self.differences[k].get(frame)
+                if entry is None or found is None:
+                    continue
+                status = f"{entry.status or '-'}{', twin' if found.is_twin else ''}"
+                values = (found.tip_mm, found.root_mm, found.shaft_deg, found.roll_deg)
+                cells = fixed(entry.iou, 4), *(fixed(value, 3) for value in values), fixed(found.joint_deg, 2)
+                rows.append((frame, self.labels[k], status, *cells))
+        head = "frame", "set", "status", "IoU", *QUANTITIES.values(), "largest joint, deg"
+        return Table(head, rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: the sets with their summaries, and all differences by frame."""

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evaluate.comparison import QUANTITIES, Comparison, count_statuses, median_of
+from dvrk_cmaes.evaluate.comparison import Comparison
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.report.curves import Chart, Curve, chart_svg, stacked
-from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, Table, fixed, webp, write
+from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, webp, write
 from dvrk_cmaes.results.paths import check_frame_name, overlay_path
 
 PAGE: Final = "compare.html"
@@ -24,23 +24,6 @@ def write_compare_page(out: Path, comparison: Comparison) -> Path:
     """Write OUT/compare.html and return its path; errors as in `dvrk_cmaes.io.output.write_bytes`."""
     reference, labels = comparison.labels[comparison.reference], comparison.labels
     truth = ", the truth" if comparison.sets[comparison.reference].kind == "truth" else ""
-    sets, sums = [], []
-    for k, compared in enumerate(comparison.sets):
-        statuses, within = count_statuses(compared), comparison.within_90(k)
-        counts = (str(statuses.get(status, 0)) if statuses else "-" for status in ("ok", "doubtful", "failed"))
-        overlap = fixed(median_of(frame.iou for frame in compared.frames.values()), 4)
-        stated = "-" if within is None else f"{within[0]} of {within[1]}"
-        compared_frames = "reference" if k == comparison.reference else str(len(comparison.differences[k]))
-        path = str(compared.path), compared.kind, str(len(compared.frames))
-        sets.append((labels[k], *path, *counts, overlap, compared_frames, stated))
-    for k in comparison.others:
-        for name, spread in comparison.spreads(k).items():
-            if spread is not None:
-                values = (f"{value:.3f}" for value in (spread.median, spread.percentile_95, spread.largest))
-                sums.append(
-                    (QUANTITIES.get(name, f"{name.removesuffix('_deg')}, deg"), labels[k], *values, spread.frame)
-                )
-    heads = "path", "what", "frames", "ok", "doubtful", "failed", "IoU, median", "compared", "tips within stated 90 %"
     note = (
         "Tips: mean distance of the tips. Root: distance of the root link's origins. Shaft: angle between the shafts. "
         "Roll: angle about the shaft; from 90° on, the pose is rather that of the mirror twin. Joints: without sign."
@@ -60,11 +43,11 @@ def write_compare_page(out: Path, comparison: Comparison) -> Path:
         f"{many} · differences from {reference}{truth}",
         figures=figures,
         parts=[
-            Part("Sets", tables=[Table(("set", *heads), sets)]),
+            Part("Sets", tables=[comparison.sets_table()]),
             Part(
                 f"Differences from {reference}, all frames",
                 notes=[note],
-                tables=[Table(("quantity", "set", "median", "95 %", "largest", "in frame"), sums)],
+                tables=[comparison.sums_table(k) for k in comparison.others],
                 charts=comparison_charts(comparison),
             ),
         ],
@@ -107,24 +90,16 @@ def draw_comparison(comparison: Comparison) -> str:
 
 def _entry(comparison: Comparison, frame: str, place: int) -> Entry:
     """Return what the page says of a frame: its differences, and the overlays of the first ones."""
-    rows, lines, pictures, status = [], list[str](), list[Picture](), ""
+    lines, pictures, status = [], list[Picture](), ""
     for k, compared in enumerate(comparison.sets):
-        entry, found = compared.frames.get(frame), comparison.differences[k].get(frame)
+        found = comparison.differences[k].get(frame)
         if place < _PICTURES:
             pictures += _picture(compared.path, frame, comparison.labels[k])
-        if entry is None:
-            continue
-        status = entry.status or status
         if found is not None:
+            status = compared.frames[frame].status or status
             what, size = ("root", found.root_mm) if found.tip_mm is None else ("tips", found.tip_mm)
             lines.append(f"{comparison.labels[k]}: {what} off by {size:.2f} mm, shaft by {found.shaft_deg:.2f} deg")
-        twin = ", mirror twin" if found is not None and found.is_twin else ""
-        values = [None] * 4 if found is None else [found.tip_mm, found.root_mm, found.shaft_deg, found.roll_deg]
-        joints = "" if found is None else ", ".join(f"{name} {v:+.2f}" for name, v in found.joints_deg.items())
-        cells = f"{entry.status or '-'}{twin}", fixed(entry.iou, 4), *(fixed(value, 3) for value in values)
-        rows.append((comparison.labels[k], *cells, joints or "-"))
-    head = "set", "status", "IoU", "tips, mm", "root, mm", "shaft, deg", "roll, deg", "joints, deg"
-    return Entry(frame, status, pictures, lines, tables=[Table(head, rows)])
+    return Entry(frame, status, pictures, lines, tables=[comparison.frames_table((frame,))])
 
 
 def _picture(folder: Path, frame: str, label: str) -> Iterator[Picture]:

@@ -21,6 +21,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, PointSpread, converge_shafts, spread_of_bases
 from dvrk_cmaes.geometry import Float64, log_rotation, rotation_angle
+from dvrk_cmaes.io.table import Table, fixed
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.template import (
     Entry,
@@ -29,9 +30,7 @@ from dvrk_cmaes.report.template import (
     Part,
     Picture,
     Pictures,
-    Table,
     counted_reasons,
-    fixed,
     write,
 )
 from dvrk_cmaes.results.folder import ALONE, SESSION, ResultsFolder, read_results, result_paths

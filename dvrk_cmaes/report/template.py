@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.io.output import write_bytes
+from dvrk_cmaes.io.table import Table
 from dvrk_cmaes.report.curves import Chart, anchor, chart_svg
 
 EMBEDDED: Final = 1_500_000
@@ -52,15 +52,6 @@ class Picture:
     source: str
     link: str = ""
     caption: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of cells under headings; the first cell of a row is its heading, and leads to a frame of ``frames``."""
-
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    frames: bool = False
 
 
 @dataclass(frozen=True)
@@ -188,14 +179,6 @@ def webp(picture: NDArray[np.uint8], widest: int, quality: int = _QUALITY) -> st
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
     encoded = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, quality])[1]
     return "data:image/webp;base64," + base64.b64encode(encoded.tobytes()).decode("ascii")
-
-
-def fixed(value: float | None, digits: int, *, sign: bool = False) -> str:
-    """Format a number with some decimals, a missing or infinite one as a dash, zero without a sign."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    text = f"{value:{'+' if sign else ''}.{digits}f}"
-    return text if text.strip("+-0.") else text.lstrip("+-")
 
 
 def reason_kind(reason: str) -> str:

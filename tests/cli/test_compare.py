@@ -81,7 +81,7 @@ def test_files_are_written(run: Run, sets: tuple[Path, Path], tmp_path: Path) ->
     page = Page((tmp_path / "out" / "compare.html").read_text(encoding="utf-8"))
     assert [address for address in page.addresses if not address.startswith(("data:", "#"))] == []
     assert sum(address.startswith("data:image/webp") for address in page.addresses) == 3
-    for text in ("4 frames · differences from A", "tips, mm B 1.000 3.700 4.000 0001", "largest difference first"):
+    for text in ("4 frames · differences from A", "tips, mm 1.000 3.700 4.000 0001", "largest difference first"):
         assert text in page.text
 
 
