@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -17,21 +17,23 @@ from cyclopts import Group, Parameter
 
 from dvrk_cmaes.cli.options import (
     CAMERA,
+    DEFAULT_CALIBRATION,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     METHOD,
     OUTPUT,
-    DoubtfulSessionOption,
+    CalibrationOptions,
     Flag,
     InstrumentOptions,
     MethodOptions,
-    SessionOption,
 )
 from dvrk_cmaes.cli.terminal import Line, note, show, stopping_on_interrupt
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.camera import Rig
+    from dvrk_cmaes.live.connection import Connection, Report
+    from dvrk_cmaes.live.follow import LiveSetup
     from dvrk_cmaes.live.inputs import InputTopics
 
 TOPICS = Group.create_ordered("Topics")
@@ -70,6 +72,10 @@ class LiveTopics:
     ecm_topic
         Topic of the joints of the arm that holds the endoscope (sensor_msgs/JointState). Where
         it moves, they tell the arm's base in each image.
+    psm
+        Names of the arms in the names of topics and frames: one, or several that are followed together.
+    camera_frame
+        Name of the camera's optical frame in the poses that are published.
     """
 
     image_topic: str | None = None
@@ -81,6 +87,8 @@ class LiveTopics:
     joints_topic: Each = ()
     jaw_topic: Each = ()
     ecm_topic: str = "/ECM/measured_js"
+    psm: Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative=())] = ("PSM1",)
+    camera_frame: str = "camera"
 
     def of_arms(self, arms: tuple[str, ...]) -> InputTopics:
         """Return the topics of some arms; InputError where they are not one for each."""
@@ -113,29 +121,122 @@ def _of_each(option: str, given: tuple[str, ...], arms: tuple[str, ...], default
     return dict(zip(arms, given or by_default, strict=False))
 
 
-DEFAULT_TOPICS = LiveTopics()
+@Parameter(name="*", group=SERVER)
+@dataclass(frozen=True, kw_only=True)
+class ServerOptions:
+    """How ROS is reached.
+
+    Parameters
+    ----------
+    via
+        Through a rosbridge server, or as a node of ROS 2 where rclpy is importable.
+    host
+        Name or address of the rosbridge server.
+    port
+        Its port.
+    wait
+        Wait for the server, the camera and the first image as long as it takes.
+    """
+
+    via: Literal["rosbridge", "rclpy"] = "rosbridge"
+    host: str = "127.0.0.1"
+    port: int = 9090
+    wait: Flag = False
+
+    def connection(self, report: Report) -> Connection:
+        """Return the connection, not opened yet; InputError for a port that is none."""
+        if not 0 < self.port < 2**16:
+            raise InputError(f"--port: expected 1 to 65535, got {self.port}")
+        from dvrk_cmaes.live.rclpy_node import RclpyConnection
+        from dvrk_cmaes.live.rosbridge import RosbridgeConnection
+
+        return RclpyConnection(report) if self.via == "rclpy" else RosbridgeConnection(self.host, self.port, report)
+
+
+@Parameter(name="*", group=CAMERA)
+@dataclass(frozen=True, kw_only=True)
+class LiveCameraOptions:
+    """Options of the camera.
+
+    Parameters
+    ----------
+    camera
+        Camera file, used instead of the topic of the camera.
+    camera_right
+        File of the right camera, where both eyes are used and the files are two.
+    rectified
+        The images are rectified: use the projection matrix, and no distortion.
+    """
+
+    camera: Path | None = None
+    camera_right: Path | None = None
+    rectified: Flag = False
+
+    def rig(self, topics: InputTopics) -> Rig | None:
+        """Read the cameras of files; None without one."""
+        from dvrk_cmaes.camera import Rig
+        from dvrk_cmaes.camera.files import read_camera
+        from dvrk_cmaes.camera.rig_files import read_rig
+
+        if self.camera_right is not None and (self.camera is None or len(topics.eyes) == 1):
+            raise InputError("--camera-right: expected --camera and --right-image-topic with it")
+        if self.camera is None:
+            return None
+        if len(topics.eyes) > 1:
+            return read_rig(self.camera, self.camera_right, rectified=self.rectified).rig
+        return Rig.of_camera(read_camera(self.camera, rectified=self.rectified))
+
+
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class LiveOutput:
+    """What is written and published, and for how long.
+
+    Parameters
+    ----------
+    out
+        Folder for session.json, the calibration that is found from keyframes while following by masks. The next start
+        with the same folder takes it up, and no pose is ok before images agree with it: the camera may have been moved.
+        Those of several arms are in OUT/ARM.
+    overlay
+        Publish each image with the silhouette of the pose, as JPEG.
+    seconds
+        Time after which to end, in seconds.
+    """
+
+    out: Path | None = None
+    overlay: Flag = False
+    seconds: float = math.inf
+
+    @contextmanager
+    def folder(self, arm: str, arms: Sequence[str]) -> Iterator[Path | None]:
+        """Yield the opened folder of one of the arms; None without --out."""
+        from dvrk_cmaes.io.output import output
+        from dvrk_cmaes.results.folder import SESSION
+
+        if self.out is None:
+            yield None
+            return
+        folder = self.out / arm if len(arms) > 1 else self.out
+        with output(folder, "live") as opened:
+            opened.refuse((SESSION,))
+            yield folder
+
+
+DEFAULT_TOPICS, DEFAULT_SERVER = LiveTopics(), ServerOptions()
+DEFAULT_LIVE_CAMERA, DEFAULT_OUTPUT = LiveCameraOptions(), LiveOutput()
 
 
 def live(
     *,
     topics: LiveTopics = DEFAULT_TOPICS,
-    psm: Annotated[tuple[str, ...], Parameter(group=TOPICS, consume_multiple=True, negative=())] = ("PSM1",),
-    camera_frame: Annotated[str, Parameter(group=TOPICS)] = "camera",
-    via: Annotated[Literal["rosbridge", "rclpy"], Parameter(group=SERVER)] = "rosbridge",
-    host: Annotated[str, Parameter(group=SERVER)] = "127.0.0.1",
-    port: Annotated[int, Parameter(group=SERVER)] = 9090,
-    wait: Annotated[Flag, Parameter(group=SERVER)] = False,
-    camera: Annotated[Path | None, Parameter(group=CAMERA)] = None,
-    camera_right: Annotated[Path | None, Parameter(group=CAMERA)] = None,
-    rectified: Annotated[Flag, Parameter(group=CAMERA)] = False,
+    server: ServerOptions = DEFAULT_SERVER,
+    camera: LiveCameraOptions = DEFAULT_LIVE_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
-    calibration: SessionOption = None,
-    doubtful_session: DoubtfulSessionOption = False,
+    calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
     lag: Annotated[float | None, Parameter(group=METHOD)] = None,
     method: MethodOptions = DEFAULT_METHOD,
-    out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
-    overlay: Annotated[Flag, Parameter(group=OUTPUT)] = False,
-    seconds: Annotated[float, Parameter(group=OUTPUT)] = math.inf,
+    output: LiveOutput = DEFAULT_OUTPUT,
 ) -> int:
     """Follow the instruments of a running robot: images and readings from ROS topics, poses to ROS topics.
 
@@ -154,117 +255,94 @@ def live(
     ----------
     topics
         The topics.
-    psm
-        Names of the arms in the names of topics and frames: one, or several that are followed together.
-    camera_frame
-        Name of the camera's optical frame in the poses that are published.
-    via
-        How ROS is reached: through a rosbridge server, or as a node of ROS 2 where rclpy is importable.
-    host
-        Name or address of the rosbridge server.
-    port
-        Its port.
-    wait
-        Wait for the server, the camera and the first image as long as it takes.
+    server
+        How ROS is reached.
     camera
-        Camera file, used instead of the topic of the camera.
-    camera_right
-        File of the right camera, where both eyes are used and the files are two.
-    rectified
-        The images are rectified: use the projection matrix, and no distortion.
+        The camera.
     instrument
         The instrument.
-    calibration
-        A session.json written by `calibrate`, or the folder that has one for each of several arms: base, offsets and
-        lag.
-    doubtful_session
-        Use the session.json of --session even if it predicts frames badly that it has not seen.
+    calibrated
+        A calibration that is used: base, offsets and lag.
     lag
         Lag of the images behind the readings, s; by default the calibration's, or found while following.
     method
         The method.
-    out
-        Folder for session.json, the calibration that is found from keyframes while following by masks. The next start
-        with the same folder takes it up, and no pose is ok before images agree with it: the camera may have been moved.
-        Those of several arms are in OUT/ARM.
-    overlay
-        Publish each image with the silhouette of the pose, as JPEG.
-    seconds
-        Time after which to end, in seconds.
+    output
+        What is written and published, and for how long.
     """
-    if not 0 < port < 2**16:
-        raise InputError(f"--port: expected 1 to 65535, got {port}")
-    if not seconds > 0:
-        raise InputError(f"--seconds: expected a time above 0, got {seconds:g}")
-    from dvrk_cmaes.cli.session_tools import read_calibration_of
-    from dvrk_cmaes.export.frames import FrameNames
-    from dvrk_cmaes.io.output import output
-    from dvrk_cmaes.live.follow import ArmSetup, LiveSetup, follow
-    from dvrk_cmaes.live.rclpy_node import RclpyConnection
+    if not output.seconds > 0:
+        raise InputError(f"--seconds: expected a time above 0, got {output.seconds:g}")
+    from dvrk_cmaes.live.follow import follow
     from dvrk_cmaes.live.repeated_lines import RepeatedLines
-    from dvrk_cmaes.live.rosbridge import RosbridgeConnection
-    from dvrk_cmaes.results.folder import SESSION
-    from dvrk_cmaes.runs.live_session import earlier_calibration, prepare_long_run, save_calibration
-    from dvrk_cmaes.runs.solver_process import SolverProcess
-    from dvrk_cmaes.runs.worker_process import WorkerProcess
+    from dvrk_cmaes.runs.live_session import prepare_long_run
 
-    if len(set(psm)) < len(psm):
-        raise InputError(f"--psm: expected different arms, got {', '.join(psm)}")
-    if len(psm) > 1 and calibration is not None and not all((calibration / arm).is_dir() for arm in psm):
-        raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
-    inputs = topics.of_arms(psm)
-    names = {arm: FrameNames(arm, camera_frame, f"{arm}_base") for arm in psm}
-    for of_arm in names.values():
-        of_arm.check_tf()
-    body = instrument.load()
-    if out is not None and lag is not None:
-        raise InputError("--out: expected no --lag: the calibration that is found has a lag of its own")
-    rig = _rig_of_files(camera, camera_right, inputs, rectified=rectified)
-    report = RepeatedLines(note)  # of the connection; follow has its own
+    connection = server.connection(RepeatedLines(note))  # of the connection; follow has its own
     with ExitStack() as stack:
-        arms = []
-        if out is not None:
-            stack.enter_context(output(out, "live"))
-        for arm in psm:
-            folder = None if out is None else out / arm if len(psm) > 1 else out
-            calibrated = read_calibration_of(calibration, body, instrument.arm, arm, doubtful=doubtful_session)
-            earlier = None if folder is None else earlier_calibration(folder, body.instrument, instrument.kinematics)
-            solver = partial(SolverProcess, body.instrument, background=True)
-            save = None if folder is None else partial(save_calibration, folder)
-            arms.append(ArmSetup(names[arm], body, instrument.kinematics, calibrated, solver, earlier, save))
-            if folder is not None:
-                stack.enter_context(output(folder, "live")).refuse((SESSION,))
-        origin = time.time_ns()
-        apart = partial(WorkerProcess, for_long=True)
-        setup = LiveSetup(
-            inputs, tuple(arms), method.resolve(), lag, rig, rectified, overlay, origin=origin, apart=apart
-        )
-        connection = RclpyConnection(report) if via == "rclpy" else RosbridgeConnection(host, port, report)
+        setup = _described(topics, camera, instrument, calibrated, lag, method, output, stack)
         prepare_long_run()
-        stop = stack.enter_context(_stopped(seconds))
+        stop = stack.enter_context(_stopped(output.seconds))
         shown = stack.enter_context(shown_state())
         connection.open(timeout=2.0)
+        begin_within = math.inf if server.wait else _FIRST_IMAGE
         try:
-            counts = follow(setup, connection, note, stop, show=shown, begin_within=math.inf if wait else _FIRST_IMAGE)
+            counts = follow(setup, connection, note, stop, show=shown, begin_within=begin_within)
         finally:
             connection.close()
     show([Line(f"{counts.followed} images followed, {counts.published} results published, {counts.refused} refused")])
     return 0
 
 
-def _rig_of_files(camera: Path | None, right: Path | None, topics: InputTopics, *, rectified: bool) -> Rig | None:
-    """Read the cameras of files; None without one."""
-    from dvrk_cmaes.camera import Rig
-    from dvrk_cmaes.camera.files import read_camera
-    from dvrk_cmaes.camera.rig_files import read_rig
+def _described(
+    topics: LiveTopics,
+    camera: LiveCameraOptions,
+    instrument: InstrumentOptions,
+    calibrated: CalibrationOptions,
+    lag: float | None,
+    method: MethodOptions,
+    output: LiveOutput,
+    stack: ExitStack,
+) -> LiveSetup:
+    """Say what is followed, and how; folders that are written to stay open with the stack."""
+    from dvrk_cmaes.export.frames import FrameNames
+    from dvrk_cmaes.io.output import output as folder_of_command
+    from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
+    from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
+    from dvrk_cmaes.runs.solver_process import SolverProcess
+    from dvrk_cmaes.runs.worker_process import WorkerProcess
 
-    if right is not None and (camera is None or len(topics.eyes) == 1):
-        raise InputError("--camera-right: expected --camera and --right-image-topic with it")
-    if camera is None:
-        return None
-    if len(topics.eyes) > 1:
-        return read_rig(camera, right, rectified=rectified).rig
-    return Rig.of_camera(read_camera(camera, rectified=rectified))
+    given = calibrated.calibration
+    if len(set(topics.psm)) < len(topics.psm):
+        raise InputError(f"--psm: expected different arms, got {', '.join(topics.psm)}")
+    if len(topics.psm) > 1 and given is not None and not all((given / arm).is_dir() for arm in topics.psm):
+        raise InputError(f"--session: expected a folder with a session.json for each arm, got {given}")
+    inputs = topics.of_arms(topics.psm)
+    names = {arm: FrameNames(arm, topics.camera_frame, f"{arm}_base") for arm in topics.psm}
+    for of_arm in names.values():
+        of_arm.check_tf()
+    body = instrument.load()
+    if output.out is not None and lag is not None:
+        raise InputError("--out: expected no --lag: the calibration that is found has a lag of its own")
+    rig, arms = camera.rig(inputs), []
+    if output.out is not None:
+        stack.enter_context(folder_of_command(output.out, "live"))
+    for arm in topics.psm:
+        known = calibrated.read(body, instrument.arm, arm)
+        folder = stack.enter_context(output.folder(arm, topics.psm))
+        earlier = None if folder is None else earlier_calibration(folder, body.instrument, instrument.kinematics)
+        solver = partial(SolverProcess, body.instrument, background=True)
+        save = None if folder is None else partial(save_calibration, folder)
+        arms.append(ArmSetup(names[arm], body, instrument.kinematics, known, solver, earlier, save))
+    return LiveSetup(
+        inputs,
+        tuple(arms),
+        method.resolve(),
+        lag,
+        rig,
+        camera.rectified,
+        output.overlay,
+        origin=time.time_ns(),
+        apart=partial(WorkerProcess, for_long=True),
+    )
 
 
 @contextmanager
