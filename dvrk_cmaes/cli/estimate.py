@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.describe import describe
 from dvrk_cmaes.cli.options import (
+    DEFAULT_CALIBRATION,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
@@ -18,7 +19,7 @@ from dvrk_cmaes.cli.options import (
     FRAME,
     NO_READINGS,
     OUTPUT,
-    DoubtfulSessionOption,
+    CalibrationOptions,
     Flag,
     FrameCameraOptions,
     InstrumentOptions,
@@ -26,7 +27,6 @@ from dvrk_cmaes.cli.options import (
     PromptOptions,
     ReadingOptions,
     SegmentOptions,
-    SessionOption,
     joint_files,
     parse_pixel,
 )
@@ -36,53 +36,17 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings, ReadAs
 
 _Hyphens = Parameter(allow_leading_hyphen=True)
 
 
-def estimate(
-    *,
-    mask: Annotated[Path | None, Parameter(group=FRAME)] = None,
-    joints: Annotated[tuple[str, ...], Parameter(group=FRAME, negative=())],
-    frame: Annotated[str | None, Parameter(group=FRAME)] = None,
-    time: Annotated[str | None, Parameter(group=FRAME)] = None,
-    image: Annotated[Path | None, Parameter(group=FRAME)] = None,
-    ignore: Annotated[Path | None, Parameter(group=FRAME)] = None,
-    mask_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
-    image_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
-    ignore_right: Annotated[Path | None, Parameter(group=FRAME)] = None,
-    keypoints: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
-    label: Annotated[str | None, Parameter(group=FRAME)] = None,
-    pick: Annotated[str | None, Parameter(group=FRAME), _Hyphens] = None,
-    model: SegmentOptions = DEFAULT_SEGMENT,
-    prompts: PromptOptions = DEFAULT_PROMPTS,
-    calibration: SessionOption = None,
-    doubtful_session: DoubtfulSessionOption = False,
-    only: Annotated[str | None, Parameter(group=FRAME)] = None,
-    reading: ReadingOptions = DEFAULT_READING,
-    camera: FrameCameraOptions,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
-    method: MethodOptions = DEFAULT_METHOD,
-    out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
-    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
-) -> int:
-    """Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.
-
-    Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful (with reasons).
-
-    Example:
-
-    ```
-    dvrk-cmaes estimate --mask 26.png --camera camera.yaml --joints joints.csv
-    ```
-
-    Without a mask, it is found in the image:
-
-    ```
-    dvrk-cmaes estimate --image 26.jpg --camera camera.yaml --joints joints.csv
-    ```
+@Parameter(name="*", group=FRAME)
+@dataclass(frozen=True, kw_only=True)
+class FrameOptions:
+    """The files of a frame, and where the instrument is in them.
 
     Parameters
     ----------
@@ -119,18 +83,122 @@ def estimate(
         as 10,20,30, a colour such as '#00ff00', or any, for all values but 0.
     pick
         Pixel u,v on the instrument: use only the connected region of the mask, or of the label, at this pixel.
+    only
+        Arm, such as PSM1, whose joints are read of files with those of several.
+    """
+
+    mask: Path | None = None
+    joints: Annotated[tuple[str, ...], Parameter(negative=())]
+    frame: str | None = None
+    time: str | None = None
+    image: Path | None = None
+    ignore: Path | None = None
+    mask_right: Path | None = None
+    image_right: Path | None = None
+    ignore_right: Path | None = None
+    keypoints: Annotated[str | None, _Hyphens] = None
+    label: str | None = None
+    pick: Annotated[str | None, _Hyphens] = None
+    only: str | None = None
+
+    def check(self, *, segmented: bool) -> None:
+        """Raise an InputError for files that do not fit together; ``segmented``: nothing says how images are."""
+        if self.named is None:
+            raise InputError("--mask: expected a mask, or an image to find it in (--image FILE), got neither")
+        if self.mask is None and not (self.label is None and self.pick is None):
+            raise InputError("--label, --pick: expected a mask with them (--mask FILE), got none")
+        if self.mask is not None and not segmented:
+            options = "--box, --point, --not-point, --model, --weights"
+            raise InputError(f"{options}: expected no mask with them, got --mask too")
+
+    @property
+    def named(self) -> Path | None:
+        """The file that names the frame: the mask, or the image without one."""
+        return self.image if self.mask is None else self.mask
+
+    def files(self, camera: FrameCameraOptions) -> FrameFiles:
+        """Return the files of the frame, without readings; InputError for a value that is not valid."""
+        from dvrk_cmaes.frames.frame import FrameFiles
+        from dvrk_cmaes.frames.keypoints import parse_keypoints
+        from dvrk_cmaes.frames.label import parse_label
+        from dvrk_cmaes.joints.interpolation import NANOSECONDS
+        from dvrk_cmaes.joints.times import parse_time, time_in_name
+
+        assert self.named is not None
+        tips = None if self.keypoints is None else parse_keypoints(self.keypoints)
+        label = None if self.label is None else parse_label("--label", self.label)
+        pick = None if self.pick is None else parse_pixel("pick", self.pick)
+        name = self.named.stem if self.frame is None else self.frame
+        found = time_in_name(self.named.stem) if self.time is None else parse_time("--time", self.time)
+        moment, crop = None if found is None else found / NANOSECONDS, camera.fit.crop
+        files = FrameFiles(name, self.mask, {}, self.image, self.ignore, tips, label, pick, moment, crop=crop)
+        if self.mask_right is None and self.image_right is None:
+            return files
+        right = FrameFiles(name, self.mask_right, {}, self.image_right, self.ignore_right, None, label, crop=crop)
+        return replace(files, others={"right": right})
+
+    def readings(self, known: Sequence[str], lag: Lag | None, read_as: ReadAs) -> FrameReadings:
+        """Read the readings of the frame; empty if ``--joints none`` is given."""
+        from dvrk_cmaes.joints.reading import FrameReadings, is_written_out, read_frame_joints
+        from dvrk_cmaes.joints.times import parse_time
+
+        if self.joints == (NO_READINGS,) or self.named is None:
+            return FrameReadings()
+        texts = [text for text in self.joints if is_written_out(text)]
+        files = joint_files([Path(text) for text in self.joints if text not in texts], read_as.arm) or ()
+        moment = None if self.time is None else parse_time("--time", self.time)
+        return read_frame_joints(
+            [*texts, *files],
+            frame=self.frame,
+            image=self.named.stem,
+            time=moment,
+            known=known,
+            lag=lag,
+            read_as=read_as,
+        )
+
+
+def estimate(
+    *,
+    given: FrameOptions,
+    model: SegmentOptions = DEFAULT_SEGMENT,
+    prompts: PromptOptions = DEFAULT_PROMPTS,
+    calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
+    reading: ReadingOptions = DEFAULT_READING,
+    camera: FrameCameraOptions,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    method: MethodOptions = DEFAULT_METHOD,
+    out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
+    json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
+) -> int:
+    """Estimate the pose of an instrument in the camera, and its joint angles, from one mask or one image.
+
+    Exit codes: 0 ok, 1 failed, 2 wrong usage or input, 3 doubtful (with reasons).
+
+    Example:
+
+    ```
+    dvrk-cmaes estimate --mask 26.png --camera camera.yaml --joints joints.csv
+    ```
+
+    Without a mask, it is found in the image:
+
+    ```
+    dvrk-cmaes estimate --image 26.jpg --camera camera.yaml --joints joints.csv
+    ```
+
+    Parameters
+    ----------
+    given
+        The frame.
     model
         Segmentation of the image.
     prompts
         Prompts for the segmentation.
-    calibration
-        A session.json written by `calibrate`: start from the pose that it predicts, and search globally only if that
-        pose does not explain the mask. If it has a lag between images and readings, files of readings are read at the
-        frame's time less the lag; readings given as values are not changed.
-    doubtful_session
-        Use the session.json of --session even if it predicts frames badly that it has not seen.
-    only
-        Arm, such as PSM1, whose joints are read of files with those of several.
+    calibrated
+        A calibration that is used: start from the pose that it predicts, and search globally only if that pose does not
+        explain the mask. If it has a lag between images and readings, files of readings are read at the frame's time
+        less the lag; readings given as values are not changed.
     reading
         How files of readings are read.
     camera
@@ -145,44 +213,25 @@ def estimate(
     json
         Print only the result, as JSON, on stdout.
     """
-    named = image if mask is None else mask
-    if named is None:
-        raise InputError("--mask: expected a mask, or an image to find it in (--image FILE), got neither")
-    if mask is None and not (label is None and pick is None):
-        raise InputError("--label, --pick: expected a mask with them (--mask FILE), got none")
-    if mask is not None and (prompts, model) != (DEFAULT_PROMPTS, DEFAULT_SEGMENT):
-        raise InputError("--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too")
-    from dvrk_cmaes.cli.session_tools import read_calibration_of
+    given.check(segmented=(prompts, model) == (DEFAULT_PROMPTS, DEFAULT_SEGMENT))
     from dvrk_cmaes.estimation.one_tool import FrameMethod
-    from dvrk_cmaes.frames.frame import FrameFiles
-    from dvrk_cmaes.frames.keypoints import parse_keypoints
-    from dvrk_cmaes.frames.label import parse_label
     from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
     from dvrk_cmaes.runs.frame import read_any_frame, run_frame
     from dvrk_cmaes.segment.segmentation import hints_within
 
     settings = method.resolve()
-    tips = None if keypoints is None else parse_keypoints(keypoints)
-    wanted = None if label is None else parse_label("--label", label)
-    picked = None if pick is None else parse_pixel("pick", pick)
-    name, moment = named.stem if frame is None else frame, _moment(time, named.stem)
-    files = FrameFiles(name, mask, {}, image, ignore, tips, wanted, picked, moment, crop=camera.fit.crop)
+    files = given.files(camera)
     if out is not None:
         from dvrk_cmaes.io.output import check_files
 
-        kinds = (result_path, overlay_path, *(() if mask is not None else (mask_path,)))
-        check_files(out, "estimate", [path(Path(), name).as_posix() for path in kinds])
-    if mask_right is None and image_right is None:
-        camera_file = camera.read(files)
-    else:
-        other = FrameFiles(files.name, mask_right, {}, image_right, ignore_right, None, wanted, crop=files.crop)
-        files = replace(files, others={"right": other})
-        camera_file = camera.read_rig(files)
+        kinds = (result_path, overlay_path, *(() if given.mask is not None else (mask_path,)))
+        check_files(out, "estimate", [path(Path(), files.name).as_posix() for path in kinds])
+    camera_file = camera.read_rig(files) if files.others else camera.read(files)
     data = read_any_frame(files, camera_file.rig)
     body = instrument.load()
-    known = read_calibration_of(calibration, body, instrument.arm, doubtful=doubtful_session)
+    known = calibrated.read(body, instrument.arm)
     lag = None if known is None else known.applied_lag
-    read = _readings(joints, frame, named.stem, time, body.instrument.joint_names, lag, reading.read_as(only))
+    read = given.readings(body.instrument.joint_names, lag, reading.read_as(given.only))
     files = replace(files, readings=read.readings)
     data = replace(data, notes=(*camera_file.notes, *read.notes, *data.notes))
     shown = hints_within(prompts.resolve(), files.crop)
@@ -192,37 +241,3 @@ def estimate(
         warn(text)
     answer(result.to_dict(), describe(result, written), json=json)
     return exit_code([result.status])
-
-
-def _moment(time: str | None, image: str) -> float | None:
-    """Return the time of the image, s: as given, or at the end of its name; None if neither is known."""
-    from dvrk_cmaes.joints.interpolation import NANOSECONDS
-    from dvrk_cmaes.joints.times import parse_time, time_in_name
-
-    found = time_in_name(image) if time is None else parse_time("--time", time)
-    return None if found is None else found / NANOSECONDS
-
-
-def _readings(
-    joints: Sequence[str],
-    frame: str | None,
-    image: str,
-    time: str | None,
-    known: Sequence[str],
-    lag: Lag | None,
-    read_as: ReadAs,
-) -> FrameReadings:
-    """Read the readings of a frame; empty if ``--joints none`` is given."""
-    from dvrk_cmaes.joints.reading import FrameReadings, read_frame_joints
-    from dvrk_cmaes.joints.times import parse_time
-
-    if tuple(joints) == (NO_READINGS,):
-        return FrameReadings()
-    from dvrk_cmaes.joints.reading import is_written_out
-
-    texts = [text for text in joints if is_written_out(text)]
-    files = joint_files([Path(text) for text in joints if text not in texts], read_as.arm) or ()
-    moment = None if time is None else parse_time("--time", time)
-    return read_frame_joints(
-        [*texts, *files], frame=frame, image=image, time=moment, known=known, lag=lag, read_as=read_as
-    )

@@ -77,19 +77,49 @@ class BagOptions:
 _DEFAULT_BAG = BagOptions()
 
 
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class FormatGiven:
+    """The format, and the names in it.
+
+    Parameters
+    ----------
+    to
+        Format to write.
+    arm
+        Name of the arm in names of files and frames.
+    camera_frame
+        Name of the camera's optical frame (x right, y down, z forward).
+    base_frame
+        Name of the arm's base frame; ARM_base by default.
+    scene
+        scene_id in the format bop.
+    object_id
+        obj_id in the format bop.
+    dvrk_version
+        Version of the dVRK that reads the arm's base frame: 2.4 in system.json, 2.3 or older in console.json.
+    ecm_pose
+        For an endoscope held by an arm (ECM): file of its local/measured_cp while the frames were recorded, as printed
+        by `ros2 topic echo --once /ECM/local/measured_cp`, or JSON with measured_cp, 4 rows of 4 numbers. The format
+        dvrk then has suj-fixed.json: the pose of the arm's base in that of the ECM.
+    """
+
+    to: Format
+    arm: str = "PSM1"
+    camera_frame: str = "camera"
+    base_frame: str | None = None
+    scene: int = 0
+    object_id: int = 1
+    dvrk_version: Literal["2.4", "2.3"] = "2.4"
+    ecm_pose: Path | None = None
+
+
 def export(
     results: Path,
     /,
     *,
-    to: Format,
+    chosen: FormatGiven,
     frame: str | None = None,
-    arm: Annotated[str, Parameter(group=NAMES)] = "PSM1",
-    camera_frame: Annotated[str, Parameter(group=NAMES)] = "camera",
-    base_frame: Annotated[str | None, Parameter(group=NAMES)] = None,
-    scene: Annotated[int, Parameter(group=NAMES)] = 0,
-    object_id: Annotated[int, Parameter(group=NAMES)] = 1,
-    dvrk_version: Annotated[Literal["2.4", "2.3"], Parameter(group=DVRK)] = "2.4",
-    ecm_pose: Annotated[Path | None, Parameter(group=DVRK)] = None,
     bag: BagOptions = _DEFAULT_BAG,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -115,26 +145,10 @@ def export(
     results
         Folder of results, JSON file of one result, or session.json. Of a folder with the results of several arms, those
         of --arm.
-    to
-        Format to write.
+    chosen
+        The format, and the names in it.
     frame
         Name of the only frame to export; a session calibration is then not used. By default all frames.
-    arm
-        Name of the arm in names of files and frames.
-    camera_frame
-        Name of the camera's optical frame (x right, y down, z forward).
-    base_frame
-        Name of the arm's base frame; ARM_base by default.
-    scene
-        scene_id in the format bop.
-    object_id
-        obj_id in the format bop.
-    dvrk_version
-        Version of the dVRK that reads the arm's base frame: 2.4 in system.json, 2.3 or older in console.json.
-    ecm_pose
-        For an endoscope held by an arm (ECM): file of its local/measured_cp while the frames were recorded, as printed
-        by `ros2 topic echo --once /ECM/local/measured_cp`, or JSON with measured_cp, 4 rows of 4 numbers. The format
-        dvrk then has suj-fixed.json: the pose of the arm's base in that of the ECM.
     bag
         The frames' times and the tool.
     out
@@ -142,12 +156,14 @@ def export(
     json
         Print only a summary, as JSON, on stdout: what was exported and the files written.
     """
-    if scene < 0 or object_id < 0:
-        raise InputError(f"--scene, --object-id: expected whole numbers of at least 0, got {scene}, {object_id}")
-    if ecm_pose is not None and to != "dvrk":
-        raise InputError(f"--ecm-pose: expected the format dvrk, got --to {to}")
-    if bag != _DEFAULT_BAG and to not in ("ros1-bag", "ros2-bag") and (to, bag.tool) != ("tum", None):
-        raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {to}")
+    if chosen.scene < 0 or chosen.object_id < 0:
+        raise InputError(
+            f"--scene, --object-id: expected whole numbers of at least 0, got {chosen.scene}, {chosen.object_id}"
+        )
+    if chosen.ecm_pose is not None and chosen.to != "dvrk":
+        raise InputError(f"--ecm-pose: expected the format dvrk, got --to {chosen.to}")
+    if bag != _DEFAULT_BAG and chosen.to not in ("ros1-bag", "ros2-bag") and (chosen.to, bag.tool) != ("tum", None):
+        raise InputError(f"--times, --tool: expected the format ros1-bag or ros2-bag, got --to {chosen.to}")
     from dvrk_cmaes.cli.session_tools import output_folder
     from dvrk_cmaes.export.cartesian_pose import read_cartesian_pose
     from dvrk_cmaes.export.frames import FrameNames
@@ -158,15 +174,17 @@ def export(
     from dvrk_cmaes.io.output import LONG, output, write_bytes
     from dvrk_cmaes.results.folder import folder_of_arm
 
-    results = folder_of_arm(results, arm)
-    names = FrameNames(arm, camera_frame, f"{arm}_base" if base_frame is None else base_frame)
-    pose = None if ecm_pose is None else read_cartesian_pose(ecm_pose)
+    results = folder_of_arm(results, chosen.arm)
+    names = FrameNames(
+        chosen.arm, chosen.camera_frame, f"{chosen.arm}_base" if chosen.base_frame is None else chosen.base_frame
+    )
+    pose = None if chosen.ecm_pose is None else read_cartesian_pose(chosen.ecm_pose)
     source = read_source(results, frame)
     times = bag.read_times(source.results)
-    options = FormatOptions(scene, object_id, dvrk_version, pose, times, bag.read_tip())
-    exported = exported_files(ExportRequest(source, to, names, options))
+    options = FormatOptions(chosen.scene, chosen.object_id, chosen.dvrk_version, pose, times, bag.read_tip())
+    exported = exported_files(ExportRequest(source, chosen.to, names, options))
     written = []
-    if to != "tf" or out is not None:
+    if chosen.to != "tf" or out is not None:
         with (
             output_folder(out, _results_folder(results), "exports", "export", wait=LONG) as folder,
             output(folder, "export") as own,
@@ -178,18 +196,18 @@ def export(
     for text in _warnings(exported):
         warn(text)
     if json:
-        direction, paths = FORMATS[to].direction, [str(path) for path in written]
-        document: dict[str, Any] = {"to": to, "direction": direction, "written": paths}
-        if to == "tf":
+        direction, paths = FORMATS[chosen.to].direction, [str(path) for path in written]
+        document: dict[str, Any] = {"to": chosen.to, "direction": direction, "written": paths}
+        if chosen.to == "tf":
             document["command"] = _publisher_lines(exported)
         if exported.base is not None:
             document["base"] = exported.base.to_dict()
         print(json_text({**document, "left_out": list(exported.left_out)}), end="")
-    elif to == "tf":
+    elif chosen.to == "tf":
         note(_origin(exported))
         print(_publisher_lines(exported))
     else:
-        show(_lines(exported, FORMATS[to].direction, written))
+        show(_lines(exported, FORMATS[chosen.to].direction, written))
     return 0
 
 

@@ -108,26 +108,123 @@ class PoseOptions:
 _DEFAULT_POSES = PoseOptions()
 
 
+@Parameter(name="*", group=VIDEO)
+@dataclass(frozen=True, kw_only=True)
+class VideoFiles:
+    """A video, and what goes with it.
+
+    Parameters
+    ----------
+    camera
+        Camera file. Required for a video; for other recordings it replaces their own.
+    joints
+        File of readings with times, e.g. CSV with a column time (s). Required for a video; for other recordings it
+        replaces their own.
+    video_start
+        Time of the first image of a video, or of stereo videos, on the clock of the readings, in seconds.
+    layout
+        Where the eyes are in the pictures of a stereo video, or of a folder of pictures; --side chooses one or both. By
+        default found from the size of the camera's images.
+    crop
+        x,y,w,h: the part of the pictures of a video, or of a folder of pictures, that is the camera's, in pixels.
+    interlaced
+        The pictures of the video are interlaced: make an image of each field, the top or the bottom one first.
+    """
+
+    camera: Path | None = None
+    joints: Path | None = None
+    video_start: float = 0.0
+    layout: LayoutOption = None
+    crop: str | None = None
+    interlaced: Literal["top", "bottom"] | None = None
+
+    def check(self) -> None:
+        """Raise an InputError for a start that is none."""
+        if not math.isfinite(self.video_start):
+            raise InputError(f"--video-start: expected a finite number of seconds, got {self.video_start:g}")
+        check_range("--video-start", self.video_start, -LATEST, LATEST, "seconds")
+
+
+DEFAULT_VIDEO = VideoFiles()
+
+
+@Parameter(name="*", group=SELECTION)
+@dataclass(frozen=True, kw_only=True)
+class SelectedImages:
+    """Which images are read, and at which times their readings.
+
+    Parameters
+    ----------
+    every
+        N: import every Nth image of those between --start and --end.
+    start
+        Start of the imported part, in seconds after the first image.
+    end
+        End of the imported part, in seconds after the first image.
+    tolerance
+        Largest distance in time, in seconds, between an image and the readings before and after it; an image without
+        readings this near gets none.
+    lag
+        Lag of the images behind the readings, in seconds, such as 0.13: each image gets the readings of that much
+        earlier. With auto, or none given, it is the lag found by --session; without that none is taken out.
+    calibration
+        A session.json written by `calibrate` from a session imported from this recording, or from another one made in
+        the same way: its lag is taken out.
+    """
+
+    every: int = 1
+    start: float = 0.0
+    end: float = math.inf
+    tolerance: float = 0.05
+    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    calibration: Annotated[Path | None, Parameter(name="--session")] = None
+
+    def check(self) -> None:
+        """Raise an InputError for values that are not valid."""
+        check_range("--every", self.every, 1, MOST_SKIPPED)
+        if not 0 < self.tolerance < math.inf:
+            raise InputError(f"--tolerance: expected a time in seconds above 0, got {self.tolerance:g}")
+        if not (0 <= self.start < self.end):
+            got = f"{self.start:g} and {self.end:g}"
+            raise InputError(f"--start, --end: expected 0 <= start < end in seconds, got {got}")
+
+
+DEFAULT_SELECTED = SelectedImages()
+
+
+@Parameter(name="*", group=FOLDER)
+@dataclass(frozen=True, kw_only=True)
+class RecordingParts:
+    """Which part of a recording is read.
+
+    Parameters
+    ----------
+    side
+        Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
+        in the name of the images' topic.
+    arm
+        Arm, such as PSM1, whose readings are imported, where a recording has those of several. Of a ROS recording, it
+        may be given several times: then session.toml names all of them, each with its own readings.
+    episode
+        Number of the episode of a LeRobot data set.
+    """
+
+    side: Literal["left", "right", "both"] | None = None
+    arm: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
+    episode: int = 0
+
+
+DEFAULT_PART = RecordingParts()
+
+
 def import_recording(
     recording: Path,
     /,
     *,
+    part: RecordingParts = DEFAULT_PART,
+    selected: SelectedImages = DEFAULT_SELECTED,
+    video: VideoFiles = DEFAULT_VIDEO,
     out: Annotated[Path, Parameter(group=OUTPUT)],
-    every: Annotated[int, Parameter(group=SELECTION)] = 1,
-    start: Annotated[float, Parameter(group=SELECTION)] = 0.0,
-    end: Annotated[float, Parameter(group=SELECTION)] = math.inf,
-    tolerance: Annotated[float, Parameter(group=SELECTION)] = 0.05,
-    lag: Annotated[str | None, Parameter(group=SELECTION, allow_leading_hyphen=True)] = None,
-    calibration: Annotated[Path | None, Parameter(name="--session", group=SELECTION)] = None,
-    camera: Annotated[Path | None, Parameter(group=VIDEO)] = None,
-    joints: Annotated[Path | None, Parameter(group=VIDEO)] = None,
-    video_start: Annotated[float, Parameter(group=VIDEO)] = 0.0,
-    layout: Annotated[LayoutOption, Parameter(group=VIDEO)] = None,
-    crop: Annotated[str | None, Parameter(group=VIDEO)] = None,
-    interlaced: Annotated[Literal["top", "bottom"] | None, Parameter(group=VIDEO)] = None,
-    side: Annotated[Literal["left", "right", "both"] | None, Parameter(group=FOLDER)] = None,
-    arm: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    episode: Annotated[int, Parameter(group=FOLDER)] = 0,
     topics: TopicOptions = _DEFAULT_TOPICS,
     poses: PoseOptions = _DEFAULT_POSES,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -159,45 +256,14 @@ def import_recording(
         clip in SurgSync's raw layout or of a packed episode (timestamp.parquet), a folder of SurgPose
         (regular/left_video.mp4, api_jp_data.yaml), a LeRobot data set (meta/info.json), one with the videos of a stereo
         endoscope (left.mp4 and right.mp4), or one of pictures.
+    part
+        Which part of the recording is read.
+    selected
+        Which images are read, and at which times their readings.
+    video
+        A video, and what goes with it.
     out
         Session folder to write; it must be new or empty unless --overwrite is given.
-    every
-        N: import every Nth image of those between --start and --end.
-    start
-        Start of the imported part, in seconds after the first image.
-    end
-        End of the imported part, in seconds after the first image.
-    tolerance
-        Largest distance in time, in seconds, between an image and the readings before and after it; an image without
-        readings this near gets none.
-    lag
-        Lag of the images behind the readings, in seconds, such as 0.13: each image gets the readings of that much
-        earlier. With auto, or none given, it is the lag found by --session; without that none is taken out.
-    calibration
-        A session.json written by `calibrate` from a session imported from this recording, or from another one made in
-        the same way: its lag is taken out.
-    camera
-        Camera file. Required for a video; for other recordings it replaces their own.
-    joints
-        File of readings with times, e.g. CSV with a column time (s). Required for a video; for other recordings it
-        replaces their own.
-    video_start
-        Time of the first image of a video, or of stereo videos, on the clock of the readings, in seconds.
-    layout
-        Where the eyes are in the pictures of a stereo video, or of a folder of pictures; --side chooses one or both. By
-        default found from the size of the camera's images.
-    crop
-        x,y,w,h: the part of the pictures of a video, or of a folder of pictures, that is the camera's, in pixels.
-    interlaced
-        The pictures of the video are interlaced: make an image of each field, the top or the bottom one first.
-    side
-        Eye of a stereo endoscope whose images are imported, left by default, or both. Of a ROS recording, it is a word
-        in the name of the images' topic.
-    arm
-        Arm, such as PSM1, whose readings are imported, where a recording has those of several. Of a ROS recording, it
-        may be given several times: then session.toml names all of them, each with its own readings.
-    episode
-        Number of the episode of a LeRobot data set.
     topics
         The topics.
     poses
@@ -207,16 +273,10 @@ def import_recording(
     json
         Print only a summary, as JSON, on stdout.
     """
-    check_range("--every", every, 1, MOST_SKIPPED)
-    if not 0 < tolerance < math.inf:
-        raise InputError(f"--tolerance: expected a time in seconds above 0, got {tolerance:g}")
-    if not (0 <= start < end):
-        raise InputError(f"--start, --end: expected 0 <= start < end in seconds, got {start:g} and {end:g}")
-    taken, said = _lag(lag, calibration)
-    if not math.isfinite(video_start):
-        raise InputError(f"--video-start: expected a finite number of seconds, got {video_start:g}")
-    check_range("--video-start", video_start, -LATEST, LATEST, "seconds")
-    check_range("--episode", episode, 0, MOST_EPISODES)
+    selected.check()
+    taken, said = _lag(selected.lag, selected.calibration)
+    video.check()
+    check_range("--episode", part.episode, 0, MOST_EPISODES)
     from dvrk_cmaes.frames.own_files import OwnFiles
     from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.recording.recording import Asked
@@ -224,23 +284,24 @@ def import_recording(
     from dvrk_cmaes.recording.write_session import ImageSelection, write_session
 
     OwnFiles(recording).check_folder()
-    table = _table(joints, poses, arm[0] if len(arm) == 1 else None)
-    asked = Asked("left", arm[0] if arm else None, camera, table, video_start)
-    shown_part = Pictures(layout, "left", interlaced, None if crop is None else parse_crop("--crop", crop))
-    with _opened(recording, topics, asked, shown_part, side, arm, episode) as opened:
+    table = _table(video.joints, poses, part.arm[0] if len(part.arm) == 1 else None)
+    asked = Asked("left", part.arm[0] if part.arm else None, video.camera, table, video.video_start)
+    crop = None if video.crop is None else parse_crop("--crop", video.crop)
+    shown_part = Pictures(video.layout, "left", video.interlaced, crop)
+    with _opened(recording, topics, asked, shown_part, part.side, part.arm, part.episode) as opened:
         shown = tracked(opened.images, "Importing", opened.total)
         summary = write_session(
             replace(opened, images=iter(shown), rectified=topics.rectified),
             out,
-            selection=ImageSelection(every, start, end),
-            tolerance=tolerance,
+            selection=ImageSelection(selected.every, selected.start, selected.end),
+            tolerance=selected.tolerance,
             lag=taken,
             overwrite=overwrite,
         )
     for source in summary.readings:
         if source.without:
-            total = source.frames + source.without
-            warn(f"{source.source}: {source.without} of {total} frames have no readings within {tolerance:g} s")
+            total, within = source.frames + source.without, selected.tolerance
+            warn(f"{source.source}: {source.without} of {total} frames have no readings within {within:g} s")
     for text in (*summary.warnings, *([said] if said else [])):
         warn(text)
     answer(summary.to_dict(), _lines(summary), json=json)

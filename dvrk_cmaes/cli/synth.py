@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -20,26 +21,129 @@ from dvrk_cmaes.cli.options import (
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError
 
+if TYPE_CHECKING:
+    from dvrk_cmaes.synth.session import SessionPlan
+
 _MOST_FRAMES = 100_000
 _BASELINES = 0.001, 0.05  # m
+
+
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class SynthOptions:
+    """What is drawn.
+
+    Parameters
+    ----------
+    level
+        Level of difficulty. Cite a session by level, motion, seed and version.
+    motion
+        rcm: an arm moves about its remote centre of motion. free: independent poses, without readings of outer joints.
+        video: consecutive frames of a moving arm, for `track`.
+    frames
+        Number of frames, 1 to 100000.
+    lag
+        Lag of a video's images behind its readings, in seconds or frames, such as 0.13 or 4frames; that of the level by
+        default.
+    cables
+        Errors of a video's readings. measured: the joints follow their readings by the cables of a real arm, with
+        coupling, play and wander. independent: offset, play and drift of each joint by itself. By default measured at
+        the levels medium and hard.
+    stereo
+        Two eyes: masks/left, masks/right and so on, left.yaml and right.yaml. The truth is in the left camera.
+    baseline
+        Distance of the two eyes, metres.
+    arms
+        2: two arms whose tools cross, up to 30 % of a tool hidden by the other: masks of labels, a session.toml,
+        joints_ARM.csv and golden_ARM.json of each arm; alone/ARM has the masks of each tool without the other. Of
+        --motion video with images, a lag and cables of each arm's own, and --stereo; the second arm has that of six
+        motions in which the tools cross most. Of --motion rcm without images.
+    seed
+        Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
+    images
+        Write images as well.
+    mp4
+        Write the images of --motion video, of one eye, as video.mp4, not as files in images/.
+    ecm
+        The endoscope of --motion video is steered three times, by 5 to 30 mm and 5 to 25 deg. joints.csv has the
+        readings of its arm (ecm_yaw, ecm_pitch, ecm_insertion, ecm_roll), whose errors are offsets of 2 deg and 2 mm,
+        and 0.3 deg and 0.5 mm that differ from place to place; golden.json has the camera in the endoscope's tip, the
+        arm's base in that of the endoscope's arm, the offsets, and camera_from_base of each frame.
+    """
+
+    level: Literal["clean", "easy", "medium", "hard"] = "medium"
+    motion: Literal["free", "rcm", "video"] = "rcm"
+    frames: int = 10
+    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    cables: Literal["independent", "measured"] | None = None
+    stereo: Flag = False
+    baseline: float = 0.0053
+    arms: Literal[1, 2] = 1
+    seed: int = 0
+    images: bool = True
+    mp4: Flag = False
+    ecm: Flag = False
+
+    def check(self) -> None:
+        """Raise an InputError for values that are not valid, or do not fit together."""
+        if not 1 <= self.frames <= _MOST_FRAMES:
+            raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {self.frames}")
+        check_range("--seed", self.seed, 0, LARGEST_SEED)
+        for option, given in (
+            ("--lag", self.lag is not None),
+            ("--cables", self.cables is not None),
+            ("--ecm", self.ecm),
+        ):
+            if given and self.motion != "video":
+                raise InputError(f"{option}: expected it with --motion video only, got --motion {self.motion}")
+        if self.mp4 and (self.motion != "video" or not self.images or self.stereo):
+            raise InputError("--mp4: expected it with --motion video, --images and one eye only")
+        if not _BASELINES[0] <= self.baseline <= _BASELINES[1]:
+            raise InputError(f"--baseline: expected {_BASELINES[0]} to {_BASELINES[1]} m, got {self.baseline:g}")
+        if self.arms > 1 and (self.motion == "free" or (self.stereo and self.motion == "rcm")):
+            raise InputError("--arms: expected --motion video, or --motion rcm and one eye, with two arms")
+
+    def plan(self, camera: CameraOptions, instrument: InstrumentOptions) -> SessionPlan:
+        """Return what is drawn, of a camera and an instrument."""
+        from dvrk_cmaes.frames.markers import read_marker_table
+        from dvrk_cmaes.io.bundled import bundled_path
+        from dvrk_cmaes.joints.lag import Lag
+        from dvrk_cmaes.synth.levels import LEVELS
+        from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND
+        from dvrk_cmaes.synth.session import SessionPlan, default_camera
+
+        body = instrument.load()
+        table = read_marker_table(bundled_path("markers", "lnd.json"))
+        links = {body.instrument.root_link, *(joint.child for joint in body.instrument.chain.joints)}
+        painted = all(marker.link in links for marker in table.values())
+        return SessionPlan(
+            body=body,
+            camera=default_camera(LEVELS[self.level]) if camera.camera is None else camera.read().camera,
+            level=LEVELS[self.level],
+            motion=self.motion,
+            frames=self.frames,
+            seed=self.seed,
+            markers=table if painted else {},
+            arm=instrument.kinematics,
+            lag=None
+            if self.lag is None
+            else FRAMES_A_SECOND * Lag.parse("--lag", self.lag).in_seconds(FRAMES_A_SECOND),
+            cables=self.cables
+            or ("measured" if self.motion == "video" and self.level in ("medium", "hard") else "independent"),
+            baseline=self.baseline if self.stereo else None,
+            tool=instrument.as_tool("PSM1"),
+            steered=self.ecm,
+        )
+
+
+DEFAULT_WANTED = SynthOptions()
 
 
 def synth(
     out: Path,
     /,
     *,
-    level: Literal["clean", "easy", "medium", "hard"] = "medium",
-    motion: Literal["free", "rcm", "video"] = "rcm",
-    frames: int = 10,
-    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    cables: Literal["independent", "measured"] | None = None,
-    stereo: Flag = False,
-    baseline: float = 0.0053,
-    arms: Literal[1, 2] = 1,
-    seed: int = 0,
-    images: bool = True,
-    mp4: Flag = False,
-    ecm: Flag = False,
+    wanted: SynthOptions = DEFAULT_WANTED,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
@@ -87,40 +191,8 @@ def synth(
     ----------
     out
         Session folder to write; it must be new or empty unless --overwrite is given.
-    level
-        Level of difficulty. Cite a session by level, motion, seed and version.
-    motion
-        rcm: an arm moves about its remote centre of motion. free: independent poses, without readings of outer joints.
-        video: consecutive frames of a moving arm, for `track`.
-    frames
-        Number of frames, 1 to 100000.
-    lag
-        Lag of a video's images behind its readings, in seconds or frames, such as 0.13 or 4frames; that of the level by
-        default.
-    cables
-        Errors of a video's readings. measured: the joints follow their readings by the cables of a real arm, with
-        coupling, play and wander. independent: offset, play and drift of each joint by itself. By default measured at
-        the levels medium and hard.
-    stereo
-        Two eyes: masks/left, masks/right and so on, left.yaml and right.yaml. The truth is in the left camera.
-    baseline
-        Distance of the two eyes, metres.
-    arms
-        2: two arms whose tools cross, up to 30 % of a tool hidden by the other: masks of labels, a session.toml,
-        joints_ARM.csv and golden_ARM.json of each arm; alone/ARM has the masks of each tool without the other. Of
-        --motion video with images, a lag and cables of each arm's own, and --stereo; the second arm has that of six
-        motions in which the tools cross most. Of --motion rcm without images.
-    seed
-        Seed of all random numbers, a whole number of at least 0; the same seed gives the same session.
-    images
-        Write images as well.
-    mp4
-        Write the images of --motion video, of one eye, as video.mp4, not as files in images/.
-    ecm
-        The endoscope of --motion video is steered three times, by 5 to 30 mm and 5 to 25 deg. joints.csv has the
-        readings of its arm (ecm_yaw, ecm_pitch, ecm_insertion, ecm_roll), whose errors are offsets of 2 deg and 2 mm,
-        and 0.3 deg and 0.5 mm that differ from place to place; golden.json has the camera in the endoscope's tip, the
-        arm's base in that of the endoscope's arm, the offsets, and camera_from_base of each frame.
+    wanted
+        What is drawn.
     overwrite
         Replace a synthetic session, unless a file in it was added or changed since.
     camera
@@ -128,55 +200,23 @@ def synth(
     instrument
         The instrument.
     """
-    if not 1 <= frames <= _MOST_FRAMES:
-        raise InputError(f"--frames: expected 1 to {_MOST_FRAMES}, got {frames}")
-    check_range("--seed", seed, 0, LARGEST_SEED)
-    for option, given in (("--lag", lag is not None), ("--cables", cables is not None), ("--ecm", ecm)):
-        if given and motion != "video":
-            raise InputError(f"{option}: expected it with --motion video only, got --motion {motion}")
-    if mp4 and (motion != "video" or not images or stereo):
-        raise InputError("--mp4: expected it with --motion video, --images and one eye only")
-    if not _BASELINES[0] <= baseline <= _BASELINES[1]:
-        raise InputError(f"--baseline: expected {_BASELINES[0]} to {_BASELINES[1]} m, got {baseline:g}")
-    if arms > 1 and (motion == "free" or (stereo and motion == "rcm")):
-        raise InputError("--arms: expected --motion video, or --motion rcm and one eye, with two arms")
-    from dvrk_cmaes.frames.markers import read_marker_table
-    from dvrk_cmaes.io.bundled import bundled_path
-    from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.synth.levels import LEVELS
-    from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND
+    wanted.check()
     from dvrk_cmaes.synth.recording import Pictures, write_recording
-    from dvrk_cmaes.synth.session import SessionPlan, default_camera, write_session
+    from dvrk_cmaes.synth.session import write_session
     from dvrk_cmaes.synth.two_arms import write_two_arms
     from dvrk_cmaes.synth.two_arms_recording import write_recording_of_arms
 
-    body = instrument.load()
-    table = read_marker_table(bundled_path("markers", "lnd.json"))
-    links = {body.instrument.root_link, *(joint.child for joint in body.instrument.chain.joints)}
-    painted = all(marker.link in links for marker in table.values())
-    plan = SessionPlan(
-        body=body,
-        camera=default_camera(LEVELS[level]) if camera.camera is None else camera.read().camera,
-        level=LEVELS[level],
-        motion=motion,
-        frames=frames,
-        seed=seed,
-        markers=table if painted else {},
-        arm=instrument.kinematics,
-        lag=None if lag is None else FRAMES_A_SECOND * Lag.parse("--lag", lag).in_seconds(FRAMES_A_SECOND),
-        cables=cables or ("measured" if motion == "video" and level in ("medium", "hard") else "independent"),
-        baseline=baseline if stereo else None,
-        tool=(tool := instrument.as_tool("PSM1")),
-        steered=ecm,
-    )
-    pictures: Pictures = "none" if not images else "video" if mp4 else "files"
-    if arms > 1 and motion == "video":
+    plan = wanted.plan(camera, instrument)
+    tool = instrument.as_tool("PSM1")
+    pictures: Pictures = "none" if not wanted.images else "video" if wanted.mp4 else "files"
+    if wanted.arms > 1 and wanted.motion == "video":
         write_recording_of_arms(out, plan, tool, pictures=pictures, overwrite=overwrite)
-    elif arms > 1:
+    elif wanted.arms > 1:
         write_two_arms(out, plan, tool, overwrite=overwrite)
-    elif motion == "video":
+    elif wanted.motion == "video":
         write_recording(out, plan, pictures=pictures, overwrite=overwrite)
     else:
-        write_session(out, plan, images=images, overwrite=overwrite)
-    show([Line(f"{frames} frames, level {level}, motion {motion}, seed {seed}; written: {out}")])
+        write_session(out, plan, images=wanted.images, overwrite=overwrite)
+    drawn = f"{wanted.frames} frames, level {wanted.level}, motion {wanted.motion}, seed {wanted.seed}"
+    show([Line(f"{drawn}; written: {out}")])
     return 0
