@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import errno
+import os
+import re
 import sys
 import traceback
 import warnings
@@ -50,6 +53,13 @@ With --debug, any command shows where in the program an error was raised.
 _FUNCTIONS: Final = {"import": "import_recording:import_recording", "help": "help:help_topic"}
 """Module and function of the commands that are not named as these."""
 
+_NARROWEST = 20  # columns of a terminal
+_LIMITS: Final = {
+    errno.EAGAIN: "processes or threads (ulimit -u): fewer --workers and --threads",
+    errno.EMFILE: "open files (ulimit -n)",
+    errno.ENFILE: "open files of the system",
+    errno.ENOMEM: "memory: fewer --workers, or a smaller image",
+}
 _TOOL: Final = "columns, packages, root_link or tool of [[tool]] in session.toml"
 _OF_TRACK: Final = {
     **dict.fromkeys(("--columns", "--package-path", "--root-link", "--tool"), _TOOL),
@@ -98,6 +108,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     prepare_streams()
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     debug = _DEBUG in tokens
+    if not os.environ.get("COLUMNS", "80").isdecimal() or int(os.environ.get("COLUMNS", "80")) < _NARROWEST:
+        os.environ.pop("COLUMNS")  # a width of nothing, as of some terminals without one
     if tokens[:1] == ["help"] and len(tokens) == 2 and _is_only_command(tokens[1]):
         tokens = [tokens[1], "--help"]
     if not tokens or tokens[0] in ("--help", "-h"):
@@ -107,6 +119,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not (debug or sys.warnoptions):
             warnings.simplefilter("ignore")  # what a user has to know is said by the commands themselves
         try:
+            empty = next((before for before, token in pairwise(["an argument", *tokens]) if not token), None)
+            empty = empty or next((token[:-1] for token in tokens if re.fullmatch(r"--[\w-]+=", token)), None)
+            if empty is not None:
+                raise InputError(f"{empty}: expected a value, got an empty one (a variable that is not set?)")
             code = app(
                 [token for token in tokens if token != _DEBUG],
                 exit_on_error=False,
@@ -146,6 +162,10 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
             return INTERRUPTED
         case BrokenPipeError():  # the reader closed stdout, e.g. ``| head``
             discard_stdout()
+        case OSError() if error.errno in _LIMITS:
+            print_error(f"a limit of the system is reached: {_LIMITS[error.errno]} ({error.strerror})")
+        case RuntimeError() if "can't start new thread" in str(error):
+            print_error(f"a limit of the system is reached: {_LIMITS[errno.EAGAIN]} ({error})")
         case OSError():  # errors of files are InputError already: this is stdout on a full disk
             print_error(f"{error.filename or 'stdout'}: {error.strerror}")
             if error.filename is not None:  # or a file name that the system refuses

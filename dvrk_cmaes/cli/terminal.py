@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 if TYPE_CHECKING:
     from dvrk_cmaes.io.table import Table
 
+from dvrk_cmaes.io.short_text import escaped
+
 T = TypeVar("T")
 
 FAILED, DOUBTFUL, INTERRUPTED = 1, 3, 130  # exit codes; the last one as in shells: 128 + SIGINT
@@ -49,7 +51,7 @@ def discard_stdout() -> None:
 
 def print_error(message: str) -> None:
     """Print an error message as one line on stderr; if stderr cannot be written, only the exit code shows the error."""
-    text = " ".join(message.split())
+    text = escaped(" ".join(message.split()))
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
     with contextlib.suppress(OSError):
@@ -63,7 +65,7 @@ def warn(message: str, arm: str = "") -> None:
 
 def note(message: str) -> None:
     """Print information on stderr, for commands whose stdout contains only the result."""
-    text = f"dvrk-cmaes: {message}"
+    text = "\n".join(map(escaped, f"dvrk-cmaes: {message}".split("\n")))
     if not sys.stderr.isatty():
         print(text, file=sys.stderr)
         return
@@ -77,14 +79,14 @@ def show(lines: Iterable[Line]) -> None:
     """Print lines on stdout, with their styles if it is a terminal."""
     if not sys.stdout.isatty():
         for line in lines:
-            print(line.text)
+            print(escaped(line.text))
         return
     from rich.console import Console
     from rich.text import Text
 
     console = Console()
     for line in lines:
-        console.print(Text(line.text, style=line.style))
+        console.print(Text(escaped(line.text), style=line.style))
 
 
 def table_lines(table: Table) -> Iterator[Line]:

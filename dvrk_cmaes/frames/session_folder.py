@@ -38,7 +38,7 @@ from dvrk_cmaes.frames.session_video import SessionVideo
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
 from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.image_header import foreign
-from dvrk_cmaes.io.short_text import listed, natural, no_folder
+from dvrk_cmaes.io.short_text import escaped, listed, natural, no_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, NoneNearError, ReadAs, frame_readings, read_joint_file
@@ -360,6 +360,11 @@ def _session_frames(
             prompts=boxes.get(name),
             video=films.get(name),
         )
+        odd = [path for path in (frame.mask, frame.image) if path is not None and escaped(path.name) != path.name]
+        if odd:
+            problem = f"{escaped(str(odd[0]))}: expected a name in UTF-8 without control characters: rename it"
+            frames.append(FrameFiles(name, None, time=frame.time, problem=problem))
+            continue
         try:
             found = frame_readings(files, name, time=time, tolerance=tolerance)
         except InputError as error:
@@ -514,7 +519,8 @@ def image_files(folder: Path) -> Mapping[str, Path]:
     for path in sorted(folder.iterdir(), key=lambda path: natural(path.name)):
         if path.suffix.lower() not in _IMAGE_SUFFIXES or path.name.startswith("."):
             continue
-        if path.stem in found:
-            raise InputError(f"{path}: expected one file for frame {path.stem}, got {found[path.stem].name} too")
-        found[path.stem] = path
+        name = escaped(path.stem)
+        if name in found:
+            raise InputError(f"{path}: expected one file for frame {name}, got {found[name].name} too")
+        found[name] = path
     return found

@@ -26,7 +26,10 @@ def checked_number(name: str, value: object, expected: str) -> float:
     """Return a real number, finite or not, as a float; InputError, which names the argument, for anything else."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise InputError(f"{name}: expected {expected}, got {described(value)}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"{name}: expected {expected}, got {described(value)}") from None
 
 
 def checked_array(name: str, value: object, dtype: type, expected: str, dimensions: int | None = None) -> NDArray[Any]:
@@ -50,6 +53,8 @@ def checked_mask(name: str, value: object) -> Bool:
     """
     flags = checked_array(name, value, np.bool_, "an array (H, W) of bool", dimensions=2)
     given = np.asarray(value)
+    if given.dtype.kind == "f" and not np.isfinite(given).all():
+        raise InputError(f"{name}: expected bool, or two values, got {given.dtype} with values that are not finite")
     if given.dtype != np.bool_ and len(levels := np.unique(given)) > 2:
         raise InputError(
             f"{name}: expected bool, or two values, got {given.dtype} with {len(levels)} values, as of "

@@ -67,7 +67,14 @@ def _reason_given(path: str | Path, expected: str) -> Iterator[None]:
 
 def read_text(path: str | Path, *, expected: str, largest: int) -> str:
     """Read a text file in UTF-8, with or without a byte order mark; errors as in ``read_bytes``."""
-    data = read_bytes(path, expected=expected, largest=largest)
+    return text_of(path, read_bytes(path, expected=expected, largest=largest), expected=expected)
+
+
+def text_of(path: str | Path, data: bytes, *, expected: str) -> str:
+    """Decode the content of a text file in UTF-8; InputError for other bytes, and for the first NUL."""
+    nul = data.find(b"\0")
+    if nul >= 0:
+        raise InputError(f"{path}: expected {expected}, got a NUL byte at {nul}: the file is damaged, or no text")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 _LONGEST = 60
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+"""Control characters, and those that turn the direction of a text."""
 
 
 def shown(value: Any) -> str:
@@ -19,6 +21,12 @@ def shown(value: Any) -> str:
     except (ValueError, RecursionError):  # an integer of more digits than Python prints; too many levels
         return f"a value of type {type(value).__name__} that is too large to show"
     return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+def escaped(text: str) -> str:
+    """Return a text whose control characters and bytes that are no UTF-8 are escaped, as of a file's name."""
+    text = _CONTROL.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+    return text.encode("utf-8", errors="backslashreplace").decode("utf-8")
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from dvrk_cmaes.errors import InputError, nearest_first
-from dvrk_cmaes.io.files import read_bytes
+from dvrk_cmaes.io.files import read_bytes, text_of
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, read_joint_csv
 from dvrk_cmaes.joints.gaps import largest_distance, within
@@ -124,10 +124,7 @@ def read_joint_file(
     data = read_bytes(path, expected=EXPECTED, largest=_LARGEST)
     if data.startswith(MAGIC):
         return read_joint_npy(path, data)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected {EXPECTED} in UTF-8, got other bytes at {error.start}") from None
+    text = text_of(path, data, expected=EXPECTED)
     if not is_joint_state(text):
         return read_joint_csv(path, text, names, read_as.arm, read_as.columns)
     if len(data) > _LARGEST_YAML:

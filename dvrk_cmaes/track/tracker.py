@@ -184,7 +184,7 @@ class Tracker:
         InputError
             A value is not finite or in another unit, or a joint is unknown.
         """
-        late = time + (self._given_lag or 0.0)
+        late = checked_number("time", time, "a finite number of seconds") + (self._given_lag or 0.0)
         self._readings.add(late, joints)
         self._known.store.add_readings(late, joints)
 
