@@ -16,7 +16,7 @@ from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import reading_slipped, reasons
 from dvrk_cmaes.results.result import Result
 
 
@@ -91,5 +91,5 @@ def _describe_slips(model: SessionModel, i: int, config: SessionConfig) -> list[
     """Describe the joints whose readings have a large error in one frame, one text for each joint."""
     stds = np.array([model.deviations.outer[3], *model.deviations.joints])
     sigmas = model.inflation[i] * config.tail
-    errors = list(zip(("roll", *model.names), np.degrees(sigmas * stds).tolist(), sigmas.tolist(), strict=True))
-    return doubts("slips", "solved", errors=errors)
+    errors = zip(("roll", *model.names), np.degrees(sigmas * stds).tolist(), sigmas.tolist(), strict=True)
+    return reasons(*(reading_slipped(*error) for error in errors))

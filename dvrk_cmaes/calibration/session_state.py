@@ -30,7 +30,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.pose.doubts import DISAGREES, doubts
+from dvrk_cmaes.pose.doubts import DISAGREES, frame_disagrees
 
 LEAST_FRAMES = 3
 """Smallest number of frames from which a session can be calibrated."""
@@ -264,7 +264,7 @@ class SessionState:
     def disagreement(self, fit: FrameFit, misfit: float = 0.0) -> str:
         """Say why a fit disagrees, whose squared distance from what is expected, per parameter, is ``misfit``."""
         most = self.problem.config.session.largest_misfit
-        return "".join(doubts("keyframe", "solved", fit=fit, misfit=misfit, distance=misfit**0.5, most=most))
+        return frame_disagrees(misfit, most, None if fit.explains_mask else (fit.iou, fit.own_iou)) or ""
 
     def check_agreement(self, disagreements: Sequence[str]) -> None:
         """Refuse the session if fewer than `LEAST_FRAMES` agree.

@@ -15,7 +15,7 @@ from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import mask_is_a_guess, mask_or_pose, reasons
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
@@ -161,12 +161,12 @@ def _find_mask(
 
 def _with_doubts(result: Result, view: SeenView, found: Segmentation, body: Body) -> Result:
     """Add to a result the doubts that follow from how its mask was found."""
-    reasons = (*result.reasons, *doubts("picture", "alone", confidence=found.confidence, guess=GUESS))
-    if reasons:
+    doubts = (*result.reasons, *reasons(mask_is_a_guess(found.confidence, GUESS)))
+    if doubts:
         assert view.image is not None
         cause = attribute_doubt(view.image, found, _silhouette(result, view, body), view.ignore)
-        reasons = (*reasons, *doubts("doubtful picture", "alone", cause=cause))
-    return replace(result, status="doubtful", reasons=reasons) if reasons else result
+        doubts = (*doubts, *reasons(mask_or_pose(cause)))
+    return replace(result, status="doubtful", reasons=doubts) if doubts else result
 
 
 def _silhouette(result: Result, view: SeenView, body: Body) -> Bool:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dvrk_cmaes.camera import Camera, Rig
+from dvrk_cmaes.camera.critical import known_mistakes
 from dvrk_cmaes.camera.rig import remarks_on_cameras
 from dvrk_cmaes.config import EstimateConfig, __version__
 from dvrk_cmaes.evidence.gather import gather_evidence
@@ -22,7 +23,6 @@ from dvrk_cmaes.instrument.arm import Arm, check_arm, find_camera_from_base
 from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.pose.doubts import doubts
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
 from dvrk_cmaes.pose.judge import exchanged_readings
@@ -182,7 +182,7 @@ def estimate_views(
         base = find_camera_from_base(found.at.pose, given, arm, roll_offset=model.roll_offset)
     tips, tips_px = locate_tips(model, reference.camera, found.at)
     of_cameras = remarks_on_cameras(seen)
-    reasons = (*(doubts("session", "alone", remarks=of_cameras) if session is None else ()), *found.reasons)
+    reasons = (*(known_mistakes(of_cameras) if session is None else ()), *found.reasons)
     result = Result(
         frame=frame,
         status="doubtful" if reasons else "ok",

@@ -20,7 +20,7 @@ from dvrk_cmaes.live.inputs import Decoded, LiveFrame
 from dvrk_cmaes.live.messages import JointMessage
 from dvrk_cmaes.live.outputs import Outputs
 from dvrk_cmaes.live.stamps import LONGEST_GAP
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import image_old, reasons
 from dvrk_cmaes.results.tracked import TrackResult
 
 Pixels = NDArray[np.uint8]
@@ -169,19 +169,19 @@ class LiveArm:
         frame, image = self._frame, next(iter(self._arrays.images.values()), None)
         overlay = None if self._draw is None or image is None else self._draw(image, result)
         old = age()
-        reasons = doubts("age", "live", age=old, oldest=OLD)
+        doubts = reasons(image_old(old, OLD))
         self.published += self._outputs.publish(
             frame.time,
             result,
             ros1=frame.ros1,
             age=old,
-            doubts=reasons,
+            doubts=doubts,
             silent=silent,
             overlay=overlay,
             calibration=self._tracker.state,
         )
         self.poses += result.camera_from_root is not None and result.status != "lost"
-        self.ok += result.status == "ok" and not reasons
+        self.ok += result.status == "ok" and not doubts
         self._told, self._ros1 = self._now(), frame.ros1
         self.wait("waiting for images")
         self._tracker.after_step(self._seconds)

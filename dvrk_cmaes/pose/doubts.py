@@ -1,24 +1,24 @@
-"""The table of doubts: for which reasons a result of any command is not ok. `doubts` alone reads it.
+"""The reasons for which a result is not ok: a function for each, None if it does not hold.
 
-A row is a rule: what is asked of which evidence, the limit, the text of the reason, and the results that it holds for.
-The evidence is what its rules name of it: of a pose, `pose.judge` makes it, of a session `calibration.session_doubts`.
-A rough mask alone is no reason: it makes the expected error larger, which counts once it is beyond the limit.
+`reasons` lists those that hold. `pose.judge` asks those of a frame, `track` and `live` those of an image that is
+followed; those of a session as a whole are in `calibration.session_doubts`. A rough mask alone is no reason: it makes
+the expected error larger, which counts once it is beyond the limit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
-from types import SimpleNamespace
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
-from dvrk_cmaes.camera.critical import WRONG, known_mistakes
-from dvrk_cmaes.joints.sparse import MOST_OFF
+from dvrk_cmaes.config import TrustConfig
+from dvrk_cmaes.joints.sparse import MOST_OFF, Sparseness
+from dvrk_cmaes.pose.tip_probability import tip_probability
+from dvrk_cmaes.results.result import ExpectedError, Quality
 
-Kind = Literal["alone", "solved", "followed", "edges", "confirmed", "live", "session"]
+Kind = Literal["alone", "solved", "followed", "edges"]
 """The results: of a frame by itself, and of one with its session; of an image that is followed by masks or by edges of
-colours, or that a calibration whose lag is not told confirms; what is published; and a calibration."""
+colours."""
 
 DISAGREES: Final = "disagrees with the session"
 """What the reason begins with for which a frame is left out that does not agree with the others."""
@@ -26,10 +26,10 @@ TIPS_NOT_ACCURATE: Final = "tips not accurate"
 """What the reason begins with for which the expected error of the tips is too large."""
 OTHER_SIZES: Final = "another instrument (--instrument), or another focal length than the camera file's"
 """Why parts of an instrument may seem to have other sizes."""
-PREDICTS_BADLY: Final = "this calibration predicts frames badly that it has not seen"
-"""What the reason begins with for which a calibration is not used for other frames."""
 BASE_APART: Final = "base far from the others'"
 """What the reason begins with for which a frame of a folder differs from the others."""
+NO_READINGS: Final = "no readings: nothing tells the pose from its mirror twin"
+"""The reason of an instrument whose mirror twin has the same silhouette, and none of whose joints is read."""
 
 _FAR_JOINTS = 2.1
 """Largest mean square of the joints' deviations in standard deviations, in images whose masks are found in them.
@@ -44,37 +44,16 @@ LEAST_OVERLAP: Final = 0.5
 """Intersection over union below which a mask does not support a pose, and a fit is not used."""
 UNSUPPORTED: Final = 0.3
 """Share of the silhouette without the instrument's colours, from which on a pose is doubtful."""
-_CONVINCING, _MOST_BESIDE = 0.65, 0.2  # shares of the outline with an edge of the image, and with its colours beside it
+_CONVINCING, _MOST_OUTSIDE = 0.65, 0.2  # shares of the outline with an edge of the image, and with its colours outside
 SUPPORTED: Final = 0.35, 0.5
 """The least and the largest of these two shares with which an image supports a pose at all."""
-MOST_ASTRAY: Final = 10
+MOST_DISAGREEING: Final = 10
 """Images in a row that disagree with the calibration, after which it does not hold any more."""
 CONFIRMING: Final = 5
 """Images that differ from each other and agree with an earlier calibration, from which on poses by it are ok."""
 RELIED_ON: Final = 8
 """Keyframes of a solution, from which on its stated errors held; chosen on twelve recordings."""
 _SLIP = 4.0  # standard deviations beyond which a joint's reading is reported
-LARGEST_LOSS: Final = 0.15
-"""Of the overlap, from the frames' own fits to their predictions by the others."""
-_TRUSTED_SHARE = 0.5  # of the frames that were solved together; if no more agree, these few may be the wrong ones
-LARGEST_PREDICTED_PX: Final = 2.5
-"""Median distance of the contours of frames from what the other frames of their session predict, at 640 px of width."""
-_LARGEST_MARGIN_PX = 2.0  # of all masks of a session
-_LARGEST_SIDE_PX = 1.5
-"""Standard deviation of the errors of a side of the shaft that last from frame to frame.
-
-Shadows only add to masks, and the fits hardly show what they add in the mean. Of 77 recordings of
-../shared/ruler/fleet.py (`scripts/measure.py track`, seeds 8605 to 8920) 76 have at most 0.73 px, and bases within
-1.7 stated deviations; the other, 8720, has 2.65 px, masks 4.4 px too wide, and a base that is 4.0 deviations off. At
-twice the size, 1280 x 960, that one has 2.36 px, and the next two, 8711 and 8809, have 0.93 and 1.13 px.
-"""
-_TELL_THE_CAMERA = 40
-"""Number of frames of a right session by which an estimate of the camera does not run away.
-
-It did so in 2 of 159 sessions of more than 30 frames, both wrong, and in 4 of 100 of 10 to 30, some of them right.
-"""
-_LARGEST_INSERTION = 10e-3  # m, beyond which tools of one kind do not differ
-_BEYOND_CABLES_DEG = {"roll": 15.0, "wrist": 20.0, "jaw": 30.0}  # by the beginning of the joint's name
 
 
 @dataclass(frozen=True)
@@ -106,271 +85,330 @@ _BY_EDGES: Final = replace(FOLLOWED, what="recording: the image")
 LIMITS: Final[dict[Kind, FrameLimits]] = {"alone": _ONE, "solved": _ONE, "followed": FOLLOWED, "edges": _BY_EDGES}
 
 
-@dataclass(frozen=True)
-class Rule:
-    """A row of the table: when a result is not ok.
+def reasons(*found: str | None) -> list[str]:
+    """Return those of some reasons that hold."""
+    return [text for text in found if text is not None]
 
-    Attributes
-    ----------
-    of
-        The evidence that is asked.
-    holds
-        The kinds of results that the rule holds for, divided by spaces.
-    limit
-        The limit, or the names of the attributes of the evidence that are it, as of settings, divided by spaces.
-    asked
-        Tells from evidence and limit whether there is a reason; a list has an item for each one.
-    begins
-        Words with which the reason may begin, divided by "|", where its text begins with a value.
+
+# a view of a pose, and its mask
+
+
+def overlap_too_low(quality: Quality, least: float) -> str | None:
+    """Judge the intersection over union of silhouette and mask."""
+    if quality.iou < least:
+        return f"overlap too low: IoU {quality.iou:.3f}, expected at least {least:.2f}"
+    return None
+
+
+def wrist_or_jaws_off(quality: Quality, most_px: float) -> str | None:
+    """Judge how far the mask's contour beyond the shaft is from the silhouette."""
+    if quality.distal_px > most_px:
+        return (
+            f"wrist or jaws off: beyond the shaft, the mask's contour is {quality.distal_px:.1f} px (rms) from the "
+            "silhouette; another instrument, another tool or tissue may be there"
+        )
+    return None
+
+
+def mask_cut_straight(quality: Quality, most_px: float) -> str | None:
+    """Judge by how much the silhouette goes on beyond a straight line that ends the mask."""
+    if quality.bend_px > most_px:
+        return (
+            f"mask cut straight: along a straight line that ends it, the silhouette bends by {quality.bend_px:.1f} px"
+        )
+    return None
+
+
+def tip_out_of_view(limits: FrameLimits, outside: Sequence[bool]) -> str | None:
+    """Judge which jaw tips lie outside the image."""
+    if any(outside) if limits.outside == "a jaw tip lies" else all(outside):
+        return f"tip out of view: {limits.outside} outside the image"
+    return None
+
+
+def tips_not_accurate(error: ExpectedError, trust: TrustConfig) -> str | None:
+    """Judge the probability that the tips are within the limit, by the expected error of the right mode."""
+    probability = tip_probability(error.of_tips_mm, trust.tip_mm)
+    if probability < trust.least_probability:
+        return (
+            f"{TIPS_NOT_ACCURATE}: their expected error is {error.of_tips_mm:.1f} mm, the probability that they are "
+            f"within {trust.tip_mm:g} mm {probability:.2f}"
+        )
+    return None
+
+
+# several views
+
+
+def view_mirrored(view: str, main: str, overlap: float) -> str | None:
+    """Judge the overlap of a view with the pose as seen from the other side of the first view, ``main``."""
+    if overlap > _MIRRORED_OVERLAP:
+        return (
+            f"views disagree: {view} fits {main} only from its other side: the images, masks or camera files of the "
+            "two are exchanged"
+        )
+    return None
+
+
+def view_turned(view: str, main: str, angle_deg: float, sigmas: float, trust: TrustConfig) -> str | None:
+    """Judge the rotation, degrees and standard deviations, with which a view fits the first one, ``main``, best."""
+    if angle_deg >= trust.largest_view_deg and sigmas >= trust.largest_view_sigmas:
+        return (
+            f"views disagree: {view} fits {main} only if turned by {angle_deg:.2f} deg; the rig may be calibrated "
+            "wrongly, or the images are not of one time or exchanged"
+        )
+    return None
+
+
+def rig_turned(view: str, frames: int, angle_deg: float, sigmas: float, trust: TrustConfig) -> str | None:
+    """Judge the same rotation as all frames of a folder have it together."""
+    if angle_deg >= trust.largest_view_deg and sigmas >= trust.largest_view_sigmas:
+        return (
+            f"views disagree in {frames} frames together: {view} fits the first view only if turned by "
+            f"{angle_deg:.2f} deg ({sigmas:.0f} standard deviations); the rig seems to be calibrated wrongly"
+        )
+    return None
+
+
+# a frame by itself
+
+
+def mode_in_doubt(error: ExpectedError, of_mode: float, rival: str, trust: TrustConfig) -> str | None:
+    """Judge the probability that the tips are within the limit, with that of the mode, ``of_mode``.
+
+    ``rival`` says which other mode there is.
     """
-
-    of: str
-    holds: str
-    limit: Any
-    asked: Callable[..., Any]
-    begins: str = ""
-
-
-_ANY: Final = True  # of what is there or not
-_TURNED: Final = "trust.largest_view_deg trust.largest_view_sigmas"
-
-RULES: Final[dict[str, Rule]] = {
-    "overlap too low: IoU {e.quality.iou:.3f}, expected at least {limit[0]:.2f}": Rule(
-        "view", "alone solved followed", "least_iou", lambda e, least: e.quality.iou < least
-    ),
-    "wrist or jaws off: beyond the shaft, the mask's contour is {e.quality.distal_px:.1f} px (rms) from the "
-    "silhouette; another instrument, another tool or tissue may be there": Rule(
-        "view",
-        "alone solved followed",
-        "largest_distal_px",
-        lambda e, most: e.quality.distal_px > most,
-    ),
-    "mask cut straight: along a straight line that ends it, the silhouette bends by {e.quality.bend_px:.1f} px": Rule(
-        "view", "alone solved followed", "largest_bend_px", lambda e, most: e.quality.bend_px > most
-    ),
-    "tip out of view: {limit[0]} outside the image": Rule(
-        "view", "alone solved followed edges", "limits.outside", lambda e, which: e.is_outside
-    ),
-    f"{TIPS_NOT_ACCURATE}: their expected error is {{e.error.of_tips_mm:.1f}} mm, the probability that they are within "
-    "{e.trust.tip_mm:g} mm {e.probability:.2f}": Rule(
-        "view",
-        "alone solved followed edges confirmed",
-        "trust.least_probability",
-        lambda e, least: e.probability < least,
-    ),
-    "views disagree: {it} fits {e.main} only from its other side: the images, masks or camera files of the two are "
-    "exchanged": Rule(
-        "eyes", "alone", _MIRRORED_OVERLAP, lambda e, most: [name for name, overlap in e.mirrored if overlap > most]
-    ),
-    "views disagree: {it[0]} fits {e.main} only if turned by {it[1]:.2f} deg; the rig may be calibrated wrongly, or "
-    "the images are not of one time or exchanged": Rule(
-        "frame",
-        "alone",
-        _TURNED,
-        lambda e, deg, sigmas: [(name, turn) for name, turn, std in e.turned if turn >= deg and std >= sigmas],
-    ),
-    "tips in doubt: they are within {e.trust.tip_mm:g} mm with a probability of {e.probability:.2f}": Rule(
-        "frame",
-        "alone",
-        "trust.least_probability",
-        lambda e, least: e.probability < least <= e.if_right and e.of_mode >= _CERTAIN_MODE,
-    ),
-    "mode in doubt: the pose is in the right mode with a probability of {e.of_mode:.2f}; {e.rival}": Rule(
-        "frame",
-        "alone",
-        "trust.least_probability",
-        lambda e, least: e.probability < least and e.of_mode < _CERTAIN_MODE,
-    ),
-    "readings against outline: a pose farther from the readings explains the mask clearly better": Rule(
-        "frame", "alone", "trust.largest_outline_gap", lambda e, most: e.outline_gap > most
-    ),
-    "no readings: nothing tells the pose from its mirror twin": Rule(
-        "frame", "alone followed", _ANY, lambda e, least: e.joints_read < least
-    ),
-    "far from the readings: {it[0]} is {it[1]:.1f} times the expected error away": Rule(
-        "frame",
-        "alone",
-        "trust.largest_reading_sigmas",
-        lambda e, most: [(name, off) for name, off in e.off if off > most],
-    ),
-    "far from the readings: all joints together are farther off than readings are": Rule(
-        "frame",
-        "alone",
-        "trust.largest_reading_sum trust.largest_reading_sigmas",
-        lambda e, most, of_one: e.together > most and not any(off > of_one for _, off in e.off),
-    ),
-    "shaft not found: no two edges in the mask could bound it": Rule(
-        "frame", "alone", _ANY, lambda e, least: e.has_shaft < least
-    ),
-    "points: {e.error_px:.1f} px rms from where the pose puts them": Rule(
-        "points", "alone", "largest_px", lambda e, most: e.error_px > most
-    ),
-    "mask is a guess: confidence {e.confidence:.2f}, expected at least {limit[0]}": Rule(
-        "picture", "alone", "guess", lambda e, least: e.confidence < least
-    ),
-    "mask or pose: {e.cause}": Rule("doubtful picture", "alone", _ANY, lambda e, least: e.cause),
-    f"{BASE_APART}: rotated by {{e.angle:.0f}} deg, expected at most {{limit[0]:.0f}} deg; another mode, or wrong "
-    "readings": Rule("folder", "alone", "most", lambda e, most: e.angle > most),
-    "views disagree in {e.count} frames together: {e.name} fits the first view only if turned by {e.angle:.2f} deg "
-    "({e.sigmas:.0f} standard deviations); the rig seems to be calibrated wrongly": Rule(
-        "rig", "alone", _TURNED, lambda e, deg, sigmas: e.angle >= deg and e.sigmas >= sigmas
-    ),
-    # what a session's calibration expects of a frame
-    "mask not explained: IoU {e.quality.iou:.3f}, {e.quality.contour_px_95:.1f} px at 95 % of the contour, expected "
-    "at least {limit[0]:.3f} and at most {limit[1]:.1f} px": Rule(
-        "agreement",
-        "solved followed",
-        "least_iou largest_px",
-        lambda e, least, most: e.quality.iou < least or e.quality.contour_px_95 > most,
-    ),
-    "disagrees with the {e.limits.what} is {e.distance:.1f} times the expected error from what the calibration and the "
-    "readings expect": Rule(
-        "agreement", "solved followed edges", "config.largest_misfit", lambda e, most: not e.misfit <= most
-    ),
-    f"{DISAGREES}: what it expects does not explain the mask (IoU {{e.fit.iou:.2f}}, by itself "
-    "{e.fit.own_iou:.2f})": Rule(
-        "keyframe", "solved", "most", lambda e, most: e.misfit < most and not e.fit.explains_mask
-    ),
-    f"{DISAGREES}: {{e.distance:.1f}} times the expected error from what it expects": Rule(
-        "keyframe", "solved", "most", lambda e, most: not e.misfit < most
-    ),
-    "reading of {it[0]}: {it[1]:.0f} deg off in this frame, beyond the session's offset": Rule(
-        "slips", "solved", _SLIP, lambda e, most: [(name, deg) for name, deg, sigmas in e.errors if sigmas > most]
-    ),
-    "session: {it}": Rule("calibration", "solved followed", _ANY, lambda e, least: list(e.doubts)),
-    # an image that is followed
-    "lost: the {e.source} shows nothing of the instrument": Rule(
-        "support", "followed", _ANY, lambda e, least: (e.iou is not None) < least
-    ),
-    "lost: the mask does not support the pose (IoU {e.iou:.2f})": Rule(
-        "support", "followed", LEAST_OVERLAP, lambda e, least: e.iou is not None and e.iou < least
-    ),
-    "lost: {it}": Rule("support", "edges", SUPPORTED, lambda e, limit: not e.holds and "; ".join(e.doubts)),
-    "outline without edge: {e.bare_percent:.0f} % of it has no edge of the image near it": Rule(
-        "edges", "edges", _CONVINCING, lambda e, least: e.supported < least
-    ),
-    "colours without outline: the instrument's go on beside {e.beside_percent:.0f} % of it": Rule(
-        "edges", "edges", _MOST_BESIDE, lambda e, most: e.beside > most
-    ),
-    "{e.percent:.0f} % of the silhouette are without the instrument's colours": Rule(
-        "colours", "followed", UNSUPPORTED, lambda e, most: e.share > most, "N % of the silhouette"
-    ),
-    "joints far from the recording: {e.name} is {e.deg:+.0f} deg from what readings and calibration expect; something "
-    "may hide the end of the instrument": Rule("joints", "followed", _FAR_JOINTS, lambda e, most: e.mean_square > most),
-    "no readings: none of the outer joints at the time of the image less the lag": Rule(
-        "readings", "followed", _ANY, lambda e, least: e.told < least
-    ),
-    "readings stand still: where the instrument is, only the {e.source} tells": Rule(
-        "readings", "followed", _ANY, lambda e, least: e.told >= least and e.still
-    ),
-    "readings too sparse: {e.between}": Rule("spacing", "followed", MOST_OFF, lambda e, most: e.off > most),
-    "readings frozen since frame {e.frozen}: the mask moves, and they do not": Rule(
-        "mask and readings", "followed", _ANY, lambda e, least: e.frozen
-    ),
-    "calibration contradicted: {e.astray} images in a row disagree with it; the base or the camera may have "
-    "moved": Rule("last image", "live", MOST_ASTRAY, lambda e, most: e.astray >= most),
-    "checking an earlier calibration: {e.agreeing} of {limit[0]} images agree": Rule(
-        "earlier calibration", "live", CONFIRMING, lambda e, least: e.agreeing is not None and e.agreeing < least
-    ),
-    "too few keyframes to rely on: base known to {e.tip_mm:.2g} mm, {e.keyframes} keyframes": Rule(
-        "own calibration", "live", RELIED_ON, lambda e, least: e.keyframes < least
-    ),
-    "base known to {e.tip_mm:.2g} mm, {e.keyframes} keyframes": Rule(
-        "base of tips", "live", "most", lambda e, most: e.std_mm is not None and e.std_mm > most
-    ),
-    "base not known yet: {e.kept} keyframes{e.known}": Rule("base", "live", _ANY, lambda e, least: e.bases < least),
-    "no readings of the outer joints so far": Rule("base", "live", _ANY, lambda e, least: e.bases >= least),
-    "not found: the first image could not be solved": Rule("search", "live", _ANY, lambda e, least: not e.search),
-    "{it.stage}: the image of {it.images[0].time:.3f} s": Rule(
-        "search", "live", _ANY, lambda e, least: e.search, "searching|segmenting"
-    ),
-    "searching: {e.waiting} images are followed to this one": Rule("following", "live", _ANY, lambda e, least: True),
-    "black image: nothing can be seen": Rule("image", "live", "black_level", lambda e, least: e.brightest < least),
-    "no mask: the pose is predicted": Rule("mask", "live", _ANY, lambda e, least: e.masks < least),
-    "empty mask: the instrument is not in view": Rule("mask", "live", _ANY, lambda e, least: e.shown < least),
-    "full mask: no edge can be seen": Rule("mask", "live", _ANY, lambda e, least: e.beside < least),
-    "frozen image: the {e.source} is that of the image before, but the arm moved": Rule(
-        "same image", "live", _ANY, lambda e, most: e.same >= most
-    ),
-    "the image is {e.age:.1f} s old": Rule("age", "live", "oldest", lambda e, most: e.age > most),
-    # a session as a whole
-    f"{PREDICTS_BADLY}: IoU {{e.predicted_iou:.2f}} by the other frames, {{e.iou:.2f}} by their own fits, contour "
-    "{e.predicted_px:.1f} px off, expected at most {limit[1]:.1f} px; its lag, camera file, instrument or readings may "
-    "be wrong": Rule(
-        "session",
-        "session",
-        "largest_loss largest_px",
-        lambda e, loss, px: e.predicted_iou < e.iou - loss or e.predicted_px > px,
-    ),
-    "only {e.agreeing} of {e.solved} frames agree on where the arm's base is: the others' masks or the readings are "
-    "wrong, or these few are": Rule(
-        "session", "session", _TRUSTED_SHARE, lambda e, least: e.agreeing <= least * e.solved
-    ),
-    "the lag leaves {e.unread} of {e.frames} frames without readings: it is wrong, or rows of readings are "
-    "missing": Rule("session", "session", _TRUSTED_SHARE, lambda e, least: e.frames - e.unread <= least * e.frames),
-    f"{{it}}: {OTHER_SIZES}": Rule(
-        "session", "session", _ANY, lambda e, least: e.sizes, "the shaft is|the length from the wrist|the jaws are"
-    ),
-    "masks are {e.margin:.1f} px (std {e.masks.std_margin_px:.1f}) too {e.side} all round: more than segmenters err; "
-    "another instrument, another focal length or masks that were widened have this effect": Rule(
-        "session", "session", _LARGEST_MARGIN_PX, lambda e, most: e.margin > most * e.pixel_scale
-    ),
-    "masks err by {e.masks.side_px:.1f} px (std {e.masks.std_side_px:.1f}) on a side of the shaft, alike from frame to "
-    "frame: base and depths may be off by more than is stated": Rule(
-        "session",
-        "session",
-        _LARGEST_SIDE_PX,
-        lambda e, most: e.masks is not None and (e.masks.side_px or 0) > most * e.pixel_scale,
-    ),
-    "{it}": Rule(
-        "session", "alone session", _ANY, lambda e, least: known_mistakes(e.remarks), WRONG.removesuffix(": ")
-    ),
-    "the camera file is contradicted: {it}": Rule("session", "session", _ANY, lambda e, least: e.contradictions),
-    "the camera file cannot be tested: many frames, which fit none that is plausible; their masks are wrong alike, the "
-    "readings are, or the base moved": Rule(
-        "session", "session", _TELL_THE_CAMERA, lambda e, least: e.implausible >= least
-    ),
-    "offset of insertion: {it}": Rule(
-        "session", "session", _LARGEST_INSERTION, lambda e, most: e.insertion > most and e.unusual
-    ),
-    "offset of {it[0][0]}: {it[0][1]:+z.1f} deg (std {it[0][2]:.1f}), where {it[1]:.1f} deg are the most that cables "
-    "do; likely causes: {it[0][3]}": Rule(
-        "session",
-        "session",
-        _BEYOND_CABLES_DEG,
-        lambda e, limits: [
-            ((name, deg, std, causes), most)
-            for name, deg, std, causes in e.offsets
-            for start, most in limits.items()
-            if name.startswith(start) and abs(deg) > most + std
-        ],
-    ),
-    "lag between images and readings: {e.without_lag}": Rule(
-        "session", "session", _ANY, lambda e, least: e.without_lag
-    ),
-}
-"""The reasons, of the evidence ``e``, the limit and an item ``it`` of what the question found, each with its rule."""
+    probability = tip_probability(error.of_tips_mm, trust.tip_mm, of_mode=of_mode)
+    if probability >= trust.least_probability:
+        return None
+    if of_mode < _CERTAIN_MODE:
+        return f"mode in doubt: the pose is in the right mode with a probability of {of_mode:.2f}; {rival}"
+    if tip_probability(error.of_tips_mm, trust.tip_mm) >= trust.least_probability:
+        return f"tips in doubt: they are within {trust.tip_mm:g} mm with a probability of {probability:.2f}"
+    return None
 
 
-def doubts(of: str, kind: Kind, evidence: object = None, **known: object) -> list[str]:
-    """Return the reasons, in words, for which a result is not ok.
+def readings_against_outline(gap: float, trust: TrustConfig) -> str | None:
+    """Judge by how much the outline's sum of squares is less in another mode."""
+    if gap > trust.largest_outline_gap:
+        return "readings against outline: a pose farther from the readings explains the mask clearly better"
+    return None
 
-    Parameters
-    ----------
-    of
-        What is judged, as the rules name it.
-    kind
-        The kind of the result.
-    evidence, known
-        What the rules ask, as attributes or by name.
+
+def far_from_readings(names: Sequence[str], sigmas: Sequence[float], trust: TrustConfig) -> list[str]:
+    """Judge the distances of the joints from their readings, standard deviations; NaN where a joint is not read."""
+    far = [(name, off) for name, off in zip(names, sigmas, strict=True) if off > trust.largest_reading_sigmas]
+    if not far and sum(off**2 for off in sigmas if off == off) > trust.largest_reading_sum:
+        return ["far from the readings: all joints together are farther off than readings are"]
+    return [f"far from the readings: {name} is {off:.1f} times the expected error away" for name, off in far]
+
+
+def shaft_not_found(found: bool) -> str | None:
+    """Judge whether the edges of the shaft were found in the mask of any view."""
+    return None if found else "shaft not found: no two edges in the mask could bound it"
+
+
+def points_off(error_px: float, most_px: float) -> str | None:
+    """Judge the distance, px rms, of detected points from where a pose by them alone puts them."""
+    return f"points: {error_px:.1f} px rms from where the pose puts them" if error_px > most_px else None
+
+
+def mask_is_a_guess(confidence: float, least: float) -> str | None:
+    """Judge the confidence of a mask that was found in an image."""
+    return f"mask is a guess: confidence {confidence:.2f}, expected at least {least}" if confidence < least else None
+
+
+def mask_or_pose(cause: str) -> str | None:
+    """Say which of mask and pose seems to be wrong; an empty text if that is not known."""
+    return f"mask or pose: {cause}" if cause else None
+
+
+def base_apart(angle_deg: float, most_deg: float) -> str | None:
+    """Judge the rotation of the base that a frame implies from that of the other frames of its folder."""
+    if angle_deg > most_deg:
+        return (
+            f"{BASE_APART}: rotated by {angle_deg:.0f} deg, expected at most {most_deg:.0f} deg; another mode, or "
+            "wrong readings"
+        )
+    return None
+
+
+# what a session's calibration expects of a frame
+
+
+def mask_not_explained(quality: Quality, least_iou: float, most_px: float) -> str | None:
+    """Judge overlap and contour by the medians of the session's frames."""
+    if quality.iou < least_iou or quality.contour_px_95 > most_px:
+        return (
+            f"mask not explained: IoU {quality.iou:.3f}, {quality.contour_px_95:.1f} px at 95 % of the contour, "
+            f"expected at least {least_iou:.3f} and at most {most_px:.1f} px"
+        )
+    return None
+
+
+def pose_not_expected(limits: FrameLimits, misfit: float, most: float) -> str | None:
+    """Judge the squared distance of a pose from what calibration and readings expect, per parameter."""
+    if not misfit <= most:
+        return (
+            f"disagrees with the {limits.what} is {misfit**0.5:.1f} times the expected error from what the "
+            "calibration and the readings expect"
+        )
+    return None
+
+
+def frame_disagrees(misfit: float, most: float, explained: tuple[float, float] | None) -> str | None:
+    """Judge whether a frame agrees with the others of its session.
+
+    ``misfit`` is its squared distance from what the session expects, per parameter. ``explained`` are the overlaps of
+    its mask with what the session expects and with its own pose, if the former does not explain the mask.
     """
-    asked = SimpleNamespace(**known) if evidence is None else evidence
-    reasons: list[str] = []
-    for text, rule in RULES.items():
-        if rule.of == of and kind in rule.holds.split():
-            names = rule.limit.split() if isinstance(rule.limit, str) else []
-            limits = [attrgetter(name)(asked) for name in names] or [rule.limit]
-            found = rule.asked(asked, *limits)
-            items = found if isinstance(found, list) else [found] if found else []
-            reasons += [text.format(e=asked, limit=limits, it=item) for item in items]
-    return reasons
+    if not misfit < most:
+        return f"{DISAGREES}: {misfit**0.5:.1f} times the expected error from what it expects"
+    if explained is not None:
+        iou, own = explained
+        return f"{DISAGREES}: what it expects does not explain the mask (IoU {iou:.2f}, by itself {own:.2f})"
+    return None
+
+
+def reading_slipped(joint: str, error_deg: float, sigmas: float) -> str | None:
+    """Judge the error of a joint's reading in one frame of a session, degrees and standard deviations."""
+    if sigmas > _SLIP:
+        return f"reading of {joint}: {error_deg:.0f} deg off in this frame, beyond the session's offset"
+    return None
+
+
+# an image that is followed
+
+
+def pose_lost(source: str, iou: float | None) -> str | None:
+    """Judge the overlap of a pose with the mask; None if the mask or image, ``source``, gave no pose."""
+    if iou is None:
+        return f"lost: the {source} shows nothing of the instrument"
+    return f"lost: the mask does not support the pose (IoU {iou:.2f})" if iou < LEAST_OVERLAP else None
+
+
+def outline_without_edge(share: float) -> str | None:
+    """Judge the share of the outline near which the image has an edge."""
+    if share < _CONVINCING:
+        return f"outline without edge: {100 * (1 - share):.0f} % of it has no edge of the image near it"
+    return None
+
+
+def colours_without_outline(share: float) -> str | None:
+    """Judge the share of the outline outside which the instrument's colours go on."""
+    if share > _MOST_OUTSIDE:
+        return f"colours without outline: the instrument's go on beside {100 * share:.0f} % of it"
+    return None
+
+
+def silhouette_without_colours(share: float) -> str | None:
+    """Judge the share of the silhouette that has not the instrument's colours."""
+    return (
+        f"{100 * share:.0f} % of the silhouette are without the instrument's colours" if share > UNSUPPORTED else None
+    )
+
+
+def joints_far_from_recording(joint: str, off_deg: float, mean_square: float) -> str | None:
+    """Judge the joints' mean square distance, standard deviations, from what is expected; ``joint`` is the farthest."""
+    if mean_square > _FAR_JOINTS:
+        return (
+            f"joints far from the recording: {joint} is {off_deg:+.0f} deg from what readings and calibration expect; "
+            "something may hide the end of the instrument"
+        )
+    return None
+
+
+def readings_missing(has_outer: bool, still: bool, source: str) -> str | None:
+    """Judge whether readings of the outer joints say where the instrument is; ``still`` if they do not change."""
+    if not has_outer:
+        return "no readings: none of the outer joints at the time of the image less the lag"
+    return f"readings stand still: where the instrument is, only the {source} tells" if still else None
+
+
+def readings_too_sparse(sparse: Sparseness) -> str | None:
+    """Judge how far readings between two rows may be off."""
+    return f"readings too sparse: {sparse.between}" if sparse.off > MOST_OFF else None
+
+
+def readings_frozen(since: str) -> str | None:
+    """Say since which frame the readings are the same although the mask moves; an empty text if they are not."""
+    return f"readings frozen since frame {since}: the mask moves, and they do not" if since else None
+
+
+def calibration_contradicted(images: int) -> str | None:
+    """Judge the number of images in a row that disagree with the calibration."""
+    if images >= MOST_DISAGREEING:
+        return (
+            f"calibration contradicted: {images} images in a row disagree with it; the base or the camera may have "
+            "moved"
+        )
+    return None
+
+
+def calibration_unconfirmed(agreeing: int) -> str | None:
+    """Judge the number of images that agree with a calibration of an earlier run."""
+    if agreeing < CONFIRMING:
+        return f"checking an earlier calibration: {agreeing} of {CONFIRMING} images agree"
+    return None
+
+
+def too_few_keyframes(tip_mm: float, keyframes: int) -> str | None:
+    """Judge the number of keyframes of a calibration by which the tips are known to ``tip_mm``."""
+    if keyframes < RELIED_ON:
+        return f"too few keyframes to rely on: {base_known(tip_mm, keyframes)}"
+    return None
+
+
+def base_uncertain(tip_mm: float, keyframes: int, std_mm: float | None, most_mm: float) -> str | None:
+    """Say how well the base is known, if that leaves the tips uncertain; ``std_mm`` is theirs, None without a pose."""
+    return base_known(tip_mm, keyframes) if std_mm is not None and std_mm > most_mm else None
+
+
+def base_known(tip_mm: float, keyframes: int) -> str:
+    """Say to how many mm at the tips the base is known, by how many keyframes."""
+    return f"base known to {tip_mm:.2g} mm, {keyframes} keyframes"
+
+
+def base_not_known(keyframes: int, known: str) -> str:
+    """Say that the base is not known, by how many keyframes, and what is known beside it."""
+    return f"base not known yet: {keyframes} keyframes{known}"
+
+
+NO_OUTER_READINGS: Final = "no readings of the outer joints so far"
+"""The reason of an image while no calibration can be used."""
+NOT_FOUND: Final = "not found: the first image could not be solved"
+"""The reason of an image by which no search is running, and none found the instrument."""
+
+
+def search_running(stage: str, time: float) -> str:
+    """Say that the image of a time, s, is searched; ``stage`` says what is done."""
+    return f"{stage}: the image of {time:.3f} s"
+
+
+def search_followed(waiting: int) -> str:
+    """Say that images between the one that was searched and this one are still followed."""
+    return f"searching: {waiting} images are followed to this one"
+
+
+def image_black(brightest: int, black_level: int) -> str | None:
+    """Judge the brightest pixel of an image."""
+    return "black image: nothing can be seen" if brightest < black_level else None
+
+
+def mask_says_nothing(given: bool, shown: bool, surrounded: bool) -> str | None:
+    """Judge whether there is a mask, and whether it has pixels of the instrument and others."""
+    if not given:
+        return "no mask: the pose is predicted"
+    if not shown:
+        return "empty mask: the instrument is not in view"
+    return None if surrounded else "full mask: no edge can be seen"
+
+
+def image_frozen(source: str, same: bool) -> str | None:
+    """Judge whether the mask or image, ``source``, is that of the time before although the arm moved."""
+    return f"frozen image: the {source} is that of the image before, but the arm moved" if same else None
+
+
+def image_old(age: float, oldest: float) -> str | None:
+    """Judge the age of an image when its pose is published, s."""
+    return f"the image is {age:.1f} s old" if age > oldest else None

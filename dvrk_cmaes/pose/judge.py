@@ -15,7 +15,26 @@ from dvrk_cmaes.evidence.straight_cut import shaft_width
 from dvrk_cmaes.geometry import Bool, Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.doubts import LIMITS, Kind, doubts
+from dvrk_cmaes.pose.doubts import (
+    LIMITS,
+    NO_READINGS,
+    Kind,
+    far_from_readings,
+    joints_far_from_recording,
+    mask_cut_straight,
+    mask_not_explained,
+    mode_in_doubt,
+    overlap_too_low,
+    pose_not_expected,
+    readings_against_outline,
+    reasons,
+    shaft_not_found,
+    tip_out_of_view,
+    tips_not_accurate,
+    view_mirrored,
+    view_turned,
+    wrist_or_jaws_off,
+)
 from dvrk_cmaes.pose.mode_probability import mode_weights
 from dvrk_cmaes.pose.refine.gauss_newton import Fit
 from dvrk_cmaes.pose.search.modes import is_twin
@@ -51,30 +70,24 @@ def judge(
     the first mode. Also returns the probability that the tips are within the limit.
     """
     at, main, instrument = modes[0].at, views[0].name, views[0].renderer.body.instrument
-    reasons, remarks = doubts_in_views(at, views, [check.quality for check in checks], error, trust)
+    of_views, remarks = doubts_in_views(at, views, [check.quality for check in checks], error, trust)
     further = list(zip(checks[1:], views[1:], strict=True))
-    exchanged = doubts("eyes", "alone", main=main, mirrored=[(c.name, _mirrored_overlap(at, c, v)) for c, v in further])
-    turned = [(check.name, float(np.linalg.norm(check.rotation_deg)), check.significance) for check, _ in further]
-    probability = tip_probability(error.of_tips_mm, trust.tip_mm, of_mode=of_mode)
+    mirrored = reasons(*(view_mirrored(one.name, main, _mirrored_overlap(at, one, view)) for one, view in further))
+    turned = ((one.name, main, float(np.linalg.norm(one.rotation_deg)), one.significance) for one, _ in further)
     off = (np.abs(at.joints - readings.values) / readings.sigma).tolist()
-    has_shaft = instrument.shaft is None or any(view.evidence.shaft_edges for view in views)
-    of_modes = doubts(
-        "frame",
-        "alone",
-        trust=trust,
-        main=main,
-        turned=[] if exchanged else turned,
-        of_mode=of_mode,
-        probability=probability,
-        if_right=tip_probability(error.of_tips_mm, trust.tip_mm),
-        rival=_rival(modes, of_mode, instrument),
-        outline_gap=modes[0].outline_score - min(mode.outline_score for mode in modes),
-        joints_read=int((~np.isnan(readings.values)).sum()),
-        off=list(zip(instrument.joint_names, off, strict=True)),
-        together=float(np.nansum(np.square(off))),
-        has_shaft=has_shaft,
-    )
-    return [*exchanged, *reasons, *of_modes], remarks, probability
+    found = [
+        *mirrored,
+        *of_views,
+        *(() if mirrored else reasons(*(view_turned(*one, trust) for one in turned))),
+        *reasons(
+            mode_in_doubt(error, of_mode, _rival(modes, of_mode, instrument), trust),
+            readings_against_outline(modes[0].outline_score - min(mode.outline_score for mode in modes), trust),
+            NO_READINGS if np.isnan(readings.values).all() else None,
+        ),
+        *far_from_readings(instrument.joint_names, off, trust),
+        *reasons(shaft_not_found(instrument.shaft is None or any(view.evidence.shaft_edges for view in views))),
+    ]
+    return found, remarks, tip_probability(error.of_tips_mm, trust.tip_mm, of_mode=of_mode)
 
 
 def _rival(modes: Sequence[Fit], of_mode: float, instrument: Instrument) -> str:
@@ -107,16 +120,16 @@ def doubts_in_views(
         )
         for view, quality in zip(views, qualities, strict=True)
     ]
-    kinds = [{_kind(reason) for reason in reasons} for reasons in of_views]
+    kinds = [{_kind(reason) for reason in own} for own in of_views]
     everywhere = set.intersection(*kinds)
-    reasons = [reason for reason in of_views[0] if _kind(reason) in everywhere]
+    found = [reason for reason in of_views[0] if _kind(reason) in everywhere]
     remarks = [
         f"view {view.name}: {reason}"
         for view, own in zip(views, of_views, strict=True)
         for reason in own
         if _kind(reason) not in everywhere
     ]
-    return reasons, remarks
+    return found, remarks
 
 
 def doubts_in_view(
@@ -131,23 +144,17 @@ def doubts_in_view(
     """List the reasons, in words, of a pose in the camera of a view; without ``quality``, nothing asks for its mask."""
     limits, tips = LIMITS[kind], apply(seen.pose, instrument.tips(seen.joints))
     outside = outside_image(tips, camera) if instrument.jaw_tips else np.zeros(1, dtype=np.bool_)
-    is_out = outside.any() if limits.outside == "a jaw tip lies" else outside.all()
-    width = None if quality is None else shaft_width(instrument, camera, seen.pose)
-    bend_px = trust.largest_bend_px * camera.pixel_scale
-    largest_bend = max(bend_px, np.inf if width is None else trust.largest_bend_share * width)
-    return doubts(
-        "view",
-        kind,
-        quality=quality,
-        error=error,
-        trust=trust,
-        limits=limits,
-        probability=tip_probability(error.of_tips_mm, trust.tip_mm),
-        is_outside=is_out,
-        least_iou=1 - limits.factor * (1 - trust.least_iou),
-        largest_bend_px=limits.factor * largest_bend,
-        largest_distal_px=limits.factor * trust.largest_distal_px * camera.pixel_scale,
-    )
+    of_mask: list[str] = []
+    if quality is not None:
+        width = shaft_width(instrument, camera, seen.pose)
+        bend_px = trust.largest_bend_px * camera.pixel_scale
+        bend_px = np.inf if width is None else max(bend_px, trust.largest_bend_share * width)
+        of_mask = reasons(
+            overlap_too_low(quality, 1 - limits.factor * (1 - trust.least_iou)),
+            wrist_or_jaws_off(quality, limits.factor * trust.largest_distal_px * camera.pixel_scale),
+            mask_cut_straight(quality, limits.factor * bend_px),
+        )
+    return of_mask + reasons(tip_out_of_view(limits, outside.tolist()), tips_not_accurate(error, trust))
 
 
 def doubts_of_agreement(
@@ -164,17 +171,11 @@ def doubts_of_agreement(
     pose, ``usual`` the session's medians of ``iou`` and ``contour_px_95``, and ``pixel_scale`` that of the camera.
     """
     limits, (iou, px) = LIMITS[kind], usual
-    return doubts(
-        "agreement",
-        kind,
-        misfit=misfit,
-        distance=misfit**0.5,
-        config=config,
-        limits=limits,
-        quality=quality,
-        least_iou=iou - limits.overlap_loss,
-        largest_px=max(limits.largest_px * pixel_scale, limits.contour_factor * px),
-    )
+    of_mask = None
+    if quality is not None:
+        most_px = max(limits.largest_px * pixel_scale, limits.contour_factor * px)
+        of_mask = mask_not_explained(quality, iou - limits.overlap_loss, most_px)
+    return reasons(of_mask, pose_not_expected(limits, misfit, config.largest_misfit))
 
 
 def _kind(reason: str) -> str:
@@ -200,7 +201,7 @@ def far_joints(found: Posed, expected: Posed, spread: Float64, names: Sequence[s
     deviations = off / np.sqrt(np.diag(spread)[-len(off) :])
     worst = int(np.abs(deviations).argmax())
     mean_square = float(np.mean(deviations**2))
-    return doubts("joints", "followed", mean_square=mean_square, name=names[worst], deg=np.degrees(off[worst]))
+    return reasons(joints_far_from_recording(names[worst], float(np.degrees(off[worst])), mean_square))
 
 
 def outside_image(points: Float64, camera: Camera) -> Bool:

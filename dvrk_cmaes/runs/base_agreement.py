@@ -16,7 +16,7 @@ import numpy as np
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.model import ecm_readings
 from dvrk_cmaes.evaluate.consistency import spread_of_bases
-from dvrk_cmaes.pose.doubts import BASE_APART, doubts
+from dvrk_cmaes.pose.doubts import BASE_APART, base_apart
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.output import update_result
 
@@ -74,6 +74,6 @@ def base_doubts(results: Mapping[str, Result], limit_deg: float) -> dict[str, st
         reasons |= {
             name: text
             for name, angle in zip(there, angles, strict=True)
-            for text in doubts("folder", "alone", angle=angle, most=limit)
+            if (text := base_apart(float(angle), limit)) is not None
         }
     return {name: reasons[name] for name in bases if name in reasons}

@@ -21,7 +21,7 @@ from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.sparse import Sparseness
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import readings_frozen, readings_missing, readings_too_sparse, reasons
 from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
@@ -173,18 +173,20 @@ def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[Trac
     results = []
     for i, (fitted, image) in enumerate(zip(fits, images, strict=True)):
         quality = None if fitted is None else next(judged)
-        status, reasons = status_of(quality, image.told.misfit, session, config, camera.pixel_scale, source)
-        reasons += () if fitted is None else fitted.doubts
+        status, doubts = status_of(quality, image.told.misfit, session, config, camera.pixel_scale, source)
+        doubts += () if fitted is None else fitted.doubts
         if solution.colours is not None:
-            reasons += far_joints(found[i][0], image.at, predicted.spread[i], joint_names)
-        reasons += doubts("readings", "followed", told=predicted.told[i], still=False, source=source)
-        reasons += doubts("spacing", "followed", sparse[i])
-        reasons += doubts("mask and readings", "followed", frozen=frozen[i])
+            doubts += far_joints(found[i][0], image.at, predicted.spread[i], joint_names)
+        doubts += reasons(
+            readings_missing(bool(predicted.told[i]), still=False, source=source),
+            readings_too_sparse(sparse[i]),
+            readings_frozen(frozen[i]),
+        )
         results.append(
             result_of(
                 image.time,
                 status,
-                reasons,
+                doubts,
                 found[i],
                 None if quality is None else quality.error,
                 predicted,

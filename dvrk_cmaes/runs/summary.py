@@ -11,7 +11,7 @@ import numpy as np
 from dvrk_cmaes.calibration.session_rig import rotations_of_views
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.joints.commanded import commanded_in
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import reasons, rig_turned
 from dvrk_cmaes.results.result import Result, Status
 
 SCHEMA: Final = 1
@@ -132,9 +132,9 @@ def rig_doubts(results: Iterable[Result], trust: TrustConfig | None = None) -> l
     The limits are those of a frame, ``largest_view_deg`` and ``largest_view_sigmas`` of ``trust``.
     """
     limits = TrustConfig() if trust is None else trust
-    reasons: list[str] = []
+    found: list[str] = []
     for name, count, rotation, covariance in rotations_of_views(results):
         angle = float(np.linalg.norm(rotation))
         sigmas = float(np.sqrt(rotation @ np.linalg.solve(covariance, rotation)))
-        reasons += doubts("rig", "alone", trust=limits, count=count, name=name, angle=angle, sigmas=sigmas)
-    return reasons
+        found += reasons(rig_turned(name, count, angle, sigmas, limits))
+    return found

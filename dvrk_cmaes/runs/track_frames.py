@@ -22,7 +22,7 @@ from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import NO_READINGS
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
 from dvrk_cmaes.segment.segmentation import Hints
@@ -110,7 +110,7 @@ class TrackRun:
     def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
         """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
         if not self.clock.readings and self.body.instrument.has_twin and result.status == "doubtful":
-            result = replace(result, reasons=(*doubts("frame", "followed", joints_read=0), *result.reasons))
+            result = replace(result, reasons=(NO_READINGS, *result.reasons))
         return result.to_dict(files.name, timed=self.clock.unit == "s")
 
 

@@ -19,7 +19,7 @@ from dvrk_cmaes.calibration.frame_fit import LocalFit
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN, median
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Indices, Posed
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.pose.doubts import SUPPORTED, doubts
+from dvrk_cmaes.pose.doubts import SUPPORTED, colours_without_outline, outline_without_edge, reasons
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
@@ -335,8 +335,7 @@ class EdgeFit(LocalFit):
     @property
     def doubts(self) -> list[str]:
         """The reasons, in words, for which the pose does not fit its images well."""
-        known = {"bare_percent": 100 * (1 - self.supported), "beside_percent": 100 * self.beside}
-        return doubts("edges", "edges", supported=self.supported, beside=self.beside, **known)
+        return reasons(outline_without_edge(self.supported), colours_without_outline(self.beside))
 
 
 def fit_edges(

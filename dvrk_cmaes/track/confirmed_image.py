@@ -11,7 +11,7 @@ from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, endoscope_at
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import tips_not_accurate
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.parts import posed
@@ -55,11 +55,11 @@ def confirmed_by(
     covariance = result.covariance + covariance_of_masks(calibration.masks, changes_by_masks(at, camera, instrument))
     error = expected_error(instrument, at, covariance)
     probability = tip_probability(error.of_tips_mm, trust.tip_mm)
-    reasons = doubts("view", "confirmed", error=error, trust=trust, probability=probability)
+    reason = tips_not_accurate(error, trust)
     return replace(
         result,
-        status="doubtful" if reasons else "ok",
-        reasons=tuple(reasons),
+        status="ok" if reason is None else "doubtful",
+        reasons=() if reason is None else (reason,),
         covariance=covariance,
         tip_std_mm=mean_of_tips_mm(instrument, error),
         tip_probability=probability,

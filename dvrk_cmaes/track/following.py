@@ -17,7 +17,15 @@ from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_at
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.pose.doubts import FOLLOWED, MOST_ASTRAY, doubts
+from dvrk_cmaes.pose.doubts import (
+    FOLLOWED,
+    MOST_DISAGREEING,
+    NO_OUTER_READINGS,
+    calibration_contradicted,
+    pose_lost,
+    readings_missing,
+    reasons,
+)
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.judge import doubts_in_view, doubts_of_agreement
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -68,7 +76,7 @@ class LastImage:
 
     ``masks`` are its masks by name of the view, given or found in it. ``score`` is the negative log-likelihood of its
     fit, ``misfit`` the squared misfit per parameter, and ``explained`` whether its pose explains the masks.
-    ``deviation`` (D,) is that of the fit from what was expected, None where it does not hold. ``astray`` and
+    ``deviation`` (D,) is that of the fit from what was expected, None where it does not hold. ``disagreeing`` and
     ``unexplained`` are the numbers of images in a row up to it that disagree with the calibration, and that are not
     explained.
     """
@@ -78,7 +86,7 @@ class LastImage:
     misfit: float = 0.0
     explained: bool = False
     deviation: Float64 | None = None
-    astray: int = 0
+    disagreeing: int = 0
     unexplained: int = 0
 
 
@@ -125,7 +133,7 @@ class Following:
     @property
     def contradicted(self) -> bool:
         """Whether so many images in a row disagree with the calibration that it does not hold any more."""
-        return self.last.astray >= MOST_ASTRAY
+        return self.last.disagreeing >= MOST_DISAGREEING
 
     @property
     def explains_little(self) -> bool:
@@ -135,7 +143,7 @@ class Following:
     @property
     def disagrees(self) -> bool:
         """Whether the last images disagree with the calibration."""
-        return self.last.astray >= _DISAGREES
+        return self.last.disagreeing >= _DISAGREES
 
     @property
     def begun(self) -> bool:
@@ -184,7 +192,7 @@ class Following:
             self._read = reading.outer, self._read[1]
         outer, _ = self._read
         if outer is None:
-            return without_pose(time, *doubts("base", "live", bases=1))
+            return without_pose(time, NO_OUTER_READINGS)
         predicted = self._predicted(reading, outer, time)
         at, spread = predicted.at[0], predicted.spread[0]
         if not seen.any_same or self._still is None:
@@ -198,28 +206,28 @@ class Following:
         (found,) = solve_window(list(self._images), self.calibration, camera, only_last=True)
         of_image = fit.judge(found)
         last, explained = self.last, False
-        astray, unexplained = last.astray, last.unexplained
+        disagreeing, unexplained = last.disagreeing, last.unexplained
         if of_image.error is not None:
             disagrees = of_image.status == "lost" or fit.told.misfit > given.config.session.largest_misfit
             in_view = not masks or shows_well(masks)
             told_by_readings = reading.has_outer and not reading.still
-            astray = astray + in_view if disagrees and told_by_readings else 0
+            disagreeing = disagreeing + in_view if disagrees and told_by_readings else 0
             explained = of_image.explained and not disagrees
             unexplained = 0 if explained else unexplained + in_view
             if explained and time - self._learned >= _LEARNED_EVERY:
                 self._learned = time
                 given.segmenter.learn(seen, self._views, found[0])
-        self.last = LastImage(masks, fit.score, fit.told.misfit, explained, fit.deviation, astray, unexplained)
+        self.last = LastImage(masks, fit.score, fit.told.misfit, explained, fit.deviation, disagreeing, unexplained)
         still = reading.still and of_image.error is not None
-        reasons = [
-            *doubts("last image", "live", self.last),
+        doubts = [
+            *reasons(calibration_contradicted(disagreeing)),
             *of_image.reasons,
-            *doubts("readings", "followed", told=reading.has_outer, still=still, source=seen.source),
+            *reasons(readings_missing(reading.has_outer, still, seen.source)),
         ]
         return result_of(
             time,
             of_image.status,
-            reasons,
+            doubts,
             found,
             of_image.error,
             predicted,
@@ -254,9 +262,9 @@ class Following:
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:
             quality = judged(views, *found, given.body, given.config)
-            status, reasons = status_of(quality, told.misfit, self.calibration, given.config, pixel_scale)
+            status, doubts = status_of(quality, told.misfit, self.calibration, given.config, pixel_scale)
             explained = quality.quality.iou >= self.calibration.iou - FOLLOWED.overlap_loss
-            return _Judged(status, reasons, quality.error, quality.residual_px, explained)
+            return _Judged(status, doubts, quality.error, quality.residual_px, explained)
 
         return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.explains_mask else None, judge)
 
@@ -276,11 +284,11 @@ class Following:
 
         def judge(found: tuple[Posed, Float64]) -> _Judged:
             error = expected_error(instrument, *found)
-            if lost := doubts("support", "edges", fit):
-                return _Judged("lost", lost, error, fit.sigma)
-            reasons = fit.doubts + doubts_in_view("edges", found[0], instrument, camera, error, given.config.trust)
-            reasons += doubts_of_agreement("edges", told.misfit, given.config.session)
-            return _Judged("doubtful" if reasons else "ok", reasons, error, fit.sigma, explained=not fit.doubts)
+            if not fit.holds:
+                return _Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma)
+            doubts = fit.doubts + doubts_in_view("edges", found[0], instrument, camera, error, given.config.trust)
+            doubts += doubts_of_agreement("edges", told.misfit, given.config.session)
+            return _Judged("doubtful" if doubts else "ok", doubts, error, fit.sigma, explained=not fit.doubts)
 
         return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.holds else None, judge)
 
@@ -288,8 +296,8 @@ class Following:
 def _nothing(at: Posed, spread: Float64, seen: Seen) -> _FitOfImage:
     """Return what an image tells that shows nothing."""
     lost = seen.problem is None or (seen.masks[seen.main] is not None and not seen.any_same)
-    empty = doubts("support", "followed", source=seen.source, iou=None)
-    nothing = _Judged("lost" if lost else "doubtful", empty if seen.problem is None else [seen.problem], None)
+    doubts = reasons(pose_lost(seen.source, None)) if seen.problem is None else [seen.problem]
+    nothing = _Judged("lost" if lost else "doubtful", doubts, None)
     return _FitOfImage(FitEvidence.of(None, at, spread, holds=False), np.inf, None, lambda found: nothing)
 
 

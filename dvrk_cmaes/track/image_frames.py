@@ -20,7 +20,7 @@ from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.packed_mask import PackedMask, overlap_of
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool, Float64, Posed
-from dvrk_cmaes.pose.doubts import UNSUPPORTED, doubts
+from dvrk_cmaes.pose.doubts import UNSUPPORTED, reasons, silhouette_without_colours
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.silhouette import Body
@@ -138,7 +138,7 @@ def _fit_by_images(
     return replace(
         fitted,
         seconds=seconds,
-        doubts=tuple(doubts("colours", "followed", share=unsupported, percent=100 * unsupported)),
+        doubts=tuple(reasons(silhouette_without_colours(unsupported))),
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import image_black, mask_says_nothing
 
 Mask = Bool
 
@@ -43,14 +43,13 @@ class ImageCheck:
     ) -> str | None:
         """Return why an image says nothing about the pose; None if it may. ``by_image``: its colours are used."""
         brightest = self._black_level if image is None else int(image.max())
-        problems = doubts("image", "live", brightest=brightest, black_level=self._black_level)
-        if not by_image:
-            # without a mask, nothing is asked of its pixels
-            known = np.array([[True, False]]) if mask is None else mask
-            left_out = np.zeros_like(known) if mask is None or ignore is None else ignore
-            shown, beside = (known & ~left_out).any(), (~known & ~left_out).any()
-            problems += doubts("mask", "live", masks=int(mask is not None), shown=shown, beside=beside)
-        return next(iter(problems), None)
+        black = image_black(brightest, self._black_level)
+        if black is not None or by_image:
+            return black
+        if mask is None:
+            return mask_says_nothing(given=False, shown=False, surrounded=False)
+        counts = np.ones_like(mask) if ignore is None else ~ignore
+        return mask_says_nothing(given=True, shown=bool((mask & counts).any()), surrounded=bool((~mask & counts).any()))
 
     def is_same(self, array: Mask | NDArray[np.uint8] | None) -> bool:
         """Whether a mask or an image is that of the call before; of an image, every fourth row is compared."""

@@ -12,7 +12,18 @@ from dvrk_cmaes.calibration.prediction import FoundLag, calibration_covariance, 
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.pose.doubts import CONFIRMING, RELIED_ON, TIPS_NOT_ACCURATE, doubts
+from dvrk_cmaes.pose.doubts import (
+    CONFIRMING,
+    NO_OUTER_READINGS,
+    RELIED_ON,
+    TIPS_NOT_ACCURATE,
+    base_not_known,
+    base_uncertain,
+    calibration_unconfirmed,
+    readings_too_sparse,
+    reasons,
+    too_few_keyframes,
+)
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult, doubted
@@ -80,7 +91,7 @@ class CalibratedFollower:
         if self.calibration is None:
             return f"calibrating: {count}, {known}"
         if self._agreeing is not None:
-            return doubts("earlier calibration", "live", agreeing=self._agreeing)[0]
+            return "".join(reasons(calibration_unconfirmed(self._agreeing)))
         if not self._own:
             return f"calibration given: {count}"
         return f"{'calibrated' if self._solved.keyframes >= SOLVED_AT[-1] else 'calibrating'}: {count}, {known}"
@@ -207,11 +218,11 @@ class CalibratedFollower:
         kept = self.offer(time, readings.at(time), seen, following)
         if result.status == "ok" and self._agreeing is not None:
             self._agreeing += kept and following.last.misfit < INLIER_MISFIT
-            result = doubted(result, doubts("earlier calibration", "live", agreeing=self._agreeing))
+            result = doubted(result, reasons(calibration_unconfirmed(self._agreeing)))
             if self._agreeing >= CONFIRMING:
                 self._agreeing = None
         if result.status == "ok" and self._own:
-            result = doubted(result, doubts("own calibration", "live", self._solved))
+            result = doubted(result, reasons(too_few_keyframes(self._solved.tip_mm, self._solved.keyframes)))
         if result.status == "doubtful" and self._own:
             result = doubted(result, self._how_far(result.tip_std_mm, self._given.config.trust.tip_mm))
         return result
@@ -228,8 +239,7 @@ class CalibratedFollower:
 
     def _how_far(self, std_mm: float | None, most: float) -> list[str]:
         """Say how far the base is known by the last solution, if tips are known to ``std_mm``, and not to ``most``."""
-        known = self._solved.tip_mm, self._solved.keyframes
-        return doubts("base of tips", "live", tip_mm=known[0], keyframes=known[1], std_mm=std_mm, most=most)
+        return reasons(base_uncertain(self._solved.tip_mm, self._solved.keyframes, std_mm, most))
 
     def _give_up(self) -> None:
         """Follow by the calibration no longer: images contradict it.
@@ -253,7 +263,7 @@ class CalibratedFollower:
         readings are too sparse for the motion, they do not tell what the image shows.
         """
         names = (*OUTER_JOINTS, *self._given.instrument.joint_names)
-        if reading.still or (reading.sparse is not None and doubts("spacing", "followed", reading.sparse)):
+        if reading.still or (reading.sparse is not None and readings_too_sparse(reading.sparse) is not None):
             return False
         values = zip(names, [*reading.outer.tolist(), *reading.joints.tolist()], strict=True)
         readings = {name: value for name, value in values if not np.isnan(value)}
@@ -282,5 +292,5 @@ class CalibratedFollower:
         tips = "" if result.tip_std_mm is None else f", tips to {result.tip_std_mm:.1f} mm if this one is right"
         far = self._how_far(np.inf, 0.0) if np.isfinite(self._solved.tip_mm) else []
         why = "".join(f" ({text})" for text in ([self._solved.reason] if self._solved.reason else far))
-        known = {"bases": int(self.calibration is not None), "kept": len(self.store), "known": tips + why}
-        return doubted(result, doubts("base", "live", **known))
+        known = self.calibration is not None
+        return doubted(result, [NO_OUTER_READINGS if known else base_not_known(len(self.store), tips + why)])

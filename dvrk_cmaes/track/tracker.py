@@ -22,7 +22,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, check_arm
 from dvrk_cmaes.io.arguments import check_type, checked_number
 from dvrk_cmaes.pose.config_check import check_config
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import readings_too_sparse, reasons
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import TrackResult, doubted
 from dvrk_cmaes.segment.segmentation import Hints
@@ -304,7 +304,7 @@ class Tracker:
     def _with_sparse_readings(self, result: TrackResult) -> TrackResult:
         """Return a result as doubtful if readings near its image are too sparse for the motion, with that reason."""
         sparse = self._readings.at(result.time - (0.0 if self.lag is None else self.lag.seconds)).sparse
-        return result if sparse is None else doubted(result, doubts("spacing", "followed", sparse))
+        return result if sparse is None else doubted(result, reasons(readings_too_sparse(sparse)))
 
     def _check_time(self, time: float) -> None:
         checked_number("time", time, "a finite number of seconds")

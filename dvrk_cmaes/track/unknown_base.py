@@ -32,7 +32,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import NOT_FOUND, search_followed, search_running
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result, modes_of
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
@@ -200,9 +200,11 @@ class UnknownBase:
             if self._late:
                 result = self._follow(self._late.popleft(), calibration)
         if not self._modes:
-            return without_pose(time, *doubts("search", "live", search=self._search), searched=True)
+            search = self._search
+            found = NOT_FOUND if search is None else search_running(search.stage, search.images[0].time)
+            return without_pose(time, found, searched=True)
         if result is None or self._late:
-            return without_pose(time, *doubts("following", "live", waiting=len(self._late)), searched=True)
+            return without_pose(time, search_followed(len(self._late)), searched=True)
         return replace(result, searched=searched)
 
     def _begin_search(self, image: _Image, calibration: SessionCalibration | None, *, first: bool) -> None:

@@ -15,7 +15,7 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.geometry import Image, Posed
 from dvrk_cmaes.io.arguments import check_type, checked_mask
-from dvrk_cmaes.pose.doubts import UNSUPPORTED, doubts
+from dvrk_cmaes.pose.doubts import UNSUPPORTED, image_frozen
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.views import silhouette_of
 from dvrk_cmaes.segment import segment
@@ -93,9 +93,7 @@ class Seen:
     def without_frozen(self) -> Seen:
         """Return the same with a problem of each view whose image is that of the time before although the arm moved."""
         problems = [
-            "".join(doubts("same image", "live", source="image" if mask is None else "mask", same=same)) or None
-            if problem is None
-            else problem
+            image_frozen("image" if mask is None else "mask", same) if problem is None else problem
             for mask, problem, same in zip(self.masks, self.problems, self.same, strict=True)
         ]
         return replace(self, problems=tuple(problems))

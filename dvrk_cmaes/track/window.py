@@ -22,7 +22,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import pose_lost, reasons
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.judge import doubts_of_agreement
 from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS
@@ -127,13 +127,13 @@ def status_of(
 
     ``pixel_scale`` is that of the camera.
     """
-    lost = doubts("support", "followed", source=source, iou=None if judged is None else judged.quality.iou)
-    if judged is None or lost:
-        return "lost", lost
+    no_support = pose_lost(source, None if judged is None else judged.quality.iou)
+    if judged is None or no_support is not None:
+        return "lost", reasons(no_support)
     usual = calibration.iou, calibration.contour_px_95
     agreement = doubts_of_agreement("followed", misfit, config.session, judged.quality, usual, pixel_scale)
-    reasons = [*judged.reasons, *agreement]
-    return "doubtful" if reasons else "ok", reasons
+    found = [*judged.reasons, *agreement]
+    return "doubtful" if found else "ok", found
 
 
 def result_of(

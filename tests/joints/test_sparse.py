@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from dvrk_cmaes.joints.sparse import Sparseness
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import readings_too_sparse
 
 DEPTH = 0.15  # m
 
 
 def reason(stamps: np.ndarray, values: np.ndarray, time: float) -> str:
     """Why readings are too sparse at a time; empty if they are not."""
-    return "".join(doubts("spacing", "followed", Sparseness.of(stamps, values, time)))
+    return readings_too_sparse(Sparseness.of(stamps, values, time)) or ""
 
 
 def swinging(rate: float, amplitude_deg: float, hertz: float, until: float = 2.0) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from dvrk_cmaes.frames.markers import Marker, place_markers
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm, find_camera_from_base
-from dvrk_cmaes.pose.doubts import doubts
+from dvrk_cmaes.pose.doubts import points_off, reasons
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.results.result import Result
 
@@ -128,19 +128,19 @@ def _result(
 ) -> Result:
     """Make a result of a pose or of a message that says why there is none; its joints are the readings."""
     posed = isinstance(answer, PointPose)
-    reasons = [] if posed else [str(answer)]
+    found = [] if posed else [str(answer)]
     base = None
     tips: tuple[Float64, ...] = ()
     tips_px: tuple[Float64, ...] = ()
     if isinstance(answer, PointPose):
-        reasons = doubts("points", "alone", error_px=answer.error_px, largest_px=LARGEST_ERROR_PX * camera.pixel_scale)
+        found = reasons(points_off(answer.error_px, LARGEST_ERROR_PX * camera.pixel_scale))
         base = find_camera_from_base(answer.camera_from_root, files.readings, arm, roll_offset=instrument.roll_offset)
         joints = np.array([files.readings[name] for name in instrument.joint_names])
         tips, tips_px = locate_tips(instrument, camera, Posed(answer.camera_from_root, joints))
     return Result(
         frame=files.name,
-        status="failed" if not posed else "doubtful" if reasons else "ok",
-        reasons=tuple(reasons),
+        status="failed" if not posed else "doubtful" if found else "ok",
+        reasons=tuple(found),
         **instrument.stated,
         camera_from_root=answer.camera_from_root if isinstance(answer, PointPose) else None,
         joints={n: files.readings[n] for n in instrument.joint_names if n in files.readings},
