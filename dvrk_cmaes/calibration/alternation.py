@@ -29,7 +29,7 @@ from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, camera_undetermin
 from dvrk_cmaes.calibration.session_lag import UNREAD
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionState
-from dvrk_cmaes.calibration.solve import FrameFits, alternate, solution_at, solve, solve_with_modes
+from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_with_modes
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.errors import InputError
@@ -38,8 +38,6 @@ from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 
 _ROLLED_ITERATIONS = 2  # first iterations, in which frames also start from poses rotated about the shaft
-Start = tuple[SessionState, int, Sequence[float], Calibration, Posed | None]
-"""What a round starts from: the arguments of `_round`."""
 _NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
 
 
@@ -127,21 +125,17 @@ def solved(state: SessionState) -> SessionState:
     if problem.refine_camera:
         scales.append(1.0)  # with the camera that all rounds before have found
     state, begun = _begun_with_few(state, scales)
-
-    def changed(before: Start, found: tuple[SessionState, Posed]) -> Start:
-        (state, at), iteration = found, before[1]
-        calibration, moved, last = state.solution.calibration, None, iteration + 2 == len(scales)
-        changes = [with_camera] if problem.refine_camera and iteration + 1 < len(scales) else []
-        changes += [with_margins] if last and not problem.refine_camera else []
-        for change in changes:
-            state, calibration, there = change(state, calibration, at if moved is None else moved)
-            moved = moved if there is None else there
-        if last and problem.refine_camera and state.imaging.of_change is None:
+    calibration, moved = state.solution.calibration, None
+    for iteration in range(begun, len(scales)):
+        state, at = _round(state, iteration, scales, calibration, moved)
+        calibration, moved = state.solution.calibration, None
+        if iteration + 1 < len(scales) and problem.refine_camera:
+            state, calibration, moved = with_camera(state, calibration, at)
+        if iteration + 2 == len(scales) and problem.refine_camera and state.imaging.of_change is None:
             raise _camera_refused(state, IMPLAUSIBLE)
-        return state, iteration + 1, scales, calibration, moved
-
-    first: Start = state, begun, scales, state.solution.calibration, None
-    return _finished(alternate(first, lambda at: _round(*at), changed, len(scales) - begun)[0][0])
+        if iteration + 2 == len(scales) and not problem.refine_camera:
+            state, calibration, moved = with_margins(state, calibration, at)
+    return _finished(state)
 
 
 def _round(

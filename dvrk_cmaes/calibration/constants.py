@@ -20,7 +20,7 @@ from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Problem, Solved, Solver, alternate, marginalise
+from dvrk_cmaes.calibration.solve import FrameFits, Solved, Solver, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -313,25 +313,21 @@ def linearise(
             calibration, first, done = few.solution.calibration, few.first or few, few.passes
     padded = np.diag(np.concatenate([np.zeros(len(prior)), *(one.std**-2 for one in constants)]))
     padded[: len(prior), : len(prior)] += prior
-    asked, found = [one for one in constants if one.name in names], list[Linearised]()
-
-    def again(at: Problem, estimate: tuple[SessionModel, Solved]) -> Problem | None:
-        fits, (model, solution) = at[1], estimate
+    asked = [one for one in constants if one.name in names]
+    fits = outlines.near(at, calibration.constants)
+    while True:
+        model, solution = solver(model, fits, calibration, padded)
+        calibration, done = solution.calibration, done + 1
         covariance = solution.covariance_of(inverse_information(solution.information + weak(len(padded))))
-        there = fits.at.moved(marginalise(model, fits, solution.calibration).own)
-        plausible = all(one.is_plausible(solution.calibration.constants[one.name]) for one in asked)
-        before = first or next(iter(found), None)
-        count = done + len(found) + 1
-        found.append(last := Linearised(model, solution, fits, padded, covariance, there, count, plausible, before))
+        there = fits.at.moved(marginalise(model, fits, calibration).own)
+        plausible = all(one.is_plausible(calibration.constants[one.name]) for one in asked)
+        last = Linearised(model, solution, fits, padded, covariance, there, done, plausible, first)
         moved = {one: np.abs(last.value(one.name) - fits.constants[one.name]) for one in asked}
         settled = all((most < _SETTLED * last.std(one)).all() for one, most in moved.items())
-        if count >= passes or not plausible or settled:
-            return None
-        return model, outlines.near(there, solution.calibration.constants), solution.calibration
-
-    start = model, outlines.near(at, calibration.constants), calibration
-    alternate(start, lambda at: solver(*at, padded), again, passes)
-    return found[-1]
+        if done >= passes or not plausible or settled:
+            return last
+        first = first or last
+        fits = outlines.near(there, calibration.constants)
 
 
 def few_of(count: int) -> Indices | None:

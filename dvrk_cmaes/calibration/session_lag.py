@@ -17,7 +17,7 @@ from dvrk_cmaes.calibration.clock import FARTHEST, Clock
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.lag_search import LEAST_AT_LAG, MOVE, LagCurve, search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Problem, Solved, alternate, solve
+from dvrk_cmaes.calibration.solve import FrameFits, solve
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.joints.lag import Lag
@@ -72,52 +72,56 @@ def refine_lag(frames: FramesOfLag, start: Float64, free: tuple[int, ...] = (_LA
     free
         Which values are unknowns.
     """
-    clock, own, lag = frames.clock, list(free), start
+    clock, own = frames.clock, list(free)
     step, far = clock.step, FARTHEST[clock.series.unit]
     if not clock.interpolable or not step:
         return None
     reach = np.array([step, _DRIFT_STEPS * step / max(clock.half_duration, step)])[own]
-    rows, found, moved = reach[:, None] * np.eye(2)[own], list[Solved](), np.ones(len(own))
-    left, known = _LINEARISATIONS, np.array([far, _DRIFT_STD])[own] / _SHARED_ERRORS
+    known = np.array([far, _DRIFT_STD])[own] / _SHARED_ERRORS
     prior = np.diag(np.concatenate([np.zeros(len(frames.prior)), known**-2.0]))
     prior[: len(frames.prior), : len(frames.prior)] = frames.prior
-
-    def near(lag: Float64, calibration: Calibration) -> Problem | None:
-        has = np.logical_and.reduce([clock.has_readings(lag + by) for by in (*rows, *-rows)])
-        if has.sum() < LEAST_AT_LAG:
-            return None
-        order = np.flatnonzero(has)[np.argsort(clock.times[has], kind="stable")]
-        of_these, model, fits = clock.subset(order), frames.model.subset(order), frames.fits.subset(order)
-
-        def compared(lag: Float64) -> SessionModel:
-            return of_these.model_to_compare(model, lag)
-
-        ends = [[compared(lag + by).predict(calibration) for by in (row, -row)] for row in _LEAST_STEP * rows]
-        changes = [later.minus(earlier) for later, earlier in ends]
-        along = fits.along("lag", lag[own], np.stack(changes, axis=2) / (2 * _LEAST_STEP * reach))
-        return compared(lag), along, calibration
-
-    def again(at: Problem, solution: Solved) -> Problem | None:
-        nonlocal lag, moved, left
-        fits = at[1]
-        found.append(solution)
-        change = np.clip(solution.calibration.further - fits.further, -reach / 2, reach / 2)
+    lag, left, linearised = start, _LINEARISATIONS, _near_lag(frames, start, own, reach, frames.calibration)
+    if linearised is None:
+        return None
+    calibration = replace(frames.calibration, constants=linearised[1].constants)
+    for _ in range(_MOST_LINEARISATIONS):
+        model, fits = linearised
+        solution = solve(model, fits, calibration, prior)
+        calibration = solution.calibration
+        change = np.clip(calibration.further - fits.further, -reach / 2, reach / 2)
         lag, moved = start.copy(), np.abs(change) / reach
         lag[own] = fits.further + change
         left -= int((moved < 0.5).all())
-        return None if not left or (moved < _SETTLED).all() else near(lag, solution.calibration)
-
-    first = near(start, frames.calibration)
-    if first is None:
-        return None
-    begun: Problem = (*first[:2], replace(frames.calibration, constants=first[1].constants))
-    alternate(begun, lambda at: solve(*at, prior), again, _MOST_LINEARISATIONS)
+        linearised = None if not left or (moved < _SETTLED).all() else _near_lag(frames, lag, own, reach, calibration)
+        if linearised is None:
+            break
     if (moved > _SETTLING).any():
         return None
-    inverse, std = np.asarray(np.linalg.inv(found[-1].information)), np.zeros(2)
-    alone, shared = _SHARED_ERRORS**2 * np.diag(inverse), np.diag(found[-1].covariance_of(inverse))
+    inverse, std = np.asarray(np.linalg.inv(solution.information)), np.zeros(2)
+    alone, shared = _SHARED_ERRORS**2 * np.diag(inverse), np.diag(solution.covariance_of(inverse))
     std[own] = np.sqrt(np.maximum(alone, shared))[-len(own) :]
     return lag, std
+
+
+def _near_lag(
+    frames: FramesOfLag, lag: Float64, own: list[int], reach: Float64, calibration: Calibration
+) -> tuple[SessionModel, FrameFits] | None:
+    """Linearise what a calibration predicts of the frames at a lag (2,) in those ``own`` values that are unknowns.
+
+    ``reach`` (n,) are the largest changes of these; None if too few frames have readings there.
+    """
+    clock, rows = frames.clock, reach[:, None] * np.eye(2)[own]
+    has = np.logical_and.reduce([clock.has_readings(lag + by) for by in (*rows, *-rows)])
+    if has.sum() < LEAST_AT_LAG:
+        return None
+    order = np.flatnonzero(has)[np.argsort(clock.times[has], kind="stable")]
+    of_these, model, fits = clock.subset(order), frames.model.subset(order), frames.fits.subset(order)
+    changes = []
+    for row in _LEAST_STEP * rows:
+        later, earlier = (of_these.model_to_compare(model, lag + by).predict(calibration) for by in (row, -row))
+        changes.append(later.minus(earlier))
+    effect = np.stack(changes, axis=2) / (2 * _LEAST_STEP * reach)
+    return of_these.model_to_compare(model, lag), fits.along("lag", lag[own], effect)
 
 
 def describe_lag(clock: Clock, lag: Float64, std: Float64) -> Lag | str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,12 +185,6 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
 Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solved]]
 """Estimates a calibration from a model, fits, a start and the prior's information, as `solve`; the model may change."""
 
-Problem = tuple[SessionModel, FrameFits, Calibration]
-"""What a calibration is estimated from: a model, fits and a start."""
-
-S = TypeVar("S")
-R = TypeVar("R")
-
 
 def solve(
     model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64, *, steps: int = MOST_STEPS
@@ -244,34 +237,6 @@ def solve_unchanged(
     return model, solve(model, fits, start, prior, steps=steps)
 
 
-def alternate(start: S, estimate: Callable[[S], R], change: Callable[[S, R], S | None], most: int) -> tuple[S, R]:
-    """Alternate between an estimate and a change of what it is made from by that.
-
-    Parameters
-    ----------
-    start
-        What the first estimate is made from.
-    estimate
-        Makes an estimate.
-    change
-        Returns what the next estimate is made from; None where there is to be no other.
-    most
-        Largest number of estimates, at least 1.
-
-    Returns
-    -------
-    (S, R)
-        What estimates are made from after the last change, and the last estimate.
-    """
-    for _ in range(most):
-        found = estimate(start)
-        changed = change(start, found)
-        if changed is None:
-            break
-        start = changed
-    return start, found
-
-
 def solve_with_modes(
     model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration, prior: Float64
 ) -> Solved:
@@ -279,16 +244,14 @@ def solve_with_modes(
 
     Arguments are as in `choose_modes` and `solve`.
     """
-
-    def again(at: tuple[list[Mode], Calibration], solution: Solved) -> tuple[list[Mode], Calibration] | None:
-        chosen = choose_modes(model, modes, solution.calibration)
-        same = all(a is b for a, b in zip(chosen, at[0], strict=True))
-        return None if same else (chosen, solution.calibration)
-
-    first = choose_modes(model, modes, start), start
-    return alternate(first, lambda at: solve(model, FrameFits.of_modes(at[0]), at[1], prior), again, _MODE_ITERATIONS)[
-        1
-    ]
+    chosen = choose_modes(model, modes, start)
+    for _ in range(_MODE_ITERATIONS):
+        solution = solve(model, FrameFits.of_modes(chosen), start, prior)
+        before, start = chosen, solution.calibration
+        chosen = choose_modes(model, modes, start)
+        if all(one is other for one, other in zip(chosen, before, strict=True)):
+            break
+    return solution
 
 
 def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> Solved:

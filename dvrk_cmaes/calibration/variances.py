@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
-from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solved, alternate, marginalise, solve
+from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solved, marginalise, solve
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Float64
 
@@ -36,13 +36,9 @@ def solve_with_variances(
     steps: int = MOST_STEPS,
 ) -> tuple[SessionModel, Solved]:
     """Alternate between estimating the calibration and the variances; arguments as in `solve` and below."""
-
-    def again(at: tuple[SessionModel, Calibration], solution: Solved) -> tuple[SessionModel, Calibration]:
-        return estimate_variances(at[0], fits, solution, config, initial), solution.calibration
-
-    (model, _), solution = alternate(
-        (model, start), lambda at: solve(at[0], fits, at[1], prior, steps=steps), again, _ITERATIONS
-    )
+    for _ in range(_ITERATIONS):
+        solution = solve(model, fits, start, prior, steps=steps)
+        model, start = estimate_variances(model, fits, solution, config, initial), solution.calibration
     return model, solution
 
 
