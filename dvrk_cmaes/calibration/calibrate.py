@@ -21,13 +21,14 @@ from dvrk_cmaes.calibration.frame_reports import reported
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
 from dvrk_cmaes.calibration.imaging import checked_camera
 from dvrk_cmaes.calibration.session_cables import SessionCables
+from dvrk_cmaes.calibration.session_camera import CameraCheck
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
 from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again, with_pieces_if_lost
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
-from dvrk_cmaes.calibration.together import Solving, solved_alone, with_others
+from dvrk_cmaes.calibration.together import Begun, solved_alone, with_others
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
@@ -112,95 +113,111 @@ def calibrate_session(
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
     run = run or partial(in_threads, body, settings)
     problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera, lag=lag)
-    return solved_alone(solving_arm(frames, problem))[0]
+    return solved_alone(begin_arm(frames, problem))[0]
 
 
-def solving_arm(
-    frames: Sequence[SessionFrame],
-    problem: SessionProblem,
-    places: Sequence[Place] = (),
-) -> Solving[tuple[SolvedSession, dict[str, Evidence]]]:
-    """Do what `calibrate_session` does as one of several arms, and also return what was found in the masks.
+@dataclass(frozen=True, eq=False)
+class _ArmAlone:
+    """An arm's session solved by itself: all ``frames``, those in use in ``state``, and why others are ``left_out``.
+
+    ``commanded`` are the only readings of joints whose readings never move, ``started`` when this began.
+    """
+
+    frames: tuple[SessionFrame, ...]
+    state: SessionState
+    left_out: Mapping[str, str]
+    commanded: Mapping[str, float]
+    started: float
+
+
+def begin_arm(
+    frames: Sequence[SessionFrame], problem: SessionProblem, places: Sequence[Place] = ()
+) -> Begun[tuple[SolvedSession, dict[str, Evidence]]]:
+    """Solve a session by itself as `calibrate_session` does; what finishes it also returns what was found in the masks.
 
     That is of the first view of each frame that was fitted, by name, without its image, for drawings. ``places`` are
     those at which another arm found the endoscope.
     """
-    settings, instrument = problem.config, problem.instrument
-    check_config(settings)
-    started = time.perf_counter()
-    left_out = _unusable(frames)
+    check_config(problem.config)
+    started, left_out, names = time.perf_counter(), _unusable(frames), problem.instrument.joint_names
     usable = [frame for frame in frames if frame.name not in left_out]
     series = _series_of(usable) if problem.series is None else problem.series
-    names = instrument.joint_names
     readings = [frame.result.readings for frame in usable]
     commanded = commanded_in(readings, names)
-    settings = with_commanded(settings, commanded, names)
+    problem = replace(problem, series=series, config=with_commanded(problem.config, commanded, names))
     rotations = rotations_of_session(frame.result for frame in usable)
     if turns := turns_of(rotations):
         usable = [frame.with_turned_views(turns) for frame in usable]
-    problem = replace(problem, series=series, config=settings)
     with single_blas_thread():
         state = solve_session(SessionState.of(problem, usable, rotations), places)
-        if settings.session.masks_again:
+        if problem.config.session.masks_again:
             state = with_masks_again(state)
-    others_states = yield state
+    only = {name: next(own[name] for own in readings if name in own) for name in commanded}
+    return Begun(partial(_finished, _ArmAlone(tuple(frames), state, left_out, only, started)), state)
+
+
+def _finished(alone: _ArmAlone, others: Sequence[SessionState]) -> tuple[SolvedSession, dict[str, Evidence]]:
+    """Solve an arm's session with what the other arms tell, test it, and state it."""
     with single_blas_thread():
-        state, check = checked_camera(with_others(state, others_states))
-    lag, applied = state.lag, state.lag.applied
-    if applied is not None:
+        state, check = checked_camera(with_others(alone.state, others))
+    if (applied := state.lag.applied) is not None:
         option = f"taken out; other commands take it out with {applied.option}"
         state = state.noted(remarks=[f"{applied.describe()}: {option}"])
     with single_blas_thread():
         reports, reasons = reported(state, check.camera)
-    results = {frame.name: frame.result for frame in frames}
     by_name = dict(zip((frame.name for frame in state.frames), reports, strict=True))
+    results = {frame.name: frame.result for frame in alone.frames}
     results |= {name: report.result for name, report in by_name.items()}
-    left_out |= reasons
-    again = state.again or FoundMasks()
-    used = [results[frame.name] for frame in state.frames if frame.name not in left_out]
+    alone = replace(alone, state=state, left_out={**alone.left_out, **reasons})
+    predicted = {name: report.leave_one_out for name, report in by_name.items()}
+    calibration = _judged(alone, _stated(alone, check, results, predicted))
+    results = {name: resting_on(result, calibration) for name, result in results.items()}
+    evidence = {frame.name: one.views[0].evidence for frame, one in zip(state.frames, state.stored, strict=True)}
+    found_masks = (state.again or FoundMasks()).masks
+    return SolvedSession(calibration, results, predicted, found_masks), evidence
+
+
+def _stated(
+    alone: _ArmAlone,
+    check: CameraCheck,
+    results: Mapping[str, Result],
+    predicted: Mapping[str, LeaveOneOutPrediction],
+) -> SessionCalibration:
+    """State what a session that is solved tells, without doubts."""
+    state, left_out, commanded = alone.state, alone.left_out, list(alone.commanded)
+    settings, instrument, lag = state.problem.config, state.problem.instrument, state.lag
+    names = tuple(frame.name for frame in state.frames)
+    frames = tuple(name for name in names if name not in left_out)
+    used = [results[name] for name in frames]
     qualities = [one.quality for one in used if one.quality is not None]
+    endoscope = _endoscope(state, check)
     described = describe_solution(state.model, state.solution, check.covariance, settings)
-    described["untold"] += state.notes.undetermined
-    given_camera = replace(state.solution, of_growth=None).covariance
-    endoscope = SessionEndoscope.of(
-        state.model,
-        state.solution.calibration,
-        given_camera,
-        [frame.name for frame in state.frames],
-        [frame.time for frame in state.frames],
-        state.solution.covariance - given_camera + check.covariance,
-    )
-    described["untold"] += () if endoscope is None else tuple(endoscope.untold)
+    described["untold"] += (*state.notes.undetermined, *(() if endoscope is None else endoscope.untold))
     if lag.lag is None:
         described["untold"] += (f"lag between images and readings: {lag.undetermined}",)
     if commanded:
         described["untold"] += (f"offsets of {', '.join(commanded)} at other readings than the only one of each",)
-    alone = {name: report.leave_one_out for name, report in by_name.items() if name not in left_out}
-    view_names = dict.fromkeys(view for predicted in alone.values() for view in predicted.views)
-    calibration = SessionCalibration(
+    left_out_predictions = {name: one for name, one in predicted.items() if name in frames}
+    return SessionCalibration(
         instrument=instrument.name,
-        arm=problem.arm,
+        arm=state.problem.arm,
         roll_offset=instrument.roll_offset,
-        frames=tuple(frame.name for frame in state.frames if frame.name not in left_out),
+        frames=frames,
         left_out=dict(sorted(left_out.items())),
-        leave_one_out={name: (predicted.iou, predicted.contour_px) for name, predicted in alone.items()},
-        leave_one_out_of_views={
-            view: {name: predicted.views[view] for name, predicted in alone.items() if view in predicted.views}
-            for view in view_names
-            if len(view_names) > 1
-        },
+        leave_one_out={name: (one.iou, one.contour_px) for name, one in left_out_predictions.items()},
+        leave_one_out_of_views=_of_views(left_out_predictions),
         iou=float(np.median([quality.iou for quality in qualities])) if qualities else 0.0,
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
         lag=lag.lag,
         lag_curve=lag.curve,
-        cables=SessionCables.of(state.cables, tuple(frame.name for frame in state.frames), lag.seconds()),
+        cables=SessionCables.of(state.cables, names, lag.seconds()),
         camera=check.camera,
         endoscope=endoscope,
         shaft=check.shaft,
         masks=state.imaging.masks,
-        masks_again=again.compared,
+        masks_again=(state.again or FoundMasks()).compared,
         rig=state.imaging.rig,
-        commanded={name: next(own[name] for own in readings if name in own) for name in commanded},
+        commanded=dict(alone.commanded),
         remarks=(
             *camera_remarks(state.stored[0]),
             *(each.describe() for each in state.imaging.rig if each.applied),
@@ -208,24 +225,42 @@ def solving_arm(
             *_exchanged_readings(used, instrument),
             *state.notes.remarks,
         ),
-        seconds=time.perf_counter() - started,
-        config={**settings.as_dict(), "instrument": instrument.describe_limits(problem.arm)},
+        seconds=time.perf_counter() - alone.started,
+        config={**settings.as_dict(), "instrument": instrument.describe_limits(state.problem.arm)},
         **described,
     )
-    without_lag, pixel_scale = (
-        lag.undetermined if lag.nowhere else "",
-        state.stored[0].views[0].evidence.camera.pixel_scale,
+
+
+def _of_views(predicted: Mapping[str, LeaveOneOutPrediction]) -> dict[str, dict[str, tuple[float, float]]]:
+    """Return the predictions of frames in each view of a rig, by view and frame; empty of one view."""
+    views = dict.fromkeys(view for one in predicted.values() for view in one.views)
+    if len(views) < 2:
+        return {}
+    return {view: {name: one.views[view] for name, one in predicted.items() if view in one.views} for view in views}
+
+
+def _endoscope(state: SessionState, check: CameraCheck) -> SessionEndoscope | None:
+    """Return what a session tells of an endoscope that moves; None of one that stands still."""
+    given_camera = replace(state.solution, of_growth=None).covariance
+    return SessionEndoscope.of(
+        state.model,
+        state.solution.calibration,
+        given_camera,
+        [frame.name for frame in state.frames],
+        [frame.time for frame in state.frames],
+        state.solution.covariance - given_camera + check.covariance,
     )
-    unusual = unusual_insertion(calibration, settings.session)
-    remarks = (*calibration.remarks, *([unusual] if unusual else []))
-    calibration = replace(calibration, remarks=remarks)
-    calibration = replace(
-        calibration, doubts=doubts_of(calibration, settings.session, without_lag=without_lag, pixel_scale=pixel_scale)
-    )
-    results = {name: resting_on(result, calibration) for name, result in results.items()}
-    predicted = {name: report.leave_one_out for name, report in by_name.items()}
-    evidence = {frame.name: one.views[0].evidence for frame, one in zip(state.frames, state.stored, strict=True)}
-    return SolvedSession(calibration, results, predicted, again.masks), evidence
+
+
+def _judged(alone: _ArmAlone, calibration: SessionCalibration) -> SessionCalibration:
+    """Return a calibration with the doubts about the session as a whole, and with an unusual insertion remarked."""
+    state, settings = alone.state, alone.state.problem.config.session
+    if unusual := unusual_insertion(calibration, settings):
+        calibration = replace(calibration, remarks=(*calibration.remarks, unusual))
+    without_lag = state.lag.undetermined if state.lag.nowhere else ""
+    pixel_scale = state.stored[0].views[0].evidence.camera.pixel_scale
+    doubts = doubts_of(calibration, settings, without_lag=without_lag, pixel_scale=pixel_scale)
+    return replace(calibration, doubts=doubts)
 
 
 def find_lag(

@@ -7,10 +7,10 @@ own solution. Shared are the endoscope, the lag, the margins of the masks and, w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -24,12 +24,8 @@ from dvrk_cmaes.io.encode import SIGNIFICANT, Document, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
-R = TypeVar("R")
-Solving = Generator[SessionState | None, Sequence[SessionState], R]
-"""A solution of one arm: yields how far it is by itself, and takes the same of the other arms.
-
-It may do so again; None waits until each of the others waits, too, or has ended.
-"""
+R = TypeVar("R", covariant=True)
+T = TypeVar("T")
 
 _AGREE: Final = 4.0  # standard deviations of each unknown, within which arms tell the same
 _LEAST_PX: Final = 0.05  # change of the camera and of margins, from which on frames are fitted again
@@ -38,56 +34,66 @@ _SETUP_LIMIT: Final = 4.0  # standard deviations
 _HAND_EYE: Final = 10  # unknowns that do not differ from place to place
 
 
-def solved_together(arms: Mapping[str, Callable[[Sequence[Place]], Solving[R]]]) -> dict[str, R]:
+@dataclass(frozen=True, eq=False)
+class Begun(Generic[R]):
+    """An arm's session that is solved by itself, and what finishes it once those of the other arms are, too.
+
+    ``finish`` takes the states of the other arms, and returns the arm's result. ``state`` is that of the arm; None
+    where it has none that tells others of anything.
+    """
+
+    finish: Callable[[Sequence[SessionState]], R]
+    state: SessionState | None = None
+
+    @staticmethod
+    def of(result: T) -> Begun[T]:
+        """Return an arm that has its result already."""
+        return Begun(lambda _: result)
+
+    def then(self, more: Callable[[R], T]) -> Begun[T]:
+        """Return the arm with something that is done with its result."""
+        return Begun(lambda others: more(self.finish(others)), self.state)
+
+    def within(self, opened: ExitStack) -> Begun[R]:
+        """Return the arm with contexts that are left once it is finished."""
+
+        def finish(others: Sequence[SessionState]) -> R:
+            with opened:
+                return self.finish(others)
+
+        return Begun(finish, self.state)
+
+
+def solved_together(arms: Mapping[str, Callable[[Sequence[Place]], Begun[T]]]) -> dict[str, T]:
     """Solve all arms of a session, each with what the frames of the others tell; the results by name.
 
-    An arm is solved by a generator, made from the places at which the first arm found the endoscope. It yields its
-    state when it is solved by itself, is sent those of the others, and returns its result. One that returns before is
-    taken as it is. If an arm fails, those before it end by themselves, and its error is raised.
+    Each arm is begun, given the places at which an arm before it found the endoscope, and then each is finished. If an
+    arm cannot be begun, those before it are finished by themselves, and its error is raised.
     """
-    begun: dict[str, Solving[R]] = {}
-    states: dict[str, SessionState] = {}
-    waiting: set[str] = set()
-    done: dict[str, R] = {}
-
-    def to_its_next(name: str, step: Callable[[], SessionState | None]) -> None:
-        try:
-            state = step()
-        except StopIteration as stop:
-            done[name] = stop.value
-            return
-        if state is None:
-            waiting.add(name)
-        else:
-            states[name] = state
-
+    begun: dict[str, Begun[T]] = {}
     failed: Exception | None = None
     places: Sequence[Place] = ()
     for name, begin in arms.items():
-        begun[name] = begin(places)
         try:
-            to_its_next(name, partial(next, begun[name]))
+            begun[name] = begin(places)
         except Exception as error:
             failed = error
-            del begun[name]
             break
-        endoscope = states[name].model.endoscope if name in states else None
+        state = begun[name].state
+        endoscope = None if state is None else state.model.endoscope
         places = places or (endoscope.places if isinstance(endoscope, Steered) else ())
-    while left := [name for name in begun if name not in done]:
-        told = {} if failed else dict(states)
-        ready = [name for name in left if name not in waiting] or left
-        waiting.difference_update(ready)
-        for name in ready:
-            others = [own for other, own in told.items() if other != name]
-            to_its_next(name, partial(begun[name].send, others))
+    states = {} if failed else {name: arm.state for name, arm in begun.items() if arm.state is not None}
+    results = {
+        name: arm.finish([state for other, state in states.items() if other != name]) for name, arm in begun.items()
+    }
     if failed is not None:
         raise failed
-    return {name: done[name] for name in arms}
+    return results
 
 
-def solved_alone(solving: Solving[R]) -> R:
+def solved_alone(begun: Begun[T]) -> T:
     """Return the result of an arm that is the only one."""
-    return solved_together({"": lambda _: solving})[""]
+    return begun.finish(())
 
 
 def with_others(state: SessionState, others: Sequence[SessionState]) -> SessionState:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -34,7 +35,7 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.endoscope import Place
-    from dvrk_cmaes.calibration.together import Solving
+    from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
@@ -128,7 +129,7 @@ def calibrate(
     check_range("--keyframes", keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
     if keyframes is not None and every > 1:
         raise InputError("--keyframes: expected either this or --every, got both")
-    from dvrk_cmaes.calibration.together import solved_together
+    from dvrk_cmaes.calibration.together import Begun, solved_together
     from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools, write_bases
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import output
@@ -154,15 +155,15 @@ def calibrate(
             with output(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,)):
                 check_same_session(target / name, arms[name].session)
 
-        def solving(name: str, places: Sequence[Place]) -> Solving[SolvedSession | None]:
+        def begin(name: str, places: Sequence[Place]) -> Begun[SolvedSession | None]:
             arm = arms[name]
             found_camera = arm if results is not None else _with_found_camera(arm, asked)
             if found_camera is None:
-                return None
+                return Begun.of(None)
             own = None if results is None else results / name
-            return (yield from _solving_arm(found_camera, target / name, asked, own, places))
+            return _begin_arm(found_camera, target / name, asked, own, places)
 
-        found = solved_together({name: partial(solving, name) for name in arms})
+        found = solved_together({name: partial(begin, name) for name in arms})
         solved = {name: solution for name, solution in found.items() if solution is not None}
         if len(solved) < len(arms):
             return INTERRUPTED
@@ -248,17 +249,18 @@ def _solved_apart(arm: ArmInSession, asked: _Asked) -> SolvedSession | None:
     from dvrk_cmaes.calibration.together import solved_alone
 
     with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
-        return solved_alone(_solving_arm(arm, Path(folder) / "session", asked))
+        return solved_alone(_begin_arm(arm, Path(folder) / "session", asked))
 
 
-def _solving_arm(
+def _begin_arm(
     arm: ArmInSession,
     target: Path,
     asked: _Asked,
     results: Path | None = None,
     places: Sequence[Place] = (),
-) -> Solving[SolvedSession | None]:
-    """Calibrate the session of one arm, from its results, or after estimating them; None if interrupted."""
+) -> Begun[SolvedSession | None]:
+    """Solve the session of one arm, from its results, or after estimating them; its result is None if interrupted."""
+    from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE, read_results
     from dvrk_cmaes.runs.backgrounds import segment_settings
@@ -268,7 +270,9 @@ def _solving_arm(
     session, model, settings = arm.session, arm.body.instrument, asked.settings
     count = asked.workers or usable_cores()
     used = worker_processes(model, count) if results is None else instrument_processes(model, count, session.frames)
-    with output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)), used as processes:
+    with ExitStack() as stack:
+        stack.enter_context(output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)))
+        processes = stack.enter_context(used)
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
@@ -283,26 +287,25 @@ def _solving_arm(
                 config = replace(settings, threads=1)
                 done = run_batch(session, results, model, config=config, arm=arm.kinematics, workers=workers)
             if done.interrupted:
-                return None
+                return Begun.of(None)
             alone = done.results
             segment = done.setup.segment
-        from dvrk_cmaes.runs.calibrate_folder import solving_folder
+        from dvrk_cmaes.runs.calibrate_folder import begin_folder
 
-        return (
-            yield from solving_folder(
-                arm,
-                alone,
-                target,
-                processes,
-                alone=results,
-                refine_camera=asked.refine_camera,
-                lag=asked.lag,
-                config=settings,
-                segment=segment,
-                places=places,
-                progress=lambda stage, count: note(f"{stage}: {count} frames"),
-            )
+        begun = begin_folder(
+            arm,
+            alone,
+            target,
+            processes,
+            alone=results,
+            refine_camera=asked.refine_camera,
+            lag=asked.lag,
+            config=settings,
+            segment=segment,
+            places=places,
+            progress=lambda stage, count: note(f"{stage}: {count} frames"),
         )
+        return begun.within(stack.pop_all())
 
 
 def _is_doubtful(solved: SolvedSession) -> bool:

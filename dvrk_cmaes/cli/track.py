@@ -41,10 +41,10 @@ from dvrk_cmaes.io.short_text import listed
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.endoscope import Place
-    from dvrk_cmaes.calibration.together import Solving
+    from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.results.tracked import TrackResult
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
-    from dvrk_cmaes.runs.track_folder import TrackSummary
+    from dvrk_cmaes.runs.track_folder import ArmToFollow, TrackSummary
     from dvrk_cmaes.runs.track_frames import TrackSettings
 
 
@@ -274,34 +274,35 @@ def _described(
 
 def _followed(recording: _Recording, target: Path, follow: TrackOptions) -> dict[str, TrackSummary]:
     """Follow the arms of a recording, whose keyframes are solved together; without those after an interruption."""
-    from dvrk_cmaes.calibration.together import solved_together
-    from dvrk_cmaes.runs.track_folder import tracking_folder
+    from dvrk_cmaes.calibration.together import Begun, solved_together
+    from dvrk_cmaes.runs.track_folder import begin_tracking
 
-    def tracking(name: str, places: Sequence[Place]) -> Solving[TrackSummary | None]:
+    def begin(name: str, places: Sequence[Place]) -> Begun[ArmToFollow | None]:
         if stop.is_set() and name != next(iter(recording.arms)):
-            return None
+            return Begun.of(None)
         arm = recording.arms[name]
-        return (
-            yield from tracking_folder(
-                arm.session,
-                target / name,
-                arm.body,
-                recording.settings[name],
-                resume=follow.resume,
-                video=follow.video,
-                page=follow.page,
-                rerun=follow.rerun,
-                stop=stop,
-                progress=_progress(name),
-                notice=partial(_notice, name),
-                arm=name,
-                places=places,
-            )
+        return begin_tracking(
+            arm.session,
+            target / name,
+            arm.body,
+            recording.settings[name],
+            resume=follow.resume,
+            video=follow.video,
+            page=follow.page,
+            rerun=follow.rerun,
+            stop=stop,
+            progress=_progress(name),
+            notice=partial(_notice, name),
+            arm=name,
+            places=places,
         )
 
     with stopping_on_interrupt() as stop:
-        found = solved_together({name: partial(tracking, name) for name in recording.arms})
-    return {name: summary for name, summary in found.items() if summary is not None}
+        found = solved_together({name: partial(begin, name) for name in recording.arms})
+        to_follow = {name: arm for name, arm in found.items() if arm is not None}
+        for arm_to_follow in to_follow.values():
+            arm_to_follow.write()
+        return {name: arm_to_follow.follow() for name, arm_to_follow in to_follow.items()}
 
 
 def _compared(

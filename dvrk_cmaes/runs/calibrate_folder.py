@@ -9,26 +9,27 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, solving_arm
+from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
-from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.masks_again import FindMasks
 from dvrk_cmaes.calibration.session_state import SessionProblem
-from dvrk_cmaes.calibration.together import Solving
+from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation.masks_again import ImagesOfFrame
+from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.io.atomic import encoded_image, write_json
@@ -58,7 +59,7 @@ CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
 
 
-def solving_folder(
+def begin_folder(
     arm: ArmInSession,
     results: Mapping[str, Result],
     out: Path,
@@ -71,15 +72,15 @@ def solving_folder(
     segment: SegmentSettings | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
     places: Sequence[Place] = (),
-) -> Solving[SolvedSession]:
-    """Calibrate a session folder of an arm from its frames' own results, and write everything to a folder.
+) -> Begun[SolvedSession]:
+    """Solve a session folder of an arm from its frames' own results; what finishes it writes everything to a folder.
 
-    Run it by `solved_together` or `solved_alone`.
+    Finish it by `solved_together` or `solved_alone`.
 
     ``processes`` are those of `instrument_processes` or `worker_processes`. ``alone`` is the folder of those results;
     masks that were found in images, and overlays of frames that are left out, are taken from there; with ``segment``,
     how they were found there, they are found again around the silhouettes that the session expects. ``places`` are as
-    in `solving_arm`. All files are written to a temporary folder, which takes the place of an earlier one when it is
+    in `begin_arm`. All files are written to a temporary folder, which takes the place of an earlier one when it is
     whole.
 
     Raises
@@ -107,27 +108,50 @@ def solving_folder(
     run = functools.partial(run_with_body, processes, instrument_digest(instrument), config)
     series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
     problem = SessionProblem(series, instrument, arm.kinematics, config, run, progress, *refined, lag=lag)
-    solved, evidence = yield from solving_arm(frames, problem, places)
-    progress("drawing", len(solved.leave_one_out))
-    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
-        masks = Path(folder)
-        files |= _with_masks_again(solved, session, masks, {name: files[name] for name in solved.found_masks})
-        corrected = Rig(solved.calibration.corrected_views(session.rig.views))
-        views = tuple(ViewDocument.of(view) for view in corrected.views)
-        calibration = replace(solved.calibration, views=views)
-        # the camera that was found is the session's from here on
-        if session.guessed and calibration.camera is not None:
-            calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
-            session = replace(session, rig=corrected)
-        solved = replace(solved, calibration=calibration)
-        tasks = [(files[k], solved.results[k], left_out, evidence[k]) for k, left_out in solved.leave_one_out.items()]
-        drawn = run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
-        pictures = dict(zip(solved.leave_one_out, drawn, strict=True))
-        with whole_folder(out, "calibrate", overwrite=True, kept=(ALONE,)) as beside:
-            for path in masks.rglob("*.png"):
-                write_bytes(beside / path.relative_to(masks), path.read_bytes())
-            _write(solved, pictures, replace(arm, session=session), beside, config, alone)
-    return solved
+    folder = _FolderAlone(replace(arm, session=session), files, out, alone, config, progress, run)
+    return begin_arm(frames, problem, places).then(folder.written)
+
+
+@dataclass(frozen=True, eq=False)
+class _FolderAlone:
+    """A session folder that is solved, with its ``files`` by frame, and where it is written, as of `begin_folder`.
+
+    ``run`` applies a function to many tasks.
+    """
+
+    arm: ArmInSession
+    files: Mapping[str, FrameFiles]
+    out: Path
+    alone: Path | None
+    config: EstimateConfig
+    progress: Callable[[str, int], None]
+    run: Run[Any, Any]
+
+    def written(self, found: tuple[SolvedSession, dict[str, Evidence]]) -> SolvedSession:
+        """Write a calibration with drawings of its frames; returns it with the cameras with which it was solved."""
+        (solved, evidence), session, files = found, self.arm.session, dict(self.files)
+        self.progress("drawing", len(solved.leave_one_out))
+        with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
+            masks = Path(folder)
+            files |= _with_masks_again(solved, session, masks, {name: files[name] for name in solved.found_masks})
+            corrected = Rig(solved.calibration.corrected_views(session.rig.views))
+            views = tuple(ViewDocument.of(view) for view in corrected.views)
+            calibration = replace(solved.calibration, views=views)
+            # the camera that was found is the session's from here on
+            if session.guessed and calibration.camera is not None:
+                calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
+                session = replace(session, rig=corrected)
+            solved = replace(solved, calibration=calibration)
+            tasks = [
+                (files[k], solved.results[k], left_out, evidence[k]) for k, left_out in solved.leave_one_out.items()
+            ]
+            drawn = self.run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
+            pictures = dict(zip(solved.leave_one_out, drawn, strict=True))
+            with whole_folder(self.out, "calibrate", overwrite=True, kept=(ALONE,)) as beside:
+                for path in masks.rglob("*.png"):
+                    write_bytes(beside / path.relative_to(masks), path.read_bytes())
+                _write(solved, pictures, replace(self.arm, session=session), beside, self.config, self.alone)
+        return solved
 
 
 def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:

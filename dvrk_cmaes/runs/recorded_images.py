@@ -16,10 +16,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.calibrate import SolvedSession
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.session_state import SessionProblem
-from dvrk_cmaes.calibration.together import Solving
+from dvrk_cmaes.calibration.together import Begun, solved_alone
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -31,7 +32,7 @@ from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.recorded import RecordedSolution, predict, read_seen
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, solving_chosen
+from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, begin_chosen
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
 from dvrk_cmaes.segment.prompts import Prompts
@@ -147,25 +148,25 @@ def _moving_colours(recorded: RecordedFrames, chosen: Sequence[int]) -> dict[str
     return {name: colours for name, colours in found.items() if colours is not None}
 
 
-def solving_images(
+def begin_images(
     recorded: RecordedFrames,
     given: SessionCalibration | None,
     hints: Hints,
     work: SessionProblem,
     places: Sequence[Place] = (),
-) -> Solving[tuple[RecordedFrames, RecordedSolution | str]]:
+) -> Begun[tuple[RecordedFrames, RecordedSolution | str]]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
 
     With a calibration that is ``given``, the masks only tell the colours. Where few keyframes agree, masks are found in
     the other images around what they expect, and all are solved again. ``hints`` hold for the first frame, ``places``
-    are as in `solving_arm`. Also returns the frames with what was measured of the masks. Raises InputError for a file
+    are as in `begin_arm`. Also returns the frames with what was measured of the masks. Raises InputError for a file
     that is wrong.
     """
     files, times, names, readings = recorded.files, recorded.times, recorded.names, recorded.readings
     there = np.array([own.has_image or own.has_mask for own in files]) & recorded.trusted
     chosen = choose_keyframes(there, times, names, readings, _SEGMENTED)
     if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to tell masks of another tool from the right ones
-        return recorded, f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}"
+        return Begun.of((recorded, f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}"))
     work.progress("finding masks", len(chosen))
     segmented = partial(segment_task, rig=recorded.rig, colours=_moving_colours(recorded, chosen))
     of_frames = {i: hints if i == 0 and hints != Hints() else hints_of(files[i]) or Hints() for i in chosen}
@@ -173,8 +174,18 @@ def solving_images(
     found: dict[int, PackedFrame | None] = dict(zip(chosen, work.run(segmented, tasks), strict=True))
     recorded = _measured(recorded, found)
     if given is not None:
-        return recorded, _with_colours(RecordedSolution(recorded, given, {}), work, found=found)
-    solved = yield from solving_chosen(recorded, _keyframes(recorded, found), work, _FEWEST, places)
+        return Begun.of((recorded, _with_colours(RecordedSolution(recorded, given, {}), work, found=found)))
+    begun = begin_chosen(recorded, _keyframes(recorded, found), work, _FEWEST, places)
+    return begun.then(partial(_with_more_masks, recorded, found, work))
+
+
+def _with_more_masks(
+    recorded: RecordedFrames,
+    found: Mapping[int, PackedFrame | None],
+    work: SessionProblem,
+    solved: SolvedSession | str,
+) -> tuple[RecordedFrames, RecordedSolution | str]:
+    """Return a solution with colours; where few keyframes agree, one by itself with masks around what they expect."""
     if isinstance(solved, str):
         return recorded, solved
     solution = _with_colours(RecordedSolution(recorded, solved.calibration, {}), work, results=solved.results)
@@ -184,7 +195,7 @@ def solving_images(
         more_measured = _measured(recorded, more)
         keyframes = _keyframes(more_measured, more)
         if len(keyframes) > _MORE * len(solved.calibration.frames):
-            again = yield from solving_chosen(more_measured, keyframes, work, _FEWEST, places)
+            again = solved_alone(begin_chosen(more_measured, keyframes, work, _FEWEST))
             if not isinstance(again, str) and len(again.calibration.frames) > len(solved.calibration.frames):
                 better = RecordedSolution(more_measured, again.calibration, {})
                 return more_measured, _with_colours(better, work, results=again.results)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -10,15 +11,15 @@ from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession, solving_arm
+from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.first_frames import predict_from_first
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
-from dvrk_cmaes.calibration.session_state import SessionProblem
-from dvrk_cmaes.calibration.together import Solving
+from dvrk_cmaes.calibration.session_state import SessionProblem, SessionState
+from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
@@ -192,45 +193,61 @@ def _as_result(at: Posed, body: Body, name: str) -> Result:
     )
 
 
-def solving_keyframes(
+def begin_keyframes(
     recorded: RecordedFrames, work: SessionProblem, places: Sequence[Place] = ()
-) -> Solving[SessionCalibration | str]:
+) -> Begun[SessionCalibration | str]:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
 
-    Run it by `solved_together` or `solved_alone`; ``places`` are as in `solving_arm`.
+    Finish it by `solved_together` or `solved_alone`; ``places`` are as in `begin_arm`.
     """
     chosen = {i: recorded.files[i] for i in recorded.keyframes()}
     keyframes = [RecordedKeyframe(i, own, partial(read_frame, own, recorded.rig)) for i, own in chosen.items()]
-    solved = yield from solving_chosen(recorded, keyframes, work, places=places)
-    return solved if isinstance(solved, str) else solved.calibration
+    begun = begin_chosen(recorded, keyframes, work, places=places)
+    return begun.then(lambda solved: solved if isinstance(solved, str) else solved.calibration)
 
 
-def solving_chosen(
+def begin_chosen(
     recorded: RecordedFrames,
     keyframes: Sequence[RecordedKeyframe],
     work: SessionProblem,
     least: int = LEAST_KEYFRAMES,
     places: Sequence[Place] = (),
-) -> Solving[SolvedSession | str]:
+) -> Begun[SolvedSession | str]:
     """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used.
 
-    ``least`` is the number of keyframes that are needed, ``places`` are as in `solving_arm`.
+    ``least`` is the number of keyframes that are needed, ``places`` are as in `begin_arm`.
     """
     if len(keyframes) < least:
         since = recorded.files[int(recorded.frozen.argmax())].name
         frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
-        return f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}"
+        return Begun.of(f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}")
     work.progress("estimating keyframes", len(keyframes))
     problem = replace(work, series=recorded.series, gathered={})
     frames = _estimated(recorded, keyframes, problem)
     problem = replace(problem, config=solved_with(work.config), gathered={})
+    begun: Begun[SolvedSession | str]
+    with _texts_of_refusals() as refused:
+        begun = begin_arm(frames, problem, places).then(lambda found: bad_predictions(found[0].calibration) or found[0])
+    return Begun.of(refused[0]) if refused else Begun(partial(_finished_or_refused, begun), begun.state)
+
+
+def _finished_or_refused(begun: Begun[SolvedSession | str], others: Sequence[SessionState]) -> SolvedSession | str:
+    """Finish keyframes that are solved by themselves; a text says why that is not possible."""
+    with _texts_of_refusals() as refused:
+        return begun.finish(others)
+    return refused[0]
+
+
+@contextmanager
+def _texts_of_refusals() -> Iterator[list[str]]:
+    """Keep why a session cannot be solved in the list; an error of a file that is missing or damaged is raised."""
+    texts: list[str] = []
     try:
-        solved, _ = yield from solving_arm(frames, problem, places=places)
+        yield texts
     except InputError as error:
         if not str(error).startswith(_REFUSED):
-            raise  # a file that is missing or damaged
-        return str(error).removeprefix(_REFUSED)
-    return bad_predictions(solved.calibration) or solved
+            raise
+        texts.append(str(error).removeprefix(_REFUSED))
 
 
 def _estimated(

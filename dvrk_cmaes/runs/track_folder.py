@@ -10,15 +10,16 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import wraps
+from functools import partial
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.calibration.endoscope import Place
-from dvrk_cmaes.calibration.together import Solving, solved_alone
+from dvrk_cmaes.calibration.session_state import SessionState
+from dvrk_cmaes.calibration.together import Begun, solved_alone
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json, write_text
@@ -43,12 +44,13 @@ from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_clock import TrackClock
 from dvrk_cmaes.runs.track_frames import TrackRun, TrackSettings, followed
 from dvrk_cmaes.runs.track_pictures import write_outputs
-from dvrk_cmaes.runs.track_recorded import following_recorded, with_lag
+from dvrk_cmaes.runs.track_recorded import ArmInRecording, begin_recording, with_lag
 from dvrk_cmaes.runs.worker import BatchSetup
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.solution_schedule import SolutionSchedule
 
-P = ParamSpec("P")
+Followed = tuple[list[dict[str, Any]], SessionCalibration | None]
+"""The rows of the frames that were followed, and the calibration with its whole lag."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,72 @@ class TrackSummary:
         return dict(Counter(row["status"] for row in self.rows))
 
 
-def tracking_folder(
+@dataclass(frozen=True, eq=False)
+class ArmToFollow:
+    """An arm whose folder is open, to be written and followed once all arms are begun and solved.
+
+    ``done`` are the rows and the calibration of one that was followed to the end before; ``recording`` is one that is
+    followed by its keyframes, None of one that is followed from image to image; ``remarks`` are on its calibration.
+    """
+
+    run: TrackRun
+    opened: ExitStack
+    remarks: tuple[str, ...]
+    video: bool
+    page: bool
+    rerun: Path | None
+    done: Followed | None = None
+    recording: ArmInRecording | None = None
+
+    def write(self) -> None:
+        """Keep what the keyframes of the arm tell."""
+        if self.recording is not None:
+            self.recording.write()
+
+    def follow(self) -> TrackSummary:
+        """Follow the arm and write everything to its folder."""
+        run = self.run
+        with self.opened:
+            rows, calibration = self.done or self._by_keyframes() or _forwards(run)
+            lag = None if calibration is None else calibration.applied_lag
+            late = (run.settings.lag or 0.0) if lag is None else lag.in_seconds(1 / run.clock.interval)
+            interrupted = len(rows) < len(run.frames)
+            if calibration is not None:
+                new = tuple(text for text in self.remarks if text not in calibration.remarks)
+                calibration = replace(calibration, remarks=(*calibration.remarks, *new))
+            if calibration is not None and rows:
+                write_json(run.out / SESSION, calibration.to_dict())
+            readings = _readings(run, late)
+            if not interrupted:
+                write_table(run.out / TABLE, rows, run.body.instrument.joint_names)
+                if rows and (self.video or self.page or self.rerun is not None):
+                    write_outputs(run, rows, readings, calibration, video=self.video, page=self.page, rerun=self.rerun)
+        return TrackSummary(rows, interrupted, calibration, run.frames_a_second, readings)
+
+    def _by_keyframes(self) -> Followed | None:
+        """Follow a recording with the calibration of its keyframes, and write the rows, none if it is stopped.
+
+        Returns None, after a line that says why, if every frame is to be followed from those before it only.
+        """
+        run, because = self.run, "without readings"
+        if run.settings.causal:
+            return None
+        if self.recording is not None:
+            found = self.recording.follow()
+            if found is None:
+                return [], None
+            if not isinstance(found, str):
+                results, calibration = found
+                rows = [run.row(files, result) for files, result in zip(run.frames, results, strict=True)]
+                write_text(run.out / TRACKS, "".join(line_of(row) for row in rows))
+                run.progress(len(rows), len(rows), results[-1] if results else None)
+                return rows, calibration
+            because = found
+        run.notice(f"followed from image to image, as by --causal: {because}")
+        return None
+
+
+def begin_tracking(
     session: Session,
     out: Path,
     body: Body,
@@ -85,10 +152,11 @@ def tracking_folder(
     notice: Callable[[str], None] = lambda text: None,
     arm: str = "",
     places: Sequence[Place] = (),
-) -> Solving[TrackSummary]:
-    """Follow an instrument through the frames of a session, and write everything to a folder.
+) -> Begun[ArmToFollow]:
+    """Open a folder to which an instrument that is followed is written, and solve the keyframes of its recording.
 
-    Run it by `solved_together` with those of the other arms of a recording; `track_folder` does it for one arm.
+    Finish it by `solved_together` with the other arms of a recording, then write and follow each; `track_folder` does
+    so with one arm.
 
     Parameters
     ----------
@@ -132,7 +200,8 @@ def tracking_folder(
     for text in remarks:
         notice(f"warning: {text}")
     check_writable(out)
-    with output(out, "track", replaces=not resume) as own:
+    with ExitStack() as stack:
+        own = stack.enter_context(output(out, "track", replaces=not resume))
         own.refuse((TRACKS, TABLE, VIDEO, PAGE, SESSION))
         run = TrackRun(session, out, body, settings, frames, clock, stop, progress, notice, arm, places)
         manifest = _manifest(run)
@@ -145,45 +214,62 @@ def tracking_folder(
         if not kept:
             for name in (KEYFRAMES, KEYFRAMES_BY_IMAGES):
                 remove(out / name)
-        followed = _finished(run) if kept else None
+        done = _finished(run) if kept else None
         for name in (SESSION, TABLE):
             remove(out / name)
         own.describe(manifest)
-        if followed is None:
-            followed = yield from _by_keyframes(run)
-        if followed is None:
-            followed = _forwards(run)
-        rows, calibration = followed
-        lag = None if calibration is None else calibration.applied_lag
-        late = (settings.lag or 0.0) if lag is None else lag.in_seconds(1 / clock.interval)
-        interrupted = len(rows) < len(frames)
-        if calibration is not None:
-            new = tuple(text for text in remarks if text not in calibration.remarks)
-            calibration = replace(calibration, remarks=(*calibration.remarks, *new))
-        if calibration is not None and rows:
-            write_json(out / SESSION, calibration.to_dict())
-        readings = _readings(run, late)
-        if not interrupted:
-            write_table(out / TABLE, rows, body.instrument.joint_names)
-            if rows and (video or page or rerun is not None):
-                write_outputs(run, rows, readings, calibration, video=video, page=page, rerun=rerun)
-    return TrackSummary(rows, interrupted, calibration, run.frames_a_second, readings)
+        followed: Begun[ArmInRecording | None] = Begun.of(None)
+        if done is None and run.settings.use_joints and not run.settings.causal:
+            followed = begin_recording(run)
+        opened = stack.pop_all()
+    arm_to_follow = ArmToFollow(run, ExitStack(), remarks, video, page, rerun, done)
+    return Begun(partial(_with_keyframes, arm_to_follow, followed, opened), followed.state)
 
 
-def _of_one_arm(solving: Callable[P, Solving[TrackSummary]]) -> Callable[P, TrackSummary]:
-    """Return a function that follows the only arm of a recording."""
-
-    @wraps(solving)
-    def alone(*args: P.args, **kwargs: P.kwargs) -> TrackSummary:
-        return solved_alone(solving(*args, **kwargs))
-
-    return alone
-
-
-track_folder = _of_one_arm(tracking_folder)
+def _with_keyframes(
+    arm: ArmToFollow, begun: Begun[ArmInRecording | None], opened: ExitStack, others: Sequence[SessionState]
+) -> ArmToFollow:
+    """Finish the keyframes of an arm whose folder is ``opened``."""
+    with ExitStack() as stack:
+        stack.enter_context(opened)
+        recording = begun.finish(others)
+        return replace(arm, opened=stack.pop_all(), recording=recording)
 
 
-def _forwards(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration | None]:
+def track_folder(
+    session: Session,
+    out: Path,
+    body: Body,
+    settings: TrackSettings,
+    *,
+    resume: bool = True,
+    video: bool = True,
+    page: bool = True,
+    rerun: Path | None = None,
+    stop: threading.Event | None = None,
+    progress: Callable[[int, int, TrackResult | None], None] = lambda done, total, result: None,
+    notice: Callable[[str], None] = lambda text: None,
+) -> TrackSummary:
+    """Follow the only arm of a recording; parameters and errors as of `begin_tracking`."""
+    begun = begin_tracking(
+        session,
+        out,
+        body,
+        settings,
+        resume=resume,
+        video=video,
+        page=page,
+        rerun=rerun,
+        stop=stop,
+        progress=progress,
+        notice=notice,
+    )
+    one = solved_alone(begun)
+    one.write()
+    return one.follow()
+
+
+def _forwards(run: TrackRun) -> Followed:
     """Follow the frames from image to image, and write the row of each when it is there; returns rows and calibration.
 
     The calibration has its whole lag.
@@ -212,7 +298,7 @@ def _forwards(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration |
     return rows, None if found is None else with_lag(found, run.settings.lag, run.clock)
 
 
-def _finished(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration | None] | None:
+def _finished(run: TrackRun) -> Followed | None:
     """Return rows and calibration of a recording that was followed to the end, as its table tells; None otherwise."""
     tracks, session = run.out / TRACKS, run.out / SESSION
     if not (tracks.exists() and (run.out / TABLE).exists()):
@@ -221,29 +307,6 @@ def _finished(run: TrackRun) -> tuple[list[dict[str, Any]], SessionCalibration |
     if [row["frame"] for row in rows] != [files.name for files in run.frames]:
         return None
     return rows, read_calibration(session) if session.exists() else None
-
-
-def _by_keyframes(run: TrackRun) -> Solving[tuple[list[dict[str, Any]], SessionCalibration | None] | None]:
-    """Follow a recording with the calibration of its keyframes, and write the rows, which are none if it is stopped.
-
-    Returns None, after a line that says why, if every frame is to be followed from those before it only.
-    """
-    if run.settings.causal:
-        return None
-    because = "without readings"
-    if run.settings.use_joints:
-        done = yield from following_recorded(run)
-        if done is None:
-            return [], None
-        if not isinstance(done, str):
-            results, calibration = done
-            rows = [run.row(files, result) for files, result in zip(run.frames, results, strict=True)]
-            write_text(run.out / TRACKS, "".join(line_of(row) for row in rows))
-            run.progress(len(rows), len(rows), results[-1] if results else None)
-            return rows, calibration
-        because = done
-    run.notice(f"followed from image to image, as by --causal: {because}")
-    return None
 
 
 def _readings(run: TrackRun, late: float) -> dict[str, Float64]:

@@ -99,6 +99,11 @@ class TrackRun:
     places: Sequence[Place] = ()
 
     @property
+    def stopped(self) -> bool:
+        """Whether the run is to end."""
+        return self.stop is not None and self.stop.is_set()
+
+    @property
     def frames_a_second(self) -> float:
         """Frames a second that are followed."""
         return 1 / (self.clock.interval * self.settings.every)

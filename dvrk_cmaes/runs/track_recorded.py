@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.session_state import SessionProblem
-from dvrk_cmaes.calibration.together import Solving
+from dvrk_cmaes.calibration.session_state import SessionProblem, SessionState
+from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.frames.frame import FrameFiles
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
@@ -21,13 +23,13 @@ from dvrk_cmaes.runs.inputs import instrument_digest
 from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
 from dvrk_cmaes.runs.processes import usable_cores
 from dvrk_cmaes.runs.recorded import RecordedSolution, follow_window
-from dvrk_cmaes.runs.recorded_images import solving_images
+from dvrk_cmaes.runs.recorded_images import begin_images
 from dvrk_cmaes.runs.recorded_keyframes import (
     KEYFRAMES,
     KEYFRAMES_BY_IMAGES,
     RecordedFrames,
+    begin_keyframes,
     read_keyframes,
-    solving_keyframes,
     write_keyframes,
 )
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
@@ -41,16 +43,64 @@ class _StoppedError(Exception):
     """The run is to end."""
 
 
-def following_recorded(run: TrackRun) -> Solving[tuple[list[TrackResult], SessionCalibration] | str | None]:
-    """Follow an instrument through a recording, each frame with all others; OUT/keyframes.json keeps the calibration.
+@dataclass(frozen=True, eq=False)
+class ArmInRecording:
+    """An arm of a recording whose keyframes are solved, or that has a calibration: it is written, then followed.
 
-    What an interrupted run has left there is used. Run it by `solved_together` or `solved_alone`.
+    ``recorded`` are its frames, ``given`` a calibration that was given; ``found`` is what its keyframes tell now,
+    ``kept`` what an interrupted run has left of that, or why there is nothing; both are None of a run that was stopped.
+    ``opened`` are its processes.
+    """
 
-    Returns
-    -------
-    tuple or str or None
-        The results of the frames in order, and the calibration by which they were found, with its whole lag; or why the
-        recording cannot be solved so; or None if the run was stopped.
+    run: TrackRun
+    work: SessionProblem
+    opened: ExitStack
+    recorded: RecordedFrames | None = None
+    given: SessionCalibration | None = None
+    found: SessionCalibration | RecordedSolution | str | None = None
+    kept: tuple[SessionCalibration, Any] | str | None = None
+
+    @property
+    def path(self) -> Path:
+        """Where what the keyframes tell is kept."""
+        return self.run.out / (KEYFRAMES if self.run.settings.evidence == "masks" else KEYFRAMES_BY_IMAGES)
+
+    def write(self) -> None:
+        """Keep what the keyframes tell, once those of all arms are solved: a run leaves that of all arms, or none."""
+        if self.found is not None and not self.run.stopped:
+            write_keyframes(
+                self.path,
+                self.found.calibration if isinstance(self.found, RecordedSolution) else self.found,
+                self.found.colours if isinstance(self.found, RecordedSolution) else None,
+            )
+
+    def follow(self) -> tuple[list[TrackResult], SessionCalibration] | str | None:
+        """Return the results of the frames in order, and the calibration by which they were found, with its whole lag.
+
+        Or why the recording cannot be solved so; or None if the run was stopped.
+        """
+        with self.opened:
+            if self.recorded is None or self.run.stopped:
+                return None
+            used = self.kept
+            if self.found is not None:
+                used = read_keyframes(self.path, colours=self.run.settings.evidence != "masks")
+            assert used is not None
+            if isinstance(used, str):
+                return used
+            solution = RecordedSolution(self.recorded, self.given or used[0], used[1])
+            self.run.notice(f"fitting {len(self.recorded.files)} frames")
+            try:
+                results = follow_window(solution, self.work)
+            except _StoppedError:
+                return None
+        return results, with_lag(solution.calibration, self.run.settings.lag, self.run.clock)
+
+
+def begin_recording(run: TrackRun) -> Begun[ArmInRecording]:
+    """Solve the keyframes of a recording by which an instrument is followed, each frame with all others.
+
+    What an interrupted run has left is used. Finish it by `solved_together` or `solved_alone`, then write and follow.
 
     Raises
     ------
@@ -64,62 +114,64 @@ def following_recorded(run: TrackRun) -> Solving[tuple[list[TrackResult], Sessio
     if settings.lag is not None:
         frames, series = _less_lag(frames, series, run.clock, settings.lag)
     config = replace(settings.config, threads=1)
-    with instrument_processes(body.instrument, settings.workers or usable_cores(), frames) as processes:
+    with ExitStack() as stack:
+        count = settings.workers or usable_cores()
+        processes = stack.enter_context(instrument_processes(body.instrument, count, frames))
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         in_groups = partial(_in_groups, by_body, run.stop)
         lag = None if settings.lag is None else Lag(0.0, seconds=0.0)  # that is taken out already
         work = SessionProblem(series, body.instrument, settings.arm, config, in_groups, run.notice_stage, lag=lag)
+        arm = ArmInRecording(run, work, ExitStack())
         try:
-            solved = yield from _solving(run, frames, series, work)
-            if isinstance(solved, str):
-                return solved
-            run.notice(f"fitting {len(frames)} frames")
-            results = follow_window(solved, work)
+            begun = _begin_solution(arm, frames, series)
         except _StoppedError:
-            return None
-    return results, with_lag(solved.calibration, settings.lag, run.clock)
+            return Begun.of(arm)
+        opened = stack.pop_all()
+    return Begun(partial(_finished, begun, opened, arm), begun.state)
 
 
-def _solving(
-    run: TrackRun, frames: tuple[FrameFiles, ...], series: ReadingSeries | None, work: SessionProblem
-) -> Solving[RecordedSolution | str]:
-    """Return the calibration that was given, that an interrupted run has found, or that of the keyframes.
+def _finished(
+    begun: Begun[ArmInRecording], opened: ExitStack, arm: ArmInRecording, others: Sequence[SessionState]
+) -> ArmInRecording:
+    """Finish an arm, whose processes are ``opened``; as one without frames where the run is stopped."""
+    with ExitStack() as stack:
+        stack.enter_context(opened)
+        try:
+            found = begun.finish(others)
+        except _StoppedError:
+            found = arm
+        return replace(found, opened=stack.pop_all())
 
-    That of frames without masks is with the colours of instrument and surroundings. A text says why there is none. What
-    was found is written once all arms are solved: an interrupted run leaves the solutions of all arms, or none.
+
+def _begin_solution(
+    arm: ArmInRecording, frames: tuple[FrameFiles, ...], series: ReadingSeries | None
+) -> Begun[ArmInRecording]:
+    """Use the calibration that was given, or what an interrupted run has found; or else solve the keyframes.
+
+    Those of frames without masks are solved with the colours of instrument and surroundings.
     """
-    if run.stop is not None and run.stop.is_set():
+    run, work, settings = arm.run, arm.work, arm.run.settings
+    if run.stopped:
         raise _StoppedError
-    settings, by_masks = run.settings, run.settings.evidence == "masks"
+    by_masks = settings.evidence == "masks"
     times = np.array([run.clock.times[files.name] for files in frames])
     measured = RecordedFrames.of if by_masks else RecordedFrames.of_readings
     recorded, given = measured(frames, run.session.rig, series, times), settings.calibration
+    arm = replace(arm, recorded=recorded)
     if given is not None:
         if not recorded.trusted.any():
-            return "no frame has readings of the outer joints that are not frozen"
+            return Begun.of(replace(arm, kept="no frame has readings of the outer joints that are not frozen"))
         given = given if settings.lag is None else replace(given, lag=None)
-    path = run.out / (KEYFRAMES if by_masks else KEYFRAMES_BY_IMAGES)
-    used: tuple[SessionCalibration, Any] | str | None
-    found: SessionCalibration | RecordedSolution | str | None = None
+        arm = replace(arm, given=given)
     if given is not None and by_masks:
-        used = given, None
-    elif (used := read_keyframes(path, colours=not by_masks)) is not None:
-        run.notice(f"keyframes: solved by an interrupted run ({path})")
-    elif by_masks:
-        found = yield from solving_keyframes(recorded, work, run.places)
-    else:
-        hints = settings.hints or Hints()
-        recorded, found = yield from solving_images(recorded, given, hints, work, run.places)
-    yield None  # for arms with solutions that are kept or given, too: all wait for each other equally often
-    if run.stop is not None and run.stop.is_set():
-        raise _StoppedError
-    if found is not None:
-        solved = found.calibration if isinstance(found, RecordedSolution) else found
-        write_keyframes(path, solved, found.colours if isinstance(found, RecordedSolution) else None)
-        used = read_keyframes(path, colours=not by_masks)
-    yield None
-    assert used is not None
-    return used if isinstance(used, str) else RecordedSolution(recorded, given or used[0], used[1])
+        return Begun.of(replace(arm, kept=(given, None)))
+    if (kept := read_keyframes(arm.path, colours=not by_masks)) is not None:
+        run.notice(f"keyframes: solved by an interrupted run ({arm.path})")
+        return Begun.of(replace(arm, kept=kept))
+    if by_masks:
+        return begin_keyframes(recorded, work, run.places).then(lambda found: replace(arm, found=found))
+    begun = begin_images(recorded, given, settings.hints or Hints(), work, run.places)
+    return begun.then(lambda pair: replace(arm, recorded=pair[0], found=pair[1]))
 
 
 def _in_groups(

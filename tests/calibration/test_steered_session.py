@@ -21,12 +21,12 @@ from dvrk_cmaes import (
     SolvedSession,
     calibrate_session,
 )
-from dvrk_cmaes.calibration.calibrate import in_threads, solving_arm
+from dvrk_cmaes.calibration.calibrate import begin_arm, in_threads
 from dvrk_cmaes.calibration.endoscope import Place, in_tip
 from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import (
+    Begun,
     RelativeBase,
-    Solving,
     arms_document,
     relative_bases,
     solved_together,
@@ -113,16 +113,13 @@ def test_arms_in_one_solution_share_the_endoscope(
 
     states = []
 
-    def solving(own: list[SessionFrame], places: Sequence[Place]) -> Solving[SolvedSession]:
-        steps = solving_arm(own, problem_of(bundled_body), places=places)
-        states.append(next(steps))
-        others = yield states[-1]
-        with pytest.raises(StopIteration) as end:
-            steps.send(others)
-        solved: SolvedSession = end.value.value[0]
-        return solved
+    def begin(own: list[SessionFrame], places: Sequence[Place]) -> Begun[SolvedSession]:
+        begun = begin_arm(own, problem_of(bundled_body), places=places)
+        assert begun.state is not None
+        states.append(begun.state)
+        return begun.then(lambda found: found[0])
 
-    both = solved_together({"PSM1": partial(solving, frames), "PSM2": partial(solving, frames[1::2])})
+    both = solved_together({"PSM1": partial(begin, frames), "PSM2": partial(begin, frames[1::2])})
     found = {name: solved.calibration for name, solved in both.items()}
     first, second, single = (own.endoscope for own in (found["PSM1"], found["PSM2"], alone.calibration))
     assert first is not None
@@ -156,12 +153,11 @@ def test_an_arm_that_fails_leaves_the_first_one_solved(
     _, frames = world
     done = []
 
-    def first(_: Sequence[Place]) -> Solving[SolvedSession]:
-        done.append((yield from solving_arm(frames[:4], problem_of(bundled_body)))[0])
-        return done[0]
+    def first(_: Sequence[Place]) -> Begun[None]:
+        return begin_arm(frames[:4], problem_of(bundled_body)).then(lambda found: done.append(found[0]))
 
-    def second(_: Sequence[Place]) -> Solving[SolvedSession]:
-        return (yield from solving_arm(frames[:2], problem_of(bundled_body)))[0]
+    def second(_: Sequence[Place]) -> Begun[None]:
+        return begin_arm(frames[:2], problem_of(bundled_body)).then(lambda found: done.append(found[0]))
 
     with pytest.raises(InputError, match="at least 3 usable frames"):
         solved_together({"PSM1": first, "PSM2": second})
@@ -173,8 +169,8 @@ def test_without_readings_each_piece_has_its_base(
 ) -> None:
     arm, frames = world
     without = [without_ecm(frame) for frame in frames]
-    steps = solving_arm(without, problem_of(bundled_body))
-    state = next(steps)
+    begun = begin_arm(without, problem_of(bundled_body))
+    state = begun.state
     assert state is not None
     # an arm whose frames tell the same moves makes them better known; one that tells others is not believed
     with_another = with_others(state, [state])
@@ -186,9 +182,7 @@ def test_without_readings_each_piece_has_its_base(
     other = replace(calibration, endoscope=calibration.endoscope.changed(0.1 * np.ones(18)))
     moved_otherwise = replace(state, found=replace(state.solution, calibration=other))
     assert with_others(state, [moved_otherwise]).problem is state.problem
-    with pytest.raises(StopIteration) as end:
-        steps.send([])
-    solved: SolvedSession = end.value.value[0]
+    solved, _ = begun.finish([])
     found = solved.calibration.endoscope
     assert found is not None
     assert found.tip_from_camera is None

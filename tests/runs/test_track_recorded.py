@@ -34,7 +34,7 @@ from dvrk_cmaes.runs import recorded_keyframes
 from dvrk_cmaes.runs.recorded_keyframes import (
     RecordedFrames,
     RecordedKeyframe,
-    solving_keyframes,
+    begin_keyframes,
     with_keyframes,
 )
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
@@ -198,7 +198,7 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
         return [function(body, config, task) for task in tasks]
 
     problem = SessionProblem(recorded.series, body.instrument, "classic", config, run)
-    solved = solved_alone(solving_keyframes(recorded, problem))
+    solved = solved_alone(begin_keyframes(recorded, problem))
     assert isinstance(solved, SessionCalibration)
     assert [task.start is None for task in tried] == [True] * 7 + [False] * (len(tried) - 7)
     for task in tried[7:]:
