@@ -26,7 +26,6 @@ from dvrk_cmaes.calibration.model import (
 )
 from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
-from dvrk_cmaes.calibration.session_doubts import doubts_of
 from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation, turns_of
@@ -49,15 +48,14 @@ from dvrk_cmaes.io.typed_document import (
     PositiveNumber,
     Texts,
     Transform,
-    check_schema,
     convert_document,
     present_fields,
     read_covariance,
     refused,
 )
-from dvrk_cmaes.joints.lag import Lag, current_document
+from dvrk_cmaes.joints.lag import Lag
 
-SCHEMA = 1
+SCHEMA = 2
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
 """What messages about arguments say of the type."""
 # standard deviations above which a part of the calibration is reported as not determined
@@ -270,15 +268,17 @@ class SessionCalibration:
             A field that is missing or wrong; the message begins with ``where``.
         """
         fields = {"instrument": "", "version": "", **present_fields(where, document)}
-        check_schema(where, fields, SCHEMA)
+        if (schema := fields.get("schema")) != SCHEMA:
+            got = "none" if schema is None else shown(schema)
+            again = "calibrate again: dvrk-cmaes calibrate FOLDER"
+            raise InputError(f"{where}: schema: expected {SCHEMA}, got {got}; {again}")
         parts = convert_document(where, fields, _Parts)
         axes = (*BASE_AXES, *parts.offsets)
         covariance = read_covariance(where, fields.get("covariance"), axes)
-        given_camera = "given_camera" if "given_camera" in fields["covariance"] else "matrix"
         fields |= {
             "axes": axes,
             "covariance": covariance,
-            "covariance_given_camera": read_covariance(where, fields["covariance"], axes, given_camera),
+            "covariance_given_camera": read_covariance(where, fields["covariance"], axes, "given_camera"),
             "left_out": {one.frame: one.reason for one in parts.left_out},
             "leave_one_out": _pairs(parts.leave_one_out),
             "leave_one_out_of_views": {view: _pairs(own) for view, own in parts.leave_one_out_of_views.items()},
@@ -286,16 +286,15 @@ class SessionCalibration:
             "contour_px_95": parts.quality.contour_px_95,
         }
         endoscope = SessionEndoscope.from_document(where, fields.pop("endoscope", None), len(axes))
-        older = "doubts" not in fields  # all that was said was in ``warnings``
-        fields["remarks"] = fields.pop("warnings", ()) if older else fields.get("remarks", ())
-        fields = {name: value for name, value in fields.items() if name != "warnings"}
-        fields["lag"] = current_document(fields.get("lag"))
+        fields.pop("warnings", None)
         found = replace(convert_document(where, fields, cls), endoscope=endoscope)
+        if found.lag is not None and found.lag.frames is None and found.lag.seconds is None:
+            raise refused(where, "lag", "frames or seconds", fields["lag"])
         if found.cables is not None:
             found.cables.check(where, tuple(parts.offsets)[1:])
         if found.masks is not None:
             found.masks.check(where, len(found.whole_covariance))
-        return replace(found, doubts=doubts_of(found)) if older else found
+        return found
 
     def at(
         self, readings: Mapping[str, float], *, frame: str = "", time: float | None = None

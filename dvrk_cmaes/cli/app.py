@@ -76,6 +76,7 @@ _OF_TRACK: Final = {
 _LINKS: Final = {"--follow-links": "copies of the files in the folder"}
 _REMOVED: Final = {
     "batch": dict.fromkeys(("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
+    "calibrate": {"--instrument-candidates": "a calibration with each --instrument, and compare their leave-one-out"},
     "live": {"--rehearse": "`dvrk-cmaes track --causal`"},
     "export": {
         "--to tracker": "--to csv, of which `dvrk-cmaes help problems` says how the tracker's start is made",

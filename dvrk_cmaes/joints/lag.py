@@ -163,17 +163,3 @@ class Lag:
     def option(self) -> str:
         """The lag as an option of the command line: ``--lag 0.131s`` or ``--lag 3.94frames``."""
         return f"--lag {self.text.replace(' ', '')}"
-
-
-def current_document(document: object) -> object:
-    """Return the document of a lag with today's sign, null for one with neither frames nor seconds.
-
-    Documents without ``sign`` count readings that are late as positive.
-    """
-    if not isinstance(document, dict):
-        return document
-    fields = {name: value for name, value in document.items() if value is not None}
-    if fields.get("sign") != SIGN:
-        numbers = {name: fields.get(name) for name in ("frames", "seconds")}
-        fields |= {name: -value for name, value in numbers.items() if isinstance(value, int | float)}
-    return fields if {"frames", "seconds"} & fields.keys() else None

@@ -126,7 +126,7 @@ def test_document_has_documented_fields() -> None:
         "version",
         "config",
     } <= set(document)
-    assert document["schema"] == 1
+    assert document["schema"] == 2
     assert document["rcm"] == [row[3] for row in document["camera_from_base"][:3]]
     assert document["left_out"] == [{"frame": "0001", "reason": "disagrees with the session"}]
     assert document["leave_one_out"]["0002"] == {"iou": 0.9, "contour_px": 2.25}
@@ -191,7 +191,9 @@ def put(*path: str, value: object) -> Damage:
             "covariance.axes: expected tx, ty, tz, rx, ry, rz, insertion, roll, wrist_pitch, wrist_yaw, jaw, "
             "got ['tx']",
         ),
-        (put("schema", value=2), "schema: expected 1, the only one known to this version, got 2"),
+        (put("schema", value=1), "schema: expected 2, got 1; calibrate again: dvrk-cmaes calibrate FOLDER"),
+        (put("schema", value=None), "schema: expected 2, got none; calibrate again: dvrk-cmaes calibrate FOLDER"),
+        (put("lag", value={"applied": True}), "lag: expected frames or seconds, got {'applied': True}"),
         (put("spreads", "roll", value=0.0), "spreads.roll: expected a number above 0, got 0.0"),
         (put("covariance", value=[]), "covariance: expected an object, got []"),
         (put("spreads", value=None), "spreads: expected an object, got nothing"),

@@ -169,15 +169,6 @@ def test_remarks_of_a_session_make_nothing_doubtful() -> None:
     assert resting_on(followed, None) is followed
 
 
-def test_older_document_is_judged_by_what_it_states() -> None:
-    document = session(camera=LONGER, remarks=("lag: taken out",)).to_dict()
-    del document["doubts"], document["remarks"]
-    document["warnings"] = ["lag: taken out"]
-    found = SessionCalibration.from_dict(document)
-    assert (found.remarks, found.status) == (("lag: taken out",), "doubtful")
-    assert found.doubts == doubts_of(session(camera=LONGER))
-
-
 @pytest.mark.parametrize(
     ("off_deg", "expected"),
     [

@@ -94,7 +94,7 @@ FILES: dict[str, tuple[str | bytes, dict[str, object], str]] = {
     "session, no JSON": ("{", {"session": "bad"}, r"bad: .*(JSON|expected)"),
     "session, schema": ('{"schema": 99}', {"session": "bad"}, r"bad: schema: expected .*99"),
     "session, field": (
-        '{"schema": 1, "camera_from_base": [[1, 2]], "frames": []}',
+        '{"schema": 2, "camera_from_base": [[1, 2]], "frames": []}',
         {"session": "bad"},
         r"bad: .*expected",
     ),
