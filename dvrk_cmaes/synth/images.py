@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.synth.masks import signed_distance, smooth_noise
+from dvrk_cmaes.synth.scene import NOTHING, Scene, pixel_rays, see
 from dvrk_cmaes.synth.truth import Truth
-from dvrk_cmaes.synth.views import NOTHING, LinkView, trace_links
 
 # colours are BGR, from 0 to 1
 DARK_TISSUE: Final = np.array([0.10, 0.09, 0.34], np.float32)
@@ -23,7 +23,6 @@ PALE_TISSUE: Final = np.array([0.30, 0.33, 0.68], np.float32)
 OCCLUDER_TISSUE: Final = np.array([0.33, 0.38, 0.74], np.float32)
 SHAFT: Final = np.array([0.105, 0.10, 0.10], np.float32)
 STEEL: Final = np.array([0.55, 0.54, 0.52], np.float32)
-SAMPLES: Final = 2  # rays per pixel along each side
 
 
 def draw_image(
@@ -52,7 +51,8 @@ def draw_image(
     """
     shape = (camera.height, camera.width)
     tissue = draw_tissue(shape, rng)
-    tool, alpha = _tool(camera, truth)
+    drawn = draw_tool(truth, see(camera, [truth]).coverage[0], pixel_rays(camera))
+    tool, alpha = drawn[..., :3], drawn[..., 3]
     shadow = cv2.GaussianBlur(np.roll(alpha, (9, 5), (0, 1)), (0, 0), 9)
     image = tissue * (1 - 0.55 * shadow[..., None])
     image = image * (1 - alpha[..., None]) + tool
@@ -68,40 +68,41 @@ def draw_image(
     return np.asarray(np.clip(image * 255 + 0.5, 0, 255), dtype=np.uint8)
 
 
-def _tool(camera: Camera, truth: Truth) -> tuple[Float32, Float32]:
-    """Render the instrument: its shaded colour times coverage (H, W, 3), and its coverage (H, W)."""
-    fine = camera.scaled(camera.width * SAMPLES, camera.height * SAMPLES)
-    view = trace_links(truth.instrument, fine, truth.camera_from_root, truth.values)
-    seen = (view.link != NOTHING).astype(np.float32)
-    size = (camera.width, camera.height)
-    shaded = cv2.resize(shaded_links(truth, view), size, interpolation=cv2.INTER_AREA)
-    alpha = cv2.resize(seen, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(shaded, np.float32), np.asarray(alpha, np.float32)
+def draw_tool(truth: Truth, coverage: Float32, rays: Float32) -> Float32:
+    """Return the instrument's colour times coverage, and its coverage, (H, W, 4), by the rays (H, W, 3) of pixels."""
+    near = cv2.dilate((coverage > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    colour = np.zeros((*coverage.shape, 4), np.float32)
+    colour[near] = _shaded(truth, rays[near])
+    around = cv2.blur(colour, (3, 3))  # a pixel whose centre is not covered takes its neighbours' colour
+    border = near & (colour[..., 3] == 0)
+    colour[border] = around[border] / np.maximum(around[border, 3:], 1e-6)
+    colour[..., :3] *= coverage[..., None]
+    colour[..., 3] = coverage
+    return colour
 
 
-def shaded_links(truth: Truth, view: LinkView) -> Float32:
-    """Return the colour (..., 3) of what is seen along rays, lit from the lens; 0 where no link is seen."""
-    seen = view.link != NOTHING
-    normal, direction, depth = view.normal[seen], view.direction[seen], view.depth[seen]
+def _shaded(truth: Truth, rays: Float32) -> Float32:
+    """Return the colour of what rays (N, 3) meet, lit from the lens, and 1, (N, 4); zeros where they meet nothing."""
+    scene = Scene([truth])
+    face, depth = scene.hits(rays)
+    seen = face != NOTHING
+    normal, depth = scene.normals(face[seen]).astype(np.float32), depth[seen]
+    direction = rays[seen] / np.linalg.norm(rays[seen], axis=1, keepdims=True)
     facing = np.abs((normal * direction).sum(axis=-1))  # the light is at the lens
     shaft = truth.instrument.shaft
     end = -np.inf if shaft is None else shaft.distal_end
-    steel = (view.link[seen] > 0) | (_along_shaft(truth, direction, depth) > end)
+    along = (rays[seen] * depth[:, None] - truth.camera_from_root[:3, 3]) @ truth.camera_from_root[:3, 2]
+    steel = (scene.link[face[seen]] > 0) | (along > end)
     albedo = np.where(steel[..., None], STEEL, SHAFT)
     # polished steel reflects a bright surrounding above and a dark one below
     mirrored = 0.5 - 0.5 * np.tanh(3 * normal[..., 1:2] + 0.6 * normal[..., :1])
     diffuse = albedo * (0.25 + 0.75 * facing[..., None]) * np.where(steel[..., None], 0.55 + 0.75 * mirrored, 1.0)
     gloss = np.where(steel, 0.75 * facing**24, 0.10 * facing**8)[..., None]
     nearer = np.minimum(0.11 / np.maximum(depth, 0.04), 1.25)
-    colour = np.zeros((*seen.shape, 3), np.float32)
-    colour[seen] = np.clip((diffuse + gloss) * nearer[..., None], 0, 1)
+    colour = np.zeros((len(rays), 4), np.float32)
+    colour[seen, :3] = np.clip((diffuse + gloss) * nearer[..., None], 0, 1)
+    colour[seen, 3] = 1
     return colour
-
-
-def _along_shaft(truth: Truth, direction: Float32, depth: Float32) -> Float32:
-    """Return the coordinate along the shaft of the points seen along rays (...), m from the root's origin."""
-    points = direction / direction[..., 2:] * depth[..., None] - truth.camera_from_root[:3, 3]
-    return np.asarray(points @ truth.camera_from_root[:3, 2], np.float32)
 
 
 def draw_tissue(shape: tuple[int, int], rng: np.random.Generator) -> Float32:

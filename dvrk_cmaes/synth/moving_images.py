@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Bool, Float32
-from dvrk_cmaes.synth.images import SHAFT, blend_over, draw_lump, draw_tissue, shaded_links, vignette
+from dvrk_cmaes.synth.images import SHAFT, blend_over, draw_lump, draw_tissue, draw_tool, vignette
 from dvrk_cmaes.synth.masks import signed_distance, smooth_noise
 from dvrk_cmaes.synth.passing import Occluder
+from dvrk_cmaes.synth.scene import pixel_rays
 from dvrk_cmaes.synth.truth import Truth
-from dvrk_cmaes.synth.views import NOTHING, pixel_rays, trace_rays
 
 _TISSUE_DEPTH: Final = 0.16  # m
 _BREATH: Final = 3.7  # s, period of the breathing
@@ -131,7 +131,7 @@ class RecordingImages:
         for tool in tools:
             if tool.coverage.any():
                 part = _around(tool.coverage > 0, _LONGEST_BLUR)
-                drawn = self._tool(tool.truths[number], tool.coverage[part], self._rays[part])
+                drawn = draw_tool(tool.truths[number], tool.coverage[part], self._rays[part])
                 drawn = self._blurred(tool.truths, number, drawn)
                 image[part] *= 1 - drawn[..., 3:]
                 image[part] += drawn[..., :3]
@@ -177,19 +177,6 @@ class RecordingImages:
         size = (self._camera.width, self._camera.height)
         moved = cv2.warpAffine(coverage, shift.astype(np.float32), size)
         return np.asarray(cv2.GaussianBlur(moved, (0, 0), blur * self._scale))
-
-    def _tool(self, truth: Truth, coverage: Float32, rays: Float32) -> Float32:
-        """Return the instrument's colour times coverage, and its coverage, (H, W, 4), for a part of the image."""
-        near = cv2.dilate((coverage > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        view = trace_rays(truth.instrument, rays[near], truth.camera_from_root, truth.values)
-        colour = np.zeros((*coverage.shape, 4), np.float32)
-        colour[near, :3], colour[near, 3] = shaded_links(truth, view), view.link != NOTHING
-        around = cv2.blur(colour, (3, 3))  # a pixel whose centre is not covered takes its neighbours' colour
-        border = near & (colour[..., 3] == 0)
-        colour[border] = around[border] / np.maximum(around[border, 3:], 1e-6)
-        colour[..., :3] *= coverage[..., None]
-        colour[..., 3] = coverage
-        return colour
 
     def _blurred(self, truths: Sequence[Truth], number: int, picture: Float32) -> Float32:
         """Blur a picture (H, W, C) along the motion of the wrist in the image during the exposure."""

@@ -18,8 +18,8 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root
 from dvrk_cmaes.joints.reading import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.scene import links_seen
 from dvrk_cmaes.synth.truth import Truth, pose_from_view
-from dvrk_cmaes.synth.views import links_at, window_of_links
 
 _SWING: Final = 0.25  # rad, largest yaw and pitch of the arm, of either sign
 _ROLL: Final = 2.0  # rad, largest roll, of either sign
@@ -94,7 +94,7 @@ def arm_session(
         for _ in range(60 * frames):
             attempts -= 1
             truth = _arm_truth(body.instrument, arm, camera_from_base, rng)
-            if is_sensible(body, camera, truth, view):
+            if is_sensible(camera, truth, view):
                 truths.append(truth)
             if len(truths) == frames:
                 return camera_from_base, truths
@@ -124,7 +124,7 @@ def free_poses(
             roll=rng.uniform(-np.pi, np.pi),
         )
         truth = Truth(body.instrument, pose, _wrist(body.instrument, rng))
-        if is_sensible(body, camera, truth, view):
+        if is_sensible(camera, truth, view):
             truths.append(truth)
     raise DvrkCmaesError(f"no poses of {body.instrument.name} were found that are sensible pictures")
 
@@ -167,7 +167,7 @@ def _wrist(instrument: Instrument, rng: np.random.Generator) -> dict[str, float]
     return joints
 
 
-def is_sensible(body: Body, camera: Camera, truth: Truth, view: ViewLimits = DEFAULT_VIEW_LIMITS) -> bool:
+def is_sensible(camera: Camera, truth: Truth, view: ViewLimits = DEFAULT_VIEW_LIMITS) -> bool:
     """Whether wrist and jaws are well visible, within the limits, and only the root link meets the image's border."""
     points = np.concatenate([truth.wrist, truth.tips])
     size = np.array([camera.width, camera.height])
@@ -187,10 +187,7 @@ def is_sensible(body: Body, camera: Camera, truth: Truth, view: ViewLimits = DEF
     if bend < np.deg2rad(view.least_bend):
         return False
     root, jaws = 0, [tip.link for tip in truth.instrument.jaw_tips]
-    posed = camera, truth.camera_from_root, truth.values
-    where = window_of_links(truth.instrument, *posed, jaws)
-    where[[0, -1]] = where[:, [0, -1]] = True
-    link = links_at(body, *posed, where)
+    link = links_seen(camera, truth)
     border = np.concatenate([link[0], link[-1], link[:, 0], link[:, -1]])
     return bool(
         (border == root).sum() >= 20

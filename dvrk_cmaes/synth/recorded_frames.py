@@ -14,9 +14,9 @@ from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MOTION_LEVELS
 from dvrk_cmaes.synth.passing import Occluder, passing_occluder
+from dvrk_cmaes.synth.scene import links_seen
 from dvrk_cmaes.synth.session import SessionPlan
 from dvrk_cmaes.synth.truth import Truth, exact_coverage
-from dvrk_cmaes.synth.views import links_at, window_of_links
 
 _SHADOW: Final = (7.0, 70.0)  # px at 640 x 480, shift of the shadow, and radius about the wrist in which it counts
 _VISIBLE_SHRINK: Final = 4  # factor on the size of the image in which the visible share of the jaws is counted
@@ -115,8 +115,7 @@ def _visible_share(plan: SessionPlan, truth: Truth, hidden: Bool | None) -> floa
     small = plan.camera.scaled(plan.camera.width // _VISIBLE_SHRINK, plan.camera.height // _VISIBLE_SHRINK)
     width, height = small.width, small.height
     wide = small.cropped(-width, -height, 3 * width, 3 * height)
-    posed = wide, truth.camera_from_root, truth.values
-    jaw = np.isin(links_at(plan.body, *posed, window_of_links(plan.body.instrument, *posed, jaws)), jaws)
+    jaw = np.isin(links_seen(wide, truth), jaws)
     inside = jaw[height : 2 * height, width : 2 * width]
     if hidden is not None:
         inside = inside & (cv2.resize(hidden.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) < 0.5)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.geometry import Bool, Float32, Float64, apply, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.silhouette import Body, Renderer
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.synth.scene import see
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +61,7 @@ def exact_mask(body: Body, camera: Camera, truth: Truth) -> Bool:
 
 def exact_coverage(body: Body, camera: Camera, truth: Truth) -> Float32:
     """Render the share (H, W) of each pixel that the instrument covers, 0 to 1."""
-    coverage = Renderer(body, camera, threads=1).coverage(
-        truth.camera_from_root[None], truth.values[None], lines_per_pixel=4
-    )
-    return np.asarray(coverage[0], dtype=np.float32)
+    return np.asarray(see(camera, [replace(truth, instrument=body.instrument)]).coverage[0])
 
 
 def pose_from_view(

@@ -26,9 +26,9 @@ from dvrk_cmaes.synth.files import write_golden, write_joints
 from dvrk_cmaes.synth.masks import simulate_segmentation
 from dvrk_cmaes.synth.occluders import outside_lens_circle
 from dvrk_cmaes.synth.readings import sample_readings
+from dvrk_cmaes.synth.scene import NOTHING, Scene, pixel_rays
 from dvrk_cmaes.synth.session import PLAN_FILE, SessionPlan, frame_name, make_truths, write_cameras
 from dvrk_cmaes.synth.truth import Truth
-from dvrk_cmaes.synth.views import NOTHING, trace_links
 
 ARMS: Final = ("PSM1", "PSM2")
 ALONE: Final = "alone"
@@ -134,8 +134,8 @@ def _segmented(plan: SessionPlan, exact: Bool, number: int, tool: int, outside: 
 
 def tool_depth(body: Body, camera: Camera, truth: Truth) -> Float32:
     """Trace the depth (H, W) of a tool at each pixel, m; infinite where it is not seen."""
-    view = trace_links(body.instrument, camera, truth.camera_from_root, truth.values)
-    return np.where(view.link == NOTHING, np.float32(np.inf), view.depth).astype(np.float32)
+    face, depth = Scene([replace(truth, instrument=body.instrument)]).hits(pixel_rays(camera).reshape(-1, 3))
+    return np.where(face == NOTHING, np.float32(np.inf), depth).reshape(camera.height, camera.width)
 
 
 def tools_of_arms(tool: ToolEntry) -> list[ToolEntry]:

@@ -21,9 +21,10 @@ from dvrk_cmaes.io.atomic import write_image, write_json, write_text
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.synth.levels import LEVELS, Mistakes
 from dvrk_cmaes.synth.masks import simulate_segmentation
-from worlds.drawing import Seen, draw_image, draw_tools, picture
-from worlds.motion import CLOCK, Kind, Moving, draw_motion, frame_times, lag_of, read_motion
-from worlds.scene import Placed, ends_seen
+from dvrk_cmaes.synth.scene import Seen, see
+from dvrk_cmaes.synth.truth import Truth
+from worlds.drawing import draw_image, picture
+from worlds.motion import CLOCK, Kind, Moving, draw_motion, ends_seen, frame_times, lag_of, read_motion
 from worlds.table import World
 
 Bool = NDArray[np.bool_]
@@ -130,7 +131,7 @@ def _draw(folder: Folder, seed: int) -> None:
     placed_at = [own.placed(times) for own in moving]
     for number, name in enumerate(folder.names):
         placed = [each[number] for each in placed_at]
-        overlap = _draw_frame(folder, seed, number, draw_tools(world.camera, placed))
+        overlap = _draw_frame(folder, seed, number, see(world.camera, placed))
         seen = {"visible": ends_seen(placed, 0), "time": float(stamps[number]), "overlap": overlap}
         golden[name] = _truth(moving[0], placed[0]) | seen
     base = moving[0].camera_from_base.tolist()
@@ -149,7 +150,7 @@ def add_right_eye(drawn: Folder, seed: int, out: Path) -> None:
     for number in range(drawn.frames):
         tools = [each[number] for each in placed_at]
         seen = [replace(tool, camera_from_root=right_from_left @ tool.camera_from_root) for tool in tools]
-        _draw_frame(right, seed + 1, number, draw_tools(world.camera, seen))
+        _draw_frame(right, seed + 1, number, see(world.camera, seen))
     for own in sorted(right.path.iterdir()):
         (out / own.name).rename(out / "left")
         (out / own.name).mkdir()
@@ -170,10 +171,10 @@ def _tool_entry(world: World, place: int, arm: str) -> ToolEntry:
     return ToolEntry(arm, world.arm, world.instrument, label=None if alone else (place + 1,), joints=joints)
 
 
-def _truth(moving: Moving, placed: Placed) -> dict[str, Any]:
+def _truth(moving: Moving, placed: Truth) -> dict[str, Any]:
     """Return the truth of a frame as golden.json states it, without the outer joints."""
-    joints: Mapping[str, float] = dict(zip(moving.instrument.joint_names, placed.joints.tolist(), strict=True))
-    ends = apply(placed.camera_from_root, placed.instrument.ends(placed.joints))
+    joints: Mapping[str, float] = dict(zip(moving.instrument.joint_names, placed.values.tolist(), strict=True))
+    ends = apply(placed.camera_from_root, placed.instrument.ends(placed.values))
     return {"T_camera_roll_link": placed.camera_from_root.tolist(), "joints": joints, "tips_camera_m": ends.tolist()}
 
 

@@ -15,7 +15,8 @@ from dvrk_cmaes.geometry import apply, frame_along, inverse, rotation_about_z, t
 from dvrk_cmaes.instrument import Instrument, load_instrument
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, base_from_root
 from dvrk_cmaes.synth.levels import LEVELS, Level
-from worlds.scene import Placed, ends_seen
+from dvrk_cmaes.synth.scene import NEAREST, Scene
+from dvrk_cmaes.synth.truth import Truth
 from worlds.table import World
 
 Float64 = NDArray[np.float64]
@@ -48,6 +49,7 @@ _LEAST_SEEN: Final = {"easy": 0.7, "hard": 0.5}  # share of the ends
 _LOOKED_AT: Final = 8  # frames, one of which is looked at for hidden ends
 _NOISE: Final = 0.001  # rad, of each reading of a joint that wanders
 _TRIES: Final = 3000
+_HIDDEN: Final = 1.5e-3  # m, by which what a ray meets must be nearer than an end to hide it
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +85,11 @@ class Moving:
         offset = self.instrument.roll_offset
         return np.asarray(self.camera_from_base @ base_from_root(joints[:, :4], self.world.arm, roll_offset=offset))
 
-    def placed(self, times: Float64) -> list[Placed]:
+    def placed(self, times: Float64) -> list[Truth]:
         """Return the instrument as it is at times (T,), s."""
         joints = self.joints(times)
-        return [Placed(self.instrument, *each) for each in zip(self.poses(joints), joints[:, 4:], strict=True)]
+        values = (dict(zip(self.names[4:], row, strict=True)) for row in joints[:, 4:].tolist())
+        return [Truth(self.instrument, *each) for each in zip(self.poses(joints), values, strict=True)]
 
     def points(self, times: Float64) -> Float64:
         """Return wrist and ends (T, P, 3) in the camera, m."""
@@ -143,7 +146,7 @@ def draw_motion(world: World, seed: int, place: int = 0) -> Moving:
     raise DvrkCmaesError(f"world {world.number}: no motion was found that keeps {instrument.name} in the picture")
 
 
-def _ends_are_seen(world: World, placed: Sequence[Placed]) -> bool:
+def _ends_are_seen(world: World, placed: Sequence[Truth]) -> bool:
     """Whether the instrument hides few enough of its ends over some frames."""
     most_hidden = (1 - _LEAST_SEEN[world.level]) * len(placed)
     hidden = 0.0
@@ -152,6 +155,14 @@ def _ends_are_seen(world: World, placed: Sequence[Placed]) -> bool:
         if hidden > most_hidden:
             return False
     return True
+
+
+def ends_seen(tools: Sequence[Truth], number: int) -> float:
+    """Return the share of the ends of a tool that are before the camera and not hidden by it or another tool."""
+    placed = tools[number]
+    ends = apply(placed.camera_from_root, placed.instrument.ends(placed.values))
+    _, depth = Scene(tools).hits((ends / ends[:, 2:]).astype(np.float32))
+    return float(np.mean((depth > ends[:, 2] - _HIDDEN) | (depth <= NEAREST)))
 
 
 def in_picture(world: World, points: Float64) -> bool:

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from worlds.drawing import picture
 from worlds.folders import USUAL_PIXELS, Folder, add_right_eye, drawn_folder
 from worlds.motion import Kind, draw_motion, frame_times
-from worlds.scene import NEAREST, Scene
 from worlds.table import World, worlds
 
 from dvrk_cmaes.frames.images import read_mask
@@ -34,6 +33,7 @@ from dvrk_cmaes.io.atomic import write_text
 from dvrk_cmaes.io.bundled import bundled_path
 from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.synth.levels import LEVELS
+from dvrk_cmaes.synth.scene import NEAREST, Scene
 
 Float64 = NDArray[np.float64]
 TaskName = Literal["frame", "session", "eyes", "base", "masks", "images"]
@@ -176,7 +176,7 @@ def _detected_markers(drawn: Folder, seed: int) -> str:
     rows = []
     for number, name in enumerate(drawn.names):
         tools = [each[number] for each in placed_at]
-        places = place_markers(tools[0].instrument, tools[0].joints, known)
+        places = place_markers(tools[0].instrument, tools[0].values, known)
         points = apply(tools[0].camera_from_root, np.array([*places.values()]))
         _, depth = Scene(tools).hits((points / points[:, 2:]).astype(np.float32))
         seen = (depth > points[:, 2] - _BURIED) | (depth <= NEAREST)
