@@ -105,13 +105,13 @@ class FormatGiven:
     """
 
     to: Format
-    arm: str = "PSM1"
-    camera_frame: str = "camera"
-    base_frame: str | None = None
-    scene: int = 0
-    object_id: int = 1
-    dvrk_version: Literal["2.4", "2.3"] = "2.4"
-    ecm_pose: Path | None = None
+    arm: Annotated[str, Parameter(group=NAMES)] = "PSM1"
+    camera_frame: Annotated[str, Parameter(group=NAMES)] = "camera"
+    base_frame: Annotated[str | None, Parameter(group=NAMES)] = None
+    scene: Annotated[int, Parameter(group=NAMES)] = 0
+    object_id: Annotated[int, Parameter(group=NAMES)] = 1
+    dvrk_version: Annotated[Literal["2.4", "2.3"], Parameter(group=DVRK)] = "2.4"
+    ecm_pose: Annotated[Path | None, Parameter(group=DVRK)] = None
 
 
 def export(

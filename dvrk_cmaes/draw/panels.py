@@ -64,12 +64,6 @@ def _height(lines: int, unit: float) -> int:
     return max(1, round((lines * _LINE + 12) * unit))
 
 
-def heights(result: Result, width: int, unit: float) -> tuple[int, int]:
-    """Return the heights, px, of `header` and `footer`, without drawing them."""
-    rows, columns = _rows(result, width, unit)
-    return _height(1 + len(_reasons(result, width, unit)), unit), _height(len(rows) + len(columns), unit)
-
-
 def header(result: Result, width: int, unit: float) -> NDArray[np.uint8]:
     """Draw the strip above: accuracy, status, frame, IoU, contour distances and the reasons, (h, width, 3) BGR."""
     margin = _MARGIN * unit

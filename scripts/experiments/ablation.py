@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from experiment import Claim, Options, progress, read_options, table, write_experiment
+from figure import new_figure
 from made_sessions import RIGHT_MODE_DEG, Made, by_estimate, error_of, make
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evaluate.pose_error import PoseError
 from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES

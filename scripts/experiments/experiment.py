@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from figure import write_figure
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.draw.figure import write_figure
 from dvrk_cmaes.io.atomic import write_json, write_text
 
 if TYPE_CHECKING:

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from experiment import Claim, Options, progress, read_options, table, write_experiment
+from figure import new_figure
 from made_sessions import Made, make
 from numpy.typing import NDArray
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, LookAtRange
-from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.geometry import Posed, exp_rotation, transform
 from dvrk_cmaes.joints.prior import Readings

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from experiment import Claim, Options, progress, read_options, table, write_experiment
+from figure import new_figure
 from made_sessions import OURS, PNP, PNP_RANSAC, PNP_TIPS, Made, errors_of, make, result_set, results_by
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.evaluate.agreement import Agreement, measure_agreement
 from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, TABLE_ONE

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from experiment import Claim, Options, progress, read_options, table, wilson, write_experiment
+from figure import new_figure
 from made_sessions import OURS, PNP, Made, by_estimate, by_points, make
 from numpy.typing import NDArray
 from picking import (
@@ -29,7 +30,6 @@ from picking import (
 )
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.draw.figure import new_figure
 from dvrk_cmaes.silhouette.prepare import prepare
 from dvrk_cmaes.synth.session import SyntheticFrame
 

@@ -7,22 +7,14 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.io.output import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FORMATS: Final = (".png", ".pdf", ".svg", ".jpg")
-
 _COLOURS: Final = 64
 _STABLE: Final[dict[str, dict[str, Any]]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-
-
-def check_figure_path(path: Path) -> None:
-    """Raise InputError if a figure's file name does not end in one of ``FORMATS``."""
-    if path.suffix.lower() not in FORMATS:
-        raise InputError(f"{path}: expected a picture's name to end in {', '.join(FORMATS)}, got {path.suffix!r}")
 
 
 def new_figure(width: float, height: float) -> Figure:
