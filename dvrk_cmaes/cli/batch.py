@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +12,7 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     AUTO,
+    DEFAULT_CALIBRATION,
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
@@ -19,19 +20,16 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_READING,
     DEFAULT_SEGMENT,
     FOLDER,
-    METHOD,
     MOST_WORKERS,
     OUTPUT,
-    WORKERS,
+    CalibrationOptions,
     CameraOptions,
-    DoubtfulSessionOption,
     Flag,
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
     ReadingOptions,
     SegmentOptions,
-    SessionOption,
     check_range,
     parse_pixel,
 )
@@ -52,33 +50,141 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.frames.label import Label
-    from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.batch import BatchSummary, Workers
+    from dvrk_cmaes.runs.batch import BatchSummary
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+    from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 _MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit
+
+
+@Parameter(name="*", group=FOLDER)
+@dataclass(frozen=True, kw_only=True)
+class BatchOptions:
+    """What is estimated, by what, and where results go.
+
+    Parameters
+    ----------
+    out
+        Folder for the results; SESSION/results by default.
+    frames
+        Estimate only the frames whose names match this shell pattern, e.g. "00*"; all frames by default.
+    resume
+        --resume keeps existing results, which must have been made from the same files with the same settings;
+        --overwrite removes them first.
+    retry_failed
+        Estimate failed frames again.
+    joints
+        File of readings to use instead of the session's own, or none, to use none. May be given several times.
+    label
+        Part of masks of labels that is the instrument: a value (the index, in images with a palette), several such as
+        10,20,30, a colour such as '#00ff00', or any, for all values but 0. They are in masks or else in labels.
+    pick
+        Pixel u,v on the instrument in all frames: use only the connected region of the mask, or of the label, there.
+    only
+        Arm of a session.toml with several tools: estimate this one only; by default all of them. May be given several
+        times.
+    workers
+        Number of worker processes; by default the number of cores.
+    scheduler
+        Address of a Dask scheduler, e.g. tcp://head:8786: use its workers instead of local processes.
+    time_limit
+        Seconds after which a frame is stopped and marked as failed; for local processes only.
+    lag
+        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames: each frame gets the
+        readings of that much earlier. By default, and with auto, it is that of --session; otherwise none is taken out.
+    """
+
+    out: Path | None = None
+    frames: str | None = None
+    resume: Annotated[bool, Parameter(negative="--overwrite")] = True
+    retry_failed: Flag = False
+    joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
+    label: str | None = None
+    pick: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    only: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
+    workers: int | None = None
+    scheduler: str | None = None
+    time_limit: float = 600.0
+    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+
+    def check(self, calibration: Path | None) -> None:
+        """Raise an InputError for values that are not valid, or do not fit together."""
+        if self.workers is not None and (self.workers < 1 or self.scheduler is not None):
+            got = f"{self.workers}" if self.scheduler is None else "--scheduler too"
+            raise InputError(f"--workers: expected a whole number of at least 1, and no --scheduler, got {got}")
+        if not self.time_limit > 0:
+            raise InputError(f"--time-limit: expected seconds above 0, got {self.time_limit:g}")
+        check_range("--time-limit", self.time_limit, 0, _LONGEST_FRAME, "seconds")
+        check_range("--workers", self.workers, 1, MOST_WORKERS)
+        if self.lag == AUTO and calibration is None:
+            expected = "a number, or auto with --session (calibrate finds the lag)"
+            raise InputError(f"--lag: expected {expected}, got auto alone")
+
+    def with_masks(self, arm: ArmInSession, prompts: PromptOptions) -> ArmInSession:
+        """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
+        from dvrk_cmaes.frames.boxes import FramePrompts
+        from dvrk_cmaes.frames.label import parse_label
+
+        session = arm.session
+        if self.label is not None:
+            label = parse_label("--label", self.label)
+            session = replace(session, frames=tuple(files.changed(label=label) for files in session.frames))
+        if self.pick is not None:
+            pick = parse_pixel("pick", self.pick)
+            session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
+        if prompts != DEFAULT_PROMPTS:
+            hints = prompts.resolve()
+            session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))
+        return replace(arm, session=session)
+
+    def run(
+        self,
+        arm: ArmInSession,
+        out: Path,
+        settings: EstimateConfig,
+        calibration: SessionCalibration | None,
+        segment: SegmentSettings,
+    ) -> BatchSummary:
+        """Run the batch of an arm's session, with progress on stderr."""
+        from dvrk_cmaes.cli.batch_progress import progress
+        from dvrk_cmaes.joints.lag import Lag
+        from dvrk_cmaes.runs.batch import Workers, run_batch
+        from dvrk_cmaes.runs.cluster import dask_executor
+
+        given = None if self.lag in (None, AUTO) else Lag.parse("--lag", str(self.lag))
+        lag = calibration.applied_lag if given is None and calibration is not None else given
+        session = arm.session if lag is None else arm.session.with_lag(lag)
+        with ExitStack() as stack:
+            scheduler = self.scheduler
+            executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
+            stop, reporter = stack.enter_context(stopping_on_interrupt()), stack.enter_context(progress())
+            return run_batch(
+                session,
+                out,
+                arm.body.instrument,
+                config=settings,
+                arm=arm.kinematics,
+                calibration=calibration,
+                workers=Workers(
+                    self.workers, time_limit=self.time_limit, executor=executor, stop=stop, progress=reporter
+                ),
+                pattern=self.frames,
+                retry_failed=self.retry_failed,
+                resume=self.resume,
+                segment=segment,
+            )
+
+
+DEFAULT_BATCH = BatchOptions()
 
 
 def batch(
     session: Annotated[Path, Parameter(group=FOLDER)],
     /,
     *,
-    out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
-    frames: Annotated[str | None, Parameter(group=FOLDER)] = None,
-    resume: Annotated[bool, Parameter(group=FOLDER, negative="--overwrite")] = True,
-    retry_failed: Annotated[Flag, Parameter(group=FOLDER)] = False,
-    joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    label: Annotated[str | None, Parameter(group=FOLDER)] = None,
-    pick: Annotated[str | None, Parameter(group=FOLDER, allow_leading_hyphen=True)] = None,
-    only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
-    scheduler: Annotated[str | None, Parameter(group=WORKERS)] = None,
-    time_limit: Annotated[float, Parameter(group=WORKERS)] = 600.0,
-    lag: Annotated[str | None, Parameter(group=METHOD, allow_leading_hyphen=True)] = None,
-    calibration: SessionOption = None,
-    doubtful_session: DoubtfulSessionOption = False,
+    wanted: BatchOptions = DEFAULT_BATCH,
+    calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
     reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
@@ -113,39 +219,11 @@ def batch(
     session
         Session folder: camera.yaml, joints.csv, masks/FRAME.png (or images/FRAME.png alone), and optionally images and
         ignore.
-    out
-        Folder for the results; SESSION/results by default.
-    frames
-        Estimate only the frames whose names match this shell pattern, e.g. "00*"; all frames by default.
-    resume
-        --resume keeps existing results, which must have been made from the same files with the same settings;
-        --overwrite removes them first.
-    retry_failed
-        Estimate failed frames again.
-    joints
-        File of readings to use instead of the session's own, or none, to use none. May be given several times.
-    label
-        Part of masks of labels that is the instrument: a value (the index, in images with a palette), several such as
-        10,20,30, a colour such as '#00ff00', or any, for all values but 0. They are in masks or else in labels.
-    pick
-        Pixel u,v on the instrument in all frames: use only the connected region of the mask, or of the label, there.
-    only
-        Arm of a session.toml with several tools: estimate this one only; by default all of them. May be given several
-        times.
-    workers
-        Number of worker processes; by default the number of cores.
-    scheduler
-        Address of a Dask scheduler, e.g. tcp://head:8786: use its workers instead of local processes.
-    time_limit
-        Seconds after which a frame is stopped and marked as failed; for local processes only.
-    lag
-        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames: each frame gets the
-        readings of that much earlier. By default, and with auto, it is that of --session; otherwise none is taken out.
-    calibration
-        A session.json written by `calibrate`, or the folder it wrote, which has one for each of several arms: start
-        each frame from the pose that it predicts, and search globally only if that does not explain the mask.
-    doubtful_session
-        Use the session.json of --session even if it predicts frames badly that it has not seen.
+    wanted
+        What is estimated, by what, and where results go.
+    calibrated
+        A calibration that is used: each frame starts from the pose that it predicts, and is searched globally only if
+        that does not explain the mask.
     reading
         How files of readings are read.
     camera
@@ -161,47 +239,27 @@ def batch(
     json
         Print only summary.json, on stdout.
     """
-    if workers is not None and (workers < 1 or scheduler is not None):
-        got = f"{workers}" if scheduler is None else "--scheduler too"
-        raise InputError(f"--workers: expected a whole number of at least 1, and no --scheduler, got {got}")
-    if not time_limit > 0:
-        raise InputError(f"--time-limit: expected seconds above 0, got {time_limit:g}")
-    check_range("--time-limit", time_limit, 0, _LONGEST_FRAME, "seconds")
-    check_range("--workers", workers, 1, MOST_WORKERS)
-    from dvrk_cmaes.frames.label import parse_label
-
-    wanted = None if label is None else parse_label("--label", label)
-    picked = None if pick is None else parse_pixel("pick", pick)
-    if lag == AUTO and calibration is None:
-        raise InputError("--lag: expected a number, or auto with --session (calibrate finds the lag), got auto alone")
-    from dvrk_cmaes.cli.session_tools import output_folder, read_calibration_of, session_tools
-    from dvrk_cmaes.joints.lag import Lag
+    from dvrk_cmaes.cli.session_tools import output_folder, session_tools
     from dvrk_cmaes.runs.arms import write_arms
-    from dvrk_cmaes.runs.batch import Workers
     from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
 
-    given = lag if lag in (None, AUTO) else Lag.parse("--lag", str(lag))
+    wanted.check(calibrated.calibration)
     settings = replace(method.resolve(), threads=method.threads or 1)
-    tools = session_tools(session, instrument, only)
-    with output_folder(out, session, "results", "batch") as results:
-        if len(tools) > 1 and calibration is not None and not calibration.is_dir():
-            raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {calibration}")
+    tools = session_tools(session, instrument, wanted.only)
+    with output_folder(wanted.out, session, "results", "batch") as results:
+        given = calibrated.calibration
+        if len(tools) > 1 and given is not None and not given.is_dir():
+            raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {given}")
         arms: dict[str, ArmInSession] = {}
-        finished: dict[str, BatchSummary] = {}
         calibrations: dict[str, SessionCalibration | None] = {}
         for name, tool in tools.items():
-            arm = tool.read(session, camera, joints=joints, reading=reading, labelled=wanted is not None)
-            arms[name] = _with_masks_of(arm, wanted, picked, prompts)
-            calibrations[name] = read_calibration_of(
-                calibration, arms[name].body, instrument.arm, tool.tool.arm, doubtful=doubtful_session
-            )
-        options: dict[str, Any] = {"pattern": frames, "retry_failed": retry_failed, "resume": resume}
-        options["segment"] = segment.resolve()
-        at_work = Workers(workers, time_limit=time_limit)
+            labelled = wanted.label is not None
+            arm = tool.read(session, camera, joints=wanted.joints, reading=reading, labelled=labelled)
+            arms[name] = wanted.with_masks(arm, prompts)
+            calibrations[name] = calibrated.read(arms[name].body, instrument.arm, tool.tool.arm)
+        finished: dict[str, BatchSummary] = {}
         for name, arm in arms.items():
-            finished[name] = done = _run(
-                arm, results / name, settings, calibrations[name], scheduler, at_work, given, options
-            )
+            finished[name] = done = wanted.run(arm, results / name, settings, calibrations[name], segment.resolve())
             if done.interrupted:
                 break
         exchanged: list[str] = []
@@ -217,7 +275,7 @@ def batch(
         _report_all(finished, json)
         stopped = next((summary for summary in finished.values() if summary.interrupted), None)
         if stopped is not None:
-            again = "the same command" if resume else "the same command without --overwrite"
+            again = "the same command" if wanted.resume else "the same command without --overwrite"
             left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
             print_error(f"interrupted: {left}; {again} goes on from here")
             return INTERRUPTED
@@ -243,57 +301,6 @@ def _report_all(finished: Mapping[str, BatchSummary], json: bool) -> None:
         texts += done.document.get("rig_doubts", ())
         for text in texts:
             warn(text, name)
-
-
-def _with_masks_of(
-    arm: ArmInSession, label: Label | None, pick: tuple[float, float] | None, prompts: PromptOptions
-) -> ArmInSession:
-    """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
-    from dvrk_cmaes.frames.boxes import FramePrompts
-
-    session = arm.session
-    if label is not None:
-        session = replace(session, frames=tuple(files.changed(label=label) for files in session.frames))
-    if pick is not None:
-        session = replace(session, frames=tuple(replace(files, pick=pick) for files in session.frames))
-    if prompts != DEFAULT_PROMPTS:
-        hints = prompts.resolve()
-        session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))
-    return replace(arm, session=session)
-
-
-def _run(
-    arm: ArmInSession,
-    out: Path,
-    settings: EstimateConfig,
-    calibration: SessionCalibration | None,
-    scheduler: str | None,
-    workers: Workers,
-    lag: Lag | str | None,
-    options: Mapping[str, Any],
-) -> BatchSummary:
-    """Run the batch of an arm's session, with progress on stderr; ``options`` are arguments of `run_batch`."""
-    from dvrk_cmaes.cli.batch_progress import progress
-    from dvrk_cmaes.runs.batch import run_batch
-    from dvrk_cmaes.runs.cluster import dask_executor
-
-    if calibration is not None and lag in (None, AUTO):
-        lag = calibration.applied_lag
-    session = arm.session if lag is None or isinstance(lag, str) else arm.session.with_lag(lag)
-    with ExitStack() as stack:
-        executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
-        stop, reporter = stack.enter_context(stopping_on_interrupt()), stack.enter_context(progress())
-        workers = replace(workers, executor=executor, stop=stop, progress=reporter)
-        return run_batch(
-            session,
-            out,
-            arm.body.instrument,
-            config=settings,
-            arm=arm.kinematics,
-            calibration=calibration,
-            workers=workers,
-            **options,
-        )
 
 
 def _lines(document: dict[str, Any], folder: Path) -> Iterator[Line]:

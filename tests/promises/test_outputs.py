@@ -92,9 +92,9 @@ def test_help_is_printed_on_stdout(words: tuple[str, ...]) -> None:
 def test_every_command_of_the_stable_list_has_help() -> None:
     shown = run("--help").out
     for command in ("estimate", "segment", "demo", "batch", "calibrate", "track", "live", "export", "golden"):
-        assert f"  {command} " in shown
+        assert f" {command} " in shown
     for command in ("compare", "consistency", "pnp", "synth", "inspect", "import", "help"):
-        assert f"  {command} " in shown
+        assert f" {command} " in shown
 
 
 def test_closed_or_full_stdout_is_no_traceback(tmp_path: Path) -> None:
