@@ -179,17 +179,16 @@ def session_charts(results: Sequence[Result]) -> list[Chart]:
     timed = len(times) == len(results) > 1 and max(times) > min(times)
     places = np.array(times) - min(times) if timed else np.arange(len(results), dtype=np.float64)
     across = "time from the first image, s" if timed else "frame"
-    names = () if timed else [result.frame for result in results]
     hollow = np.array([result.status != "ok" for result in results])
-    bars = len(results) <= _BARS_FOR_AT_MOST
+    bars, frames = len(results) <= _BARS_FOR_AT_MOST, [result.frame for result in results]
 
     def chart(title: str, up: str, curves: Mapping[str, Sequence[float]], least: float, **more: Any) -> Chart:
-        stds = more.pop("stds", {}) if bars else {}
+        stds = more.pop("stds", {})
         drawn = [
-            Curve(name, places, np.array(y, np.float64), True, stds.get(name), [r.frame for r in results], hollow)
+            Curve(name, places, np.array(y, np.float64), True, stds.get(name) if bars else None, frames, hollow)
             for name, y in curves.items()
         ]
-        return Chart(title, across, up, drawn, names=names, least=least, **more)
+        return Chart(title, across, up, drawn, names=() if timed else frames, least=least, **more)
 
     joints = dict.fromkeys(name for result in results for name in result.joints)
     corrections = {name: [math.degrees(_correction(result, name)) for result in results] for name in joints}

@@ -209,6 +209,13 @@ def test_charts_are_over_time_where_it_is_known() -> None:
     assert (unknown.across, unknown.names) == ("frame", ["a", "b", "c"])
 
 
+def test_many_frames_have_no_bars_and_a_page() -> None:
+    few, many = (session_charts([result(f"{k:04d}") for k in range(count)])[0] for count in (80, 81))
+    assert few.curves[0].std is not None
+    assert many.curves[0].std is None
+    assert len(many.curves[0].y) == len(many.names) == 81
+
+
 # calibrations
 
 
