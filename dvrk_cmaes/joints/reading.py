@@ -24,6 +24,7 @@ from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS, accepted_names, check_joint, joint_reading
 from dvrk_cmaes.joints.npy import MAGIC, read_joint_npy
+from dvrk_cmaes.joints.plain_table import LEAST, read_plain_table
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, JointRow, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import time_in_name
@@ -124,6 +125,8 @@ def read_joint_file(
     data = read_bytes(path, expected=EXPECTED, largest=_LARGEST)
     if data.startswith(MAGIC):
         return read_joint_npy(path, data)
+    if len(data) > LEAST and not read_as.columns and (table := read_plain_table(path, data, names)) is not None:
+        return table
     text = text_of(path, data, expected=EXPECTED)
     if not is_joint_state(text):
         return read_joint_csv(path, text, names, read_as.arm, read_as.columns)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.names import joint_reading
@@ -70,6 +74,47 @@ class JointRow:
 
 
 @dataclass(frozen=True, eq=False)
+class TableRows(Mapping[str, JointRow]):
+    """Rows of a table of numbers, each of which is made when it is asked for.
+
+    ``times`` (N,), ns, strictly increasing; ``table`` (N, J), rad or m, NaN where there is no reading.
+    """
+
+    path: str
+    joints: tuple[str, ...]
+    times: NDArray[np.int64]
+    table: Float64
+
+    def __getitem__(self, label: str) -> JointRow:
+        number = label.removeprefix("row ")
+        if number == label or not number.isdecimal() or not 1 <= int(number) <= len(self.times):
+            raise KeyError(label)
+        k = int(number) - 1
+        cells = dict(zip(self.joints, self.table[k].tolist(), strict=True))
+        return JointRow(f"{self.path}: line {k + 2}", cells, int(self.times[k]))
+
+    def __iter__(self) -> Iterator[str]:
+        return (f"row {k + 1}" for k in range(len(self.times)))
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def series(self) -> dict[str, TimedReadings]:
+        """Return the readings of each joint that has some; InputError names a wrong cell."""
+        found = {}
+        for place, name in enumerate(self.joints):
+            column = self.table[:, place]
+            known = ~np.isnan(column)
+            for worst in (np.nanargmax(column), np.nanargmin(column)) if known.any() else ():
+                self[f"row {worst + 1}"].readings()  # raises InputError for one in another unit
+            if known.all():
+                found[name] = TimedReadings((name,), self.times, column[:, None], self.path)
+            elif known.any():
+                found[name] = TimedReadings((name,), self.times[known], column[known][:, None], self.path)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
 class JointFile:
     """A file of readings.
 
@@ -119,6 +164,8 @@ class JointFile:
     @property
     def joints(self) -> tuple[str, ...]:
         """Joints with a reading in at least one row, in order of appearance."""
+        if isinstance(self.rows, TableRows):
+            return tuple(self.rows.series())
         return tuple(
             dict.fromkeys(name for row in self.rows.values() for name, c in row.cells.items() if not is_missing(c))
         )
@@ -126,6 +173,8 @@ class JointFile:
     @cached_property
     def timed(self) -> tuple[TimedReadings, ...]:
         """Time series of each joint, from the rows that have a time."""
+        if isinstance(self.rows, TableRows):
+            return tuple(self.rows.series().values())
         times: dict[str, list[int]] = {}
         values: dict[str, list[list[float]]] = {}
         for row in self.rows.values():

@@ -1,0 +1,81 @@
+"""Large tables of numbers, read by columns: the same readings as by rows, and only tables that are plain."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.joints import reading
+from dvrk_cmaes.joints.names import accepted_names
+from dvrk_cmaes.joints.plain_table import read_plain_table
+from dvrk_cmaes.joints.reading import read_joint_file
+
+NAMES = ("yaw", "insertion", "jaw")
+
+
+def table(rows: int, *, blank: str = "", end: str = "\n", base: int = 1_700_000_000) -> str:
+    """Give a table with times of six decimals, in which every third jaw is missing."""
+    lines = [
+        f"{base + k // 1000}.{k % 1000:03d}123,{0.1 + 1e-7 * k:.9f},{-1e-3 * (k % 7):g},{'0.5' if k % 3 else blank}"
+        for k in range(rows)
+    ]
+    return end.join([",".join(("time", *NAMES)), *lines, ""])
+
+
+@pytest.mark.parametrize(("blank", "end"), [("", "\n"), ("nan", "\n"), ("", "\r\n"), ("NaN", "\n")])
+def test_readings_are_those_of_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank: str, end: str) -> None:
+    path = tmp_path / "joints.csv"
+    path.write_bytes(table(3000, blank=blank, end=end).encode())
+    monkeypatch.setattr(reading, "LEAST", 10)
+    columns = read_joint_file(path)
+    monkeypatch.setattr(reading, "LEAST", 10**9)
+    rows = read_joint_file(path)
+    assert list(columns.rows) == list(rows.rows)
+    assert columns.joints == tuple(sorted(rows.joints, key=NAMES.index))
+    for label in ("row 1", "row 2", "row 3000"):
+        assert columns.rows[label].readings() == rows.rows[label].readings()
+        assert columns.rows[label].time == rows.rows[label].time
+    by_name = {one.joints[0]: one for one in rows.timed}
+    for one in columns.timed:
+        np.testing.assert_array_equal(one.times, by_name[one.joints[0]].times)
+        np.testing.assert_array_equal(one.values, by_name[one.joints[0]].values)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        table(20).replace("time", "frame"),
+        table(20).replace("jaw", "jav"),
+        table(20).replace("0.5", "half", 1),
+        table(20).replace("0.5", "0.5.5", 1),
+        table(20).replace("0.5", "0.5,1", 1),
+        table(20).replace("1700000000.019123", "1700000000.001123"),
+        table(20, base=1_700_000_000_000),
+        "time,jaw\n" + "".join(f"{k},0.5\n" for k in range(20)),
+    ],
+)
+def test_table_that_is_not_plain_is_left_to_the_reader_of_rows(text: str) -> None:
+    assert read_plain_table("joints.csv", text.encode(), accepted_names()) is None
+
+
+def test_reading_in_another_unit_is_refused_with_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "LEAST", 10)
+    (tmp_path / "joints.csv").write_text(table(20).replace("0.5\n", "28.6\n", 1))
+    with pytest.raises(InputError, match=r"joints\.csv: line 3: jaw: expected radians"):
+        _ = read_joint_file(tmp_path / "joints.csv").timed
+
+
+def test_memory_is_within_three_times_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "joints.csv"
+    path.write_text(table(400_000))
+    tracemalloc.start()
+    try:
+        assert len(read_joint_file(path).timed[0].times) == 400_000
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 3 * path.stat().st_size + 60_000_000  # a part that is read at once takes 60 MB
