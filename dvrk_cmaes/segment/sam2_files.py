@@ -1,7 +1,6 @@
 """Loading of the encoder and the decoder of a Segment Anything 2 export from a folder, independent of the file names.
 
-Every model in the folder is opened and identified by the names of its tensors. Files that cannot be used are reported
-with the reason: exports of other kinds, parts of video exports, damaged or incomplete downloads, several models.
+Every model in the folder is opened and identified by the names of its tensors. One error says what each file is.
 """
 
 from __future__ import annotations
@@ -36,12 +35,6 @@ _DTYPES = {
 _PRECISIONS = ("", "_fp16", "_quantized", "_int8", "_uint8", "_q4", "_q4f16", "_bnb4")  # suffixes, best first
 _MOST_FILES = 8  # models in a folder that are opened
 _INSTALL = "pip install 'onnxruntime>=1.22,<2'"
-_FOREIGN = (  # patterns of tensors' names that identify parts of other kinds of exports, with their descriptions
-    (r"mem|obj_ptr|object_pointer|feats2", "a part of a video export, which needs the memory of earlier frames"),
-    (r"sparse_|dense_|image_pe", "a part of an export that keeps prompts and masks in files of their own"),
-    (r"image_positional_embeddings", "a part of an export of the first Segment Anything"),
-    (r"text|language|fpn_|vision_pos_enc|backbone_fpn", "a part of another export, of more than two files"),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,35 +100,30 @@ def open_export(folder: Path, threads: int) -> Export:
         raise InputError(f"{folder}: expected an exported checkpoint, got no .onnx file; {INSTEAD}")
     if len(files) > _MOST_FILES:
         raise InputError(f"{folder}: expected one encoder and one decoder, got {len(files)} models; keep one pair")
-    models, broken, foreign = [], [], []
-    for file in files:
-        try:
-            models.append(_open(file, threads))
-        except InputError as error:
-            broken.append(str(error))
     encoders: dict[str, list[OnnxModel]] = {}
     decoders: dict[str, list[OnnxModel]] = {}
-    for model in models:
+    there, others = [], []
+    for file in files:
+        try:
+            model = _open(file, threads)
+        except InputError as error:
+            others.append(str(error))
+            continue
         for family in FAMILIES:
-            if _is_encoder(model, family):
-                encoders.setdefault(family.name, []).append(model)
-                break
-            if _is_decoder(model, family):
-                decoders.setdefault(family.name, []).append(model)
+            role = "encoder" if _is_encoder(model, family) else "decoder" if _is_decoder(model, family) else None
+            if role is not None:
+                (encoders if role == "encoder" else decoders).setdefault(family.name, []).append(model)
+                there.append(f"{file.name} ({role} of {family.name})")
                 break
         else:
-            foreign.append(_describe_unusable(model))
+            others.append(f"{file}: neither encoder nor decoder of a known export (takes {listed(model.inputs)})")
     pairs = [family for family in FAMILIES if family.name in encoders and family.name in decoders]
-    if not pairs:
-        raise InputError(_describe_missing_pair(folder, encoders, decoders, broken, foreign))
     usable_encoders = [model for family in pairs for model in encoders[family.name]]
     usable_decoders = [model for family in pairs for model in _with_most_masks(decoders[family.name], family)]
-    if len(usable_encoders) > 1 or len(usable_decoders) > 1:
-        raise InputError(
-            f"{folder}: expected one encoder and one decoder, got the encoders {_names(usable_encoders)} "
-            f"and the decoders {_names(usable_decoders)}; keep one pair"
-        )
-    notes = tuple(f"not used: {reason}" for reason in (*broken, *foreign))
+    if len(usable_encoders) != 1 or len(usable_decoders) != 1:
+        present = ", ".join([*there, *(reason.removeprefix(f"{folder}/") for reason in others)])
+        raise InputError(f"{folder}: expected one encoder and one decoder of an export, got {present}; {INSTEAD}")
+    notes = tuple(f"not used: {reason}" for reason in others)
     encoder, decoder = usable_encoders[0], usable_decoders[0]
     _check_inputs(encoder, decoder, pairs[0])
     return Export(pairs[0], encoder, decoder, notes)
@@ -170,35 +158,16 @@ def _open(file: Path, threads: int) -> OnnxModel:
             str(file), options, providers=["CPUExecutionProvider"], enable_fallback=False
         )
     except Exception as error:  # onnxruntime's errors have no common base class
-        raise InputError(f"{file}: {_describe_load_error(file, error, onnxruntime.__version__)}") from None
+        said = f"onnxruntime {onnxruntime.__version__} does not read it: {one_line(error)}"
+        if missing := re.search(r'External data path does not exist: "?([^"]+)"?|directory \[([^\]]+)\]', str(error)):
+            said = f"its weights are missing: expected {Path(missing[1] or missing[2]).name} beside it"
+        raise InputError(f"{file}: expected a model (ONNX); {said}") from None
     return OnnxModel(
         file,
         session,
         {tensor.name: (tensor.type, tensor.shape) for tensor in session.get_inputs()},
         {tensor.name: (tensor.type, tensor.shape) for tensor in session.get_outputs()},
     )
-
-
-def _describe_load_error(file: Path, error: Exception, version: str) -> str:
-    """Return a message that says why onnxruntime cannot open a file, and what to do."""
-    text = " ".join(str(error).split())
-    try:
-        with file.open("rb") as start:
-            head = start.read(64)
-    except OSError as refused:
-        return f"not readable ({refused.strerror}); expected a model"
-    if head.startswith(b"version https://git-lfs"):
-        return "expected a model, got only Git LFS's pointer to it; download the file itself (git lfs pull)"
-    missing = re.search(r'External data path does not exist: "?([^"]+)"?|No such file or directory \[([^\]]+)\]', text)
-    if missing:
-        return (
-            f"its weights are missing: expected {Path(missing[1] or missing[2]).name} beside it; download that file too"
-        )
-    if re.search(r"[Oo]pset \d+ is under development|Unsupported model IR version", text):
-        return f"made for a newer onnxruntime than the {version} installed; pip install --upgrade onnxruntime"
-    if not head or "INVALID_PROTOBUF" in text:
-        return "expected a model, got a file that is damaged, cut off or something else; download it again"
-    return f"onnxruntime {version} does not read it: {one_line(error)}"
 
 
 def _named(names: Sequence[str], keys: Iterable[str | int]) -> bool:
@@ -241,45 +210,3 @@ def _check_inputs(encoder: OnnxModel, decoder: OnnxModel, family: Family) -> Non
         for name, (kind, _) in model.inputs.items():
             if kind not in _DTYPES:
                 raise InputError(f"{model.file}: {name}: expected float32 or integers, got {kind}; {INSTEAD}")
-
-
-def _describe_unusable(model: OnnxModel) -> str:
-    """Return a message that says what a model seems to be that is neither encoder nor decoder of a family."""
-    names = [*model.inputs, *model.outputs]
-    for family in FAMILIES:
-        if frozenset(family.features) <= frozenset(model.inputs):
-            extra = frozenset(model.inputs) - family.decoder_inputs
-            lacking = family.decoder_inputs - family.optional - frozenset(model.inputs)
-            if extra or lacking:
-                differences = [f"wants {listed(sorted(extra))} besides"] if extra else []
-                differences += [f"has no {listed(sorted(lacking))}"] if lacking else []
-                return f"{model.file}: like a decoder of {family.name}, but it {' and '.join(differences)}"
-    for pattern, meaning in _FOREIGN:
-        if any(re.search(pattern, name) for name in names):
-            return f"{model.file}: {meaning}"
-    if "image_embeddings" in names and not any("high_res" in name for name in names):
-        return f"{model.file}: a part of an export of the first Segment Anything"
-    return f"{model.file}: neither encoder nor decoder of a known export (takes {listed(model.inputs)})"
-
-
-def _describe_missing_pair(
-    folder: Path,
-    encoders: dict[str, list[OnnxModel]],
-    decoders: dict[str, list[OnnxModel]],
-    broken: list[str],
-    foreign: list[str],
-) -> str:
-    """Return a message that says which file of a pair is missing, and which files were found."""
-    there = [f"{_names(models)} (encoder of {name})" for name, models in encoders.items()]
-    there += [f"{_names(models)} (decoder of {name})" for name, models in decoders.items()]
-    others = [*broken, *foreign]
-    instead = f"; {INSTEAD}" if foreign else ""
-    if not there:
-        return "; ".join(others[:2]) + instead
-    missing = "no decoder: " if not decoders else "no encoder: " if not encoders else ""
-    present = ", ".join([*there, *(reason.removeprefix(f"{folder}/") for reason in others)])
-    return f"{folder}: {missing}expected encoder and decoder of one export, got {present}{instead}"
-
-
-def _names(models: list[OnnxModel]) -> str:
-    return listed(model.file.name for model in models)

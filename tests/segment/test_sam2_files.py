@@ -49,13 +49,12 @@ def test_folder_without_model_is_refused(tmp_path: Path) -> None:
     assert refusal(empty) == f"{empty}: expected an exported checkpoint, got no .onnx file; {INSTEAD}"
 
 
-@pytest.mark.parametrize(("kept", "missing"), [("first", "decoder"), ("second", "encoder")])
-def test_incomplete_export_is_refused(tmp_path: Path, kept: str, missing: str) -> None:
+@pytest.mark.parametrize(("kept", "there"), [("first", "encoder"), ("second", "decoder")])
+def test_incomplete_export_is_refused(tmp_path: Path, kept: str, there: str) -> None:
     write_export(tmp_path, "osam")
     (tmp_path / ("second.onnx" if kept == "first" else "first.onnx")).unlink()
-    there = "decoder" if missing == "encoder" else "encoder"
     assert refusal(tmp_path) == (
-        f"{tmp_path}: no {missing}: expected encoder and decoder of one export, got {kept}.onnx ({there} of osam)"
+        f"{tmp_path}: expected one encoder and one decoder of an export, got {kept}.onnx ({there} of osam); {INSTEAD}"
     )
 
 
@@ -70,9 +69,9 @@ def test_damaged_model_is_named(tmp_path: Path, content: bytes | None) -> None:
     write_export(tmp_path, "samexporter")
     file = tmp_path / "second.onnx"
     file.write_bytes(file.read_bytes()[:3000] if content is None else content)
-    assert refusal(tmp_path) == (
-        f"{tmp_path}: no decoder: expected encoder and decoder of one export, got first.onnx (encoder of samexporter), "
-        "second.onnx: expected a model, got a file that is damaged, cut off or something else; download it again"
+    assert refusal(tmp_path).startswith(
+        f"{tmp_path}: expected one encoder and one decoder of an export, got first.onnx (encoder of samexporter), "
+        "second.onnx: expected a model (ONNX); onnxruntime "
     )
 
 
@@ -111,9 +110,8 @@ def test_missing_weights_file_is_named(tmp_path: Path) -> None:
     assert open_export(tmp_path, threads=1).encoder.file == tmp_path / "first.onnx"
     (tmp_path / "first.onnx_data").unlink()
     assert refusal(tmp_path) == (
-        f"{tmp_path}: no encoder: expected encoder and decoder of one export, got second.onnx (decoder of "
-        "onnx-community), first.onnx: its weights are missing: expected first.onnx_data beside it; "
-        "download that file too"
+        f"{tmp_path}: expected one encoder and one decoder of an export, got second.onnx (decoder of onnx-community), "
+        f"first.onnx: expected a model (ONNX); its weights are missing: expected first.onnx_data beside it; {INSTEAD}"
     )
 
 
