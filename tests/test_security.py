@@ -26,7 +26,7 @@ ALLOWED = {
     "io/output.py": {"ctypes"},  # renameat2(2), which exchanges two folders in one step
     "runs/live_session.py": {"ctypes"},  # mallopt(3), by which the memory of live stays as it is
     "runs/worker.py": {"pickle", "socket"},  # between the program's own processes; the host's name
-    "runs/worker_process.py": {"multiprocessing"},  # the program's own processes
+    "runs/pool.py": {"multiprocessing", "pickle"},  # the program's own processes
     "runs/cluster.py": {"socket", "distributed"},  # batch --scheduler
     "live/rosbridge.py": {"roslibpy", "twisted", "autobahn"},  # live
     "live/rclpy_node.py": {"rclpy"},  # live

@@ -264,12 +264,11 @@ def _begin_arm(
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE, read_results
     from dvrk_cmaes.runs.backgrounds import segment_settings
-    from dvrk_cmaes.runs.instrument_processes import instrument_processes, worker_processes
-    from dvrk_cmaes.runs.processes import usable_cores
+    from dvrk_cmaes.runs.pool import instrument_pool, usable_cores
 
     session, model, settings = arm.session, arm.body.instrument, asked.settings
     count = asked.workers or usable_cores()
-    used = worker_processes(model, count) if results is None else instrument_processes(model, count, session.frames)
+    used = instrument_pool(model, count, None if results is None else session.frames)
     with ExitStack() as stack:
         stack.enter_context(output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)))
         processes = stack.enter_context(used)

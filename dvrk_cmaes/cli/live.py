@@ -307,8 +307,8 @@ def _described(
     from dvrk_cmaes.io.output import output as folder_of_command
     from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
     from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
+    from dvrk_cmaes.runs.pool import Pool
     from dvrk_cmaes.runs.solver_process import SolverProcess
-    from dvrk_cmaes.runs.worker_process import WorkerProcess
 
     given = calibrated.calibration
     if len(set(topics.psm)) < len(topics.psm):
@@ -341,7 +341,7 @@ def _described(
         camera.rectified,
         output.overlay,
         origin=time.time_ns(),
-        apart=partial(WorkerProcess, for_long=True),
+        apart=lambda: Pool(int, 1, for_long=True).begin(),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from numpy.typing import NDArray
@@ -23,10 +24,10 @@ _LINES: Final = list[str]()  # of this process for the user, until they are told
 
 
 class Process(Protocol):
-    """A process that calls functions."""
+    """An executor with one process."""
 
-    def call(self, function: Callable[..., R], *arguments: Any) -> R:
-        """Return the value of a function that can be pickled, called in the process."""
+    def submit(self, call: Callable[..., R], *arguments: Any) -> Future[R]:
+        """Call a function that can be pickled in the process."""
 
     def kill(self) -> None:
         """Kill the process."""
@@ -91,12 +92,13 @@ class TrackerApart:
         readings, self._readings = self._readings, []
         make = None if self._made else self._make
         try:
-            result, self.state, lines = self._process.call(_called, make, readings, name, arguments)
+            result, self.state, lines = self._process.submit(_called, make, readings, name, arguments).result()
         except Exception:
-            if not self._lives():
-                self.close()
-                self._process = None
-            raise
+            if self._lives():
+                raise
+            self.close()
+            self._process = None
+            raise DvrkCmaesError("the process of this arm died") from None
         for line in lines:
             self._report(line)
         return result
@@ -104,7 +106,7 @@ class TrackerApart:
     def _lives(self) -> bool:
         """Return whether the process answers: what it was asked for may have failed there."""
         try:
-            return self._process is not None and self._process.call(bool) is False
+            return self._process is not None and self._process.submit(bool).result() is False
         except Exception:
             return False
 

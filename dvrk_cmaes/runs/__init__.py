@@ -1,15 +1,13 @@
 """Resumable, fault-tolerant batch runs.
 
 frame : one frame, from its files to its result and overlay.
-processes : worker processes, and running many tasks in them.
-instrument_processes : processes in which an instrument is prepared, for batches and calibrations.
+pool : worker processes, and running many tasks in them or in an executor of the caller.
 worker : one frame of a batch in a worker process.
-executor : running many tasks in an executor of the caller.
 cluster : a Dask cluster as an executor.
 worklist : selection of the frames of a batch by pattern.
-digests : digests of the inputs of results.
+inputs : sizes and times of the files of frames, and digests of settings.
 manifest : ``run.json``, which states the inputs of a folder's results.
-output : the output folder of a batch: lock, removal of files, complete results.
+output : the output folder of a batch: complete results, and writing.
 summary : ``summary.json``, and rigs that are calibrated wrongly.
 base_agreement, exchanged_tools : what all frames of a session tell together: frames whose base differs, arms with each
 other's masks or readings.

@@ -30,7 +30,6 @@ from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.base_agreement import compare_bases
-from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
 from dvrk_cmaes.runs.inputs import frame_stamps
 from dvrk_cmaes.runs.manifest import (
     Manifest,
@@ -51,7 +50,9 @@ from dvrk_cmaes.runs.output import (
     results_of,
     write_outcome,
 )
-from dvrk_cmaes.runs.processes import Processes, WorkerDied, usable_cores
+from dvrk_cmaes.runs.pool import Pool, WorkerDied, usable_cores
+from dvrk_cmaes.runs.pool import Workers as Executors
+from dvrk_cmaes.runs.pool import run as run_tasks
 from dvrk_cmaes.runs.summary import summarize, timing_of
 from dvrk_cmaes.runs.worker import (
     BatchSetup,
@@ -88,7 +89,7 @@ class Workers:
     """
 
     count: int | None = None
-    executor: Executor | ExternalExecutor | Processes | None = None
+    executor: Executor | Executors | None = None
     time_limit: float = TIME_LIMIT
     stop: threading.Event = field(default_factory=threading.Event)
     progress: BatchProgress = field(default_factory=BatchProgress)
@@ -297,14 +298,9 @@ def outcomes(setup: BatchSetup, todo: Sequence[FrameFiles], workers: Workers) ->
         if given is None:
             most = workers.count or max(1, usable_cores() // setup.config.threads)
             start = functools.partial(prepare_process, packed)
-            given = opened.enter_context(Processes(start, min(most, len(todo))))
-        if isinstance(given, Processes):
-            done = given.run(todo, call, time_limit=workers.time_limit, stop=stop)
-        else:
-            external = (
-                given if isinstance(given, ExternalExecutor) else ExternalExecutor(given, lambda: 2 * usable_cores())
-            )
-            done = run_in_executor(todo, call, external=external, stop=stop)
+            given = opened.enter_context(Pool(start, min(most, len(todo))))
+        used = given if isinstance(given, Executors) else Executors(given, lambda: 2 * usable_cores())
+        done = run_tasks(used, todo, call, time_limit=workers.time_limit, stop=stop)
         for files, outcome in opened.enter_context(closing(done)):
             yield failed_outcome(setup, files, outcome.reason) if isinstance(outcome, WorkerDied) else outcome
 

@@ -49,9 +49,8 @@ from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
 from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 from dvrk_cmaes.runs.inputs import frame_stamps, instrument_digest
-from dvrk_cmaes.runs.instrument_processes import run_with_body
 from dvrk_cmaes.runs.manifest import manifest_of
-from dvrk_cmaes.runs.processes import Processes
+from dvrk_cmaes.runs.pool import Pool, run_with_body
 from dvrk_cmaes.runs.worker import BatchSetup, hints_of
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
 
@@ -63,7 +62,7 @@ def begin_folder(
     arm: ArmInSession,
     results: Mapping[str, Result],
     out: Path,
-    processes: Processes,
+    processes: Pool,
     *,
     alone: Path | None = None,
     refine_camera: bool = False,
@@ -77,7 +76,7 @@ def begin_folder(
 
     Finish it by `solved_together` or `solved_alone`.
 
-    ``processes`` are those of `instrument_processes` or `worker_processes`. ``alone`` is the folder of those results;
+    ``processes`` are those of `instrument_pool`. ``alone`` is the folder of those results;
     masks that were found in images, and overlays of frames that are left out, are taken from there; with ``segment``,
     how they were found there, they are found again around the silhouettes that the session expects. ``places`` are as
     in `begin_arm`. All files are written to a temporary folder, which takes the place of an earlier one when it is

@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
@@ -17,8 +18,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.inputs import instrument_digest
 from dvrk_cmaes.runs.live_session import give_back_memory
-from dvrk_cmaes.runs.processes import WorkerConnection
-from dvrk_cmaes.runs.worker_process import ProcessDiedError
+from dvrk_cmaes.runs.pool import Pool
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 
 R = TypeVar("R")
@@ -47,7 +47,7 @@ class SolverProcess(ExitStack):
         self._threads = threads
         self._key = instrument_digest(instrument)
         self._driver = ThreadPoolExecutor(1)
-        self._process = WorkerConnection(partial(_prepare, instrument, background))
+        self._process, self._over = Pool(partial(_prepare, instrument, background), 1), False
         self._futures: deque[Future[Solution]] = deque()
         self._problems: deque[tuple[KeyframeProblem, Future[Solution]]] = deque()  # not begun
         self._tasks: dict[str, KeyframeTask] = {}  # the keyframes that no solution has estimated yet
@@ -102,7 +102,8 @@ class SolverProcess(ExitStack):
 
     def _end(self) -> None:
         """End the process, whatever it is at."""
-        self._process.end()
+        self._over = True
+        self._process.kill()
         self._driver.shutdown()
         self._process.close()
 
@@ -138,7 +139,7 @@ class SolverProcess(ExitStack):
         alone = {name: result for name, result in known.items() if name in names and result is not None}
         problem = replace(problem, alone={**alone, **problem.alone})
         for _ in range(_TRIES):
-            with suppress(ProcessDiedError):
+            with suppress(BrokenProcessPool):
                 solution = self._call(_solve, problem)
                 give_back_memory()
                 self._solved = solution.alone
@@ -147,10 +148,12 @@ class SolverProcess(ExitStack):
 
     def _call(self, function: Callable[[str, T, int], R], task: T) -> R:
         """Call a function with the instrument in the process; one that dies on it is started again by the next call."""
+        if self._over:
+            raise BrokenProcessPool
         try:
-            return self._process.run(function, self._key, task, self._threads)
-        except ProcessDiedError:
-            self._process.close()
+            return self._process.submit(function, self._key, task, self._threads).result()
+        except BrokenProcessPool:
+            self._process.kill()
             raise
 
 

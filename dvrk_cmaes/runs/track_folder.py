@@ -38,7 +38,7 @@ from dvrk_cmaes.runs.manifest import (
     manifest_of,
     read_manifest,
 )
-from dvrk_cmaes.runs.processes import usable_cores
+from dvrk_cmaes.runs.pool import usable_cores
 from dvrk_cmaes.runs.recorded_keyframes import KEYFRAMES, KEYFRAMES_BY_IMAGES
 from dvrk_cmaes.runs.solver_process import SolverProcess
 from dvrk_cmaes.runs.track_clock import TrackClock

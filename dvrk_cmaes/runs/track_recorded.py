@@ -20,8 +20,7 @@ from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.runs.inputs import instrument_digest
-from dvrk_cmaes.runs.instrument_processes import instrument_processes, run_with_body
-from dvrk_cmaes.runs.processes import usable_cores
+from dvrk_cmaes.runs.pool import instrument_pool, run_with_body, usable_cores
 from dvrk_cmaes.runs.recorded import RecordedSolution, follow_window
 from dvrk_cmaes.runs.recorded_images import begin_images
 from dvrk_cmaes.runs.recorded_keyframes import (
@@ -116,7 +115,7 @@ def begin_recording(run: TrackRun) -> Begun[ArmInRecording]:
     config = replace(settings.config, threads=1)
     with ExitStack() as stack:
         count = settings.workers or usable_cores()
-        processes = stack.enter_context(instrument_processes(body.instrument, count, frames))
+        processes = stack.enter_context(instrument_pool(body.instrument, count, frames))
         by_body = partial(run_with_body, processes, instrument_digest(body.instrument), config)
         in_groups = partial(_in_groups, by_body, run.stop)
         lag = None if settings.lag is None else Lag(0.0, seconds=0.0)  # that is taken out already

@@ -26,7 +26,7 @@ from dvrk_cmaes.cli.app import app
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.results.file import read_result
-from dvrk_cmaes.runs.processes import Processes
+from dvrk_cmaes.runs.pool import Pool
 
 DONE: Final = (0, 3)
 """Exit codes of commands that did what they were asked for."""
@@ -135,9 +135,9 @@ def stubbed(material: Path) -> Iterator[None]:
     def estimate(*_: Any, frame: str = "", **__: Any) -> Any:
         return replace(stored, frame=frame)
 
-    made = Processes.__init__
+    made = Pool.__init__
 
-    def here_alone(self: Processes, start: Callable[[], object], _workers: int, **_: Any) -> None:
+    def here_alone(self: Pool, start: Callable[[], object], _workers: int, **_: Any) -> None:
         made(self, start, 0, here=True)
 
     @lru_cache(maxsize=100)
@@ -148,7 +148,7 @@ def stubbed(material: Path) -> Iterator[None]:
     with (
         mock.patch("dvrk_cmaes.runs.frame.estimate_views", estimate),
         mock.patch("dvrk_cmaes.estimation.image_frame.estimate_views", estimate),
-        mock.patch.object(Processes, "__init__", here_alone),
+        mock.patch.object(Pool, "__init__", here_alone),
         mock.patch("dvrk_cmaes.draw.overlay._SMALLEST", 1),
         mock.patch("dvrk_cmaes.cli.app.app", lambda tokens, **_: parsed(tuple(tokens))()),
     ):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,6 @@ from dvrk_cmaes import Body, Renderer, SolvedSession, read_calibration, read_res
 from dvrk_cmaes.camera.files import read_camera_file
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.cli.calibrate import _lines
-from dvrk_cmaes.runs import processes
-from dvrk_cmaes.runs.worker_process import WorkerProcess
 
 pytestmark = pytest.mark.usefixtures("tasks_here")
 
@@ -101,16 +100,17 @@ def test_results_do_not_depend_on_number_of_processes(calibrated: Path, command:
 def test_frames_are_estimated_first_without_results(
     command: Command, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    started = []
+    started: list[object] = []
+    make = ProcessPoolExecutor.__init__
 
-    def start() -> WorkerProcess:
-        started.append(WorkerProcess())
-        return started[-1]
+    def begun(executor: ProcessPoolExecutor, *arguments: Any) -> None:
+        started.append(executor)
+        make(executor, *arguments)
 
-    monkeypatch.setattr(processes, "WorkerProcess", start)
+    monkeypatch.setattr(ProcessPoolExecutor, "__init__", begun)
     ran = command("calibrate", "session", "--out", "whole", *QUICKLY)
     assert ran.code in (0, 3)
-    assert len(started) == 1  # the process that estimated the frames has fitted and drawn them, too
+    assert len(started) == 1  # the processes that estimated the frames have fitted and drawn them, too
     alone = [json.loads(path.read_text()) for path in (place / "whole" / "alone" / "frames").iterdir()]
     assert [one["source"] for one in alone] == ["frame"] * 5
     lines = ran.out.splitlines()

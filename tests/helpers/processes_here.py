@@ -8,52 +8,48 @@ from __future__ import annotations
 import pickle
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import pytest
 
-from dvrk_cmaes.runs import processes
+from dvrk_cmaes.runs.pool import Pool
 
-_REAL = processes.WorkerConnection
+_REAL = Pool.submit, Pool.begin
 _ONE_AT_A_TIME = threading.Lock()
 
 
-class _CallsHere:
-    """Stands for a worker process: runs one task at a time, in the thread that gives it."""
-
-    is_beginning = False
-
-    def __init__(self, start: Callable[[], object]) -> None:
-        self._start = start
-
-    def begin(self) -> None:
-        pass
-
-    def run(self, call: Callable[..., Any], *arguments: Any, time_limit: float | None = None) -> Any:
-        with _ONE_AT_A_TIME:
-            pickle.loads(pickle.dumps(self._start))()  # each time, because another one's instrument may be prepared
+def _submit_here(pool: Pool, call: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    """Run one call at a time, in the thread that submits it."""
+    future = Future[Any]()
+    with _ONE_AT_A_TIME:
+        try:
+            pickle.loads(pickle.dumps(pool.start))()  # each time, because another one's instrument may be prepared
             function, copies = pickle.loads(pickle.dumps((call, arguments)))
-            return pickle.loads(pickle.dumps(function(*copies)))
+            future.set_result(pickle.loads(pickle.dumps(function(*copies))))
+        except Exception as error:
+            future.set_exception(error)
+    return future
 
-    def close(self) -> None:
-        pass
 
-    kill = end = close
+def _begin_nothing(pool: Pool) -> Pool:
+    return pool
 
 
 def processes_here() -> AbstractContextManager[None]:
     """Let batches, calibrations and recordings that are followed run the tasks of their workers in this process."""
-    return _with(_CallsHere)
+    return _with(_submit_here, _begin_nothing)
 
 
 def real_processes() -> AbstractContextManager[None]:
     """Let them have worker processes within `processes_here`."""
-    return _with(_REAL)
+    return _with(*_REAL)
 
 
 @contextmanager
-def _with(process: type) -> Iterator[None]:
+def _with(submit: Callable[..., Future[Any]], begin: Callable[[Pool], Pool]) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(processes, "WorkerConnection", process)
+        patch.setattr(Pool, "submit", submit)
+        patch.setattr(Pool, "begin", begin)
         yield

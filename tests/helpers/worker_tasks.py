@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import faulthandler
 import os
 import signal
 import time
@@ -32,12 +34,6 @@ def process_id_after_pause(task: int) -> int:
     return os.getpid()
 
 
-def sixteenth_of_a_second(task: int) -> int:
-    """Wait for a sixteenth of a second."""
-    time.sleep(1 / 16)
-    return task
-
-
 def library_threads(task: int) -> int:
     """Return the number of threads that OpenCV uses in the process that calls this."""
     return cv2.getNumThreads()
@@ -60,13 +56,12 @@ def squared_unless_three(task: int) -> int:
     return task * task
 
 
-def squared_with_late_faults(task: int) -> int:
-    """Square a number, but kill the process on 150, and hang on 170."""
-    if task == 150:
-        die()
-    if task == 170:
-        time.sleep(100)
-    return task * task
+def hang_in_native_code(seconds: float, task: int) -> int:
+    """Return the task, but for 0 hold the interpreter in native code; the process is ended after some seconds."""
+    if task == 0:
+        faulthandler.dump_traceback_later(seconds, exit=True, file=open(os.devnull, "wb"))  # noqa: SIM115
+        ctypes.PyDLL(None).sleep(100)
+    return task
 
 
 def squared_after_gate(task: tuple[int, Path]) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack
 from functools import partial
 from typing import Any, cast
@@ -19,7 +20,7 @@ from dvrk_cmaes.export.ros_messages import header
 from dvrk_cmaes.live.apart import Process, TrackerApart
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
-from dvrk_cmaes.runs.worker_process import WorkerProcess
+from dvrk_cmaes.runs.pool import Pool
 
 SEEDS = {"PSM1": 3, "PSM2": 4}
 MASKS = {arm: f"/left/{arm}/mask" for arm in SEEDS}
@@ -74,7 +75,7 @@ def workers(others: Sequence[psutil.Process] = ()) -> list[psutil.Process]:
 
 
 def test_arms_in_processes_of_their_own_have_the_same_poses() -> None:
-    (here, lines), (apart, same_lines) = (played(start, 26) for start in (None, partial(WorkerProcess, for_long=True)))
+    (here, lines), (apart, same_lines) = (played(start, 26) for start in (None, partial(Pool, int, 1, for_long=True)))
     assert lines == same_lines
     assert here.statuses == apart.statuses
     assert {arm: len(poses) for arm, poses in here.poses.items()} == {arm: len(apart.poses[arm]) for arm in SEEDS}
@@ -87,10 +88,13 @@ def test_step_that_fails_does_not_end_the_process() -> None:
     class Failing:
         killed = False
 
-        def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-            if function is bool:
-                return False
-            raise ValueError("a fault of the tracker")
+        def submit(self, call: Callable[..., Any], *arguments: Any) -> Future[Any]:
+            future = Future[Any]()
+            if call is bool:
+                future.set_result(False)
+            else:
+                future.set_exception(ValueError("a fault of the tracker"))
+            return future
 
         def kill(self) -> None:
             self.killed = True
@@ -108,8 +112,8 @@ def test_step_that_fails_does_not_end_the_process() -> None:
 
 
 def test_process_that_dies_costs_three_images_and_its_arm_begins_anew() -> None:
-    stage, lines = played(partial(WorkerProcess, for_long=True), 40, dies_at=18)
-    assert sum("ProcessDiedError" in line for line in lines) == len(SEEDS)
+    stage, lines = played(partial(Pool, int, 1, for_long=True), 40, dies_at=18)
+    assert sum("the process of this arm died" in line for line in lines) == len(SEEDS)
     assert sum("the process of this arm has ended" in line for line in lines) == 2 * len(SEEDS)
     for arm, poses in stage.poses.items():
         assert min(poses) < BEGIN + 18e9 / 30, arm

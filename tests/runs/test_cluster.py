@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -22,8 +21,8 @@ from helpers.worker_tasks import squared_unless_three
 from dvrk_cmaes import Body, DvrkCmaesError, InputError, read_session
 from dvrk_cmaes.runs.batch import BatchProgress, Workers, run_batch
 from dvrk_cmaes.runs.cluster import dask_executor
-from dvrk_cmaes.runs.executor import ExternalExecutor, run_in_executor
-from dvrk_cmaes.runs.processes import WorkerDied
+from dvrk_cmaes.runs.pool import WorkerDied, run
+from dvrk_cmaes.runs.pool import Workers as Executors
 from dvrk_cmaes.runs.worker import FrameOutcome
 
 NAMES = [f"{k:04d}" for k in range(8)]
@@ -132,7 +131,7 @@ def test_task_that_kills_every_worker_is_given_up(cluster: Cluster, session: Pat
     for _ in range(2):
         cluster.add_worker()
     with dask_executor(cluster.address, session) as external:
-        found = dict(run_in_executor(range(6), squared_unless_three, external=external, stop=threading.Event()))
+        found = dict(run(external, range(6), squared_unless_three))
     lost = found.pop(3)
     assert isinstance(lost, WorkerDied)
     assert lost.reason.startswith("its worker died, more than once: out of memory, or a crash in a native library (")
@@ -148,8 +147,7 @@ def test_workers_without_session_folder_are_refused(cluster: Cluster, tmp_path: 
 
 def test_executor_shutdown_ends_work_with_reason() -> None:
     executor = ThreadPoolExecutor(1)
-    external = ExternalExecutor(executor, lambda: 2)
-    found = run_in_executor(iter(range(10)), abs, external=external, stop=threading.Event())
+    found = run(Executors(executor, lambda: 2), iter(range(10)), abs)
     next(found)
     executor.shutdown()
     with pytest.raises(DvrkCmaesError) as caught:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any, cast
 
 import psutil
@@ -49,14 +50,19 @@ class FakeProcess:
         self.estimated: list[str] = []
         self.problems: list[dict[str, str]] = []
 
-    def run(self, function: Callable[..., Any], key: str, given: Any, threads: int) -> Any:
+    def submit(self, function: Callable[..., Any], key: str, given: Any, threads: int) -> Future[Any]:
+        future = Future[Any]()
+        future.set_result(self._answer(function, given))
+        return future
+
+    def _answer(self, function: Callable[..., Any], given: Any) -> Any:
         if function.__name__ == "_estimate":
             self.estimated.append(given.keyframe.name)
             return f"result of {given.keyframe.name}"
         self.problems.append(dict(given.alone))
         return Solution(None, "", len(given.keyframes), {one.name: f"solved {one.name}" for one in given.keyframes})
 
-    def end(self) -> None: ...
+    def kill(self) -> None: ...
 
     def close(self) -> None: ...
 

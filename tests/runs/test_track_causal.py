@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,9 @@ from dvrk_cmaes import EstimateConfig, prepare, read_calibration, read_session
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import inputs, solver_process
+from dvrk_cmaes.runs.pool import Pool
 from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
-from dvrk_cmaes.runs.worker_process import WorkerProcess
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan
@@ -32,18 +33,19 @@ SETTINGS = TrackSettings(
 @pytest.fixture(scope="module", autouse=True)
 def solved_once() -> Iterator[None]:
     """Let keyframes be estimated and solved in a process, and the same ones again give the same answer at once."""
-    call, known = WorkerProcess.call, {}
+    submit = Pool.submit
+    known: dict[str, Future[Any]] = {}
 
-    def answer(process: WorkerProcess, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    def answer(pool: Pool, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         if function not in (solver_process._estimate, solver_process._solve):
-            return call(process, function, *arguments, **options)
+            return submit(pool, function, *arguments)
         key = inputs.digest_of(arguments[1])
         if key not in known:
-            known[key] = call(process, function, *arguments, **options)
+            known[key] = submit(pool, function, *arguments)
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(WorkerProcess, "call", answer)
+        patch.setattr(Pool, "submit", answer)
         yield
 
 

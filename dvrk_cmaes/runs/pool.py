@@ -1,0 +1,424 @@
+"""Many tasks in any `concurrent.futures.Executor`: worker processes of this machine, or those of a cluster.
+
+A process that dies breaks the whole pool of this machine. Each task that was in flight is then tried alone in a new
+pool, and the one on which that dies, too, is given up by name. This module imports little, so that processes can start
+while the program that needs them is imported.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import functools
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import tempfile
+import threading
+import warnings
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence, Sized
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from multiprocessing.process import BaseProcess
+from types import FrameType
+from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
+
+import cv2
+from threadpoolctl import threadpool_limits
+
+from dvrk_cmaes.errors import DvrkCmaesError
+from dvrk_cmaes.runs.live_session import prepare_long_run
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.instrument import Instrument
+    from dvrk_cmaes.silhouette import Body
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_GROUPS: Final = 8  # of tasks for each process, where their values are wanted together
+_DIED: Final = "its process died twice: out of memory, or a crash in a native library"
+_PAYS: Final = 4  # frames of a calibration from which on one process more is sooner done: its start takes about two
+_STUCK: Final = 30.0  # s after its time limit, after which a process that is in native code is ended
+
+
+@dataclass(frozen=True)
+class WorkerDied:
+    """Stands for the value of a task that was given up; ``reason`` says why."""
+
+    reason: str
+
+
+class TimeUpError(BaseException):
+    """A task takes too long: no error that a task may handle."""
+
+
+def usable_cores() -> int:
+    """Count the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Workers:
+    """An executor of the caller, such as that of a cluster.
+
+    Parameters
+    ----------
+    executor
+        The executor, which stays open.
+    at_once
+        Returns how many tasks to submit at a time: at least as many as it has workers.
+    gives_up
+        Exceptions of a future whose worker has died so often that the executor gave the task up.
+    """
+
+    here = False
+
+    def __init__(
+        self, executor: Executor, at_once: Callable[[], int], gives_up: tuple[type[BaseException], ...] = ()
+    ) -> None:
+        self._executor, self.at_once, self._gives_up = executor, at_once, gives_up
+
+    def submit(self, call: Callable[..., R], *arguments: Any) -> Future[R]:
+        """Submit a call, which must not raise; DvrkCmaesError if the executor cannot go on."""
+        try:
+            return self._executor.submit(call, *arguments)
+        except (RuntimeError, OSError) as error:  # RuntimeError: shut down, or broken
+            raise _lost(error) from error
+
+    @contextlib.contextmanager
+    def prepared_here(self) -> Iterator[None]:
+        """Prepare this process for tasks, if it does some."""
+        yield
+
+    def value(self, future: Future[R]) -> R | WorkerDied:
+        """Return the value of a call that has ended."""
+        try:
+            return future.result()
+        except self._gives_up as error:
+            return WorkerDied(
+                f"its worker died, more than once: out of memory, or a crash in a native library ({error})"
+            )
+        except (Exception, CancelledError) as error:  # the call does not raise: the error lies in the transport
+            raise _lost(error) from error
+
+    def renew(self) -> None:
+        """Go on after a process died."""
+
+    def kill(self) -> None:
+        """End what is running, but for an executor of the caller."""
+
+
+class Pool(Workers):
+    """Worker processes of this machine, as a context manager at whose end they have ended.
+
+    Parameters
+    ----------
+    start
+        Picklable function that is called first in each process and does not raise.
+    count
+        Number of processes, each of which is started when there is a task for it.
+    here
+        Whether this process does tasks as well, beside the others, with one thread in its libraries.
+    for_long
+        Whether the processes run for hours.
+    """
+
+    def __init__(self, start: Callable[[], object], count: int, *, here: bool = False, for_long: bool = False) -> None:
+        self.start, self.count, self.here, self._for_long = start, count, here, for_long
+        self.at_once = lambda: 2 * count if here else count  # one waits while this process is at a task
+        self._pool: ProcessPoolExecutor | None = None
+        self._packed: IO[bytes] | None = None
+        self._beginning: threading.Thread | None = None
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            self.kill()
+        self.close()
+
+    def begin(self) -> Pool:
+        """Start the processes before there are tasks for them, and do not wait until they are ready."""
+        self._beginning = threading.Thread(target=lambda: [self.submit(int) for _ in range(self.count)], daemon=True)
+        self._beginning.start()
+        return self
+
+    def submit(self, call: Callable[..., R], *arguments: Any) -> Future[R]:
+        """Submit a call."""
+        with self._lock, _interrupts_blocked():
+            if self._pool is None:
+                if self._packed is None:  # a file, since what is handed to a process is waited for until it is read
+                    self._packed = tempfile.NamedTemporaryFile(prefix="dvrk-cmaes-")  # noqa: SIM115 (until `close`)
+                    self._packed.write(pickle.dumps(self.start))
+                    self._packed.flush()
+                spawn = multiprocessing.get_context("spawn")
+                self._pool = ProcessPoolExecutor(self.count, spawn, _begin, (self._packed.name, self._for_long))
+            return self._pool.submit(call, *arguments)
+
+    @contextlib.contextmanager
+    def prepared_here(self) -> Iterator[None]:
+        """Prepare this process for tasks, if it does some, with one thread in its libraries meanwhile."""
+        with single_library_threads() if self.here else contextlib.nullcontext():
+            if self.here:
+                self.start()
+            yield
+
+    def value(self, future: Future[R]) -> R:
+        """Return the value of a call that has ended; raises what the call raised."""
+        return future.result()
+
+    def renew(self) -> None:
+        """Start the processes again; DvrkCmaesError if they die at once."""
+        self.kill()
+        try:
+            self.submit(int).result()
+        except BrokenProcessPool:
+            raise DvrkCmaesError(
+                "worker processes die at their start: out of memory? Try fewer workers; what is done is kept, and the "
+                "same command goes on from there"
+            ) from None
+
+    def kill(self) -> None:
+        """Kill the processes; new ones are started for later calls."""
+        with self._lock:
+            pool, self._pool = self._pool, None
+        if pool is not None:
+            for process in list((pool._processes or {}).values()):
+                process.kill()
+            pool.shutdown(cancel_futures=True)
+
+    def close(self) -> None:
+        """Let the processes end after their calls, and wait until they have."""
+        if self._beginning is not None:
+            self._beginning.join()
+        if self._pool is not None:
+            self._pool.shutdown()
+        if self._packed is not None:
+            self._packed.close()
+
+    def values(self, call: Callable[[T], R], tasks: Sequence[T]) -> list[R]:
+        """Return the values of a picklable function in the order of the tasks; DvrkCmaesError if a process died."""
+        size = max(1, len(tasks) // (_GROUPS * (self.count + self.here)))
+        groups = [(first, tasks[first : first + size]) for first in range(0, len(tasks), size)]
+        found: dict[int, list[R]] = {}
+        for (first, _), value in run(self, groups, functools.partial(_each, call)):
+            if isinstance(value, WorkerDied):
+                raise DvrkCmaesError(f"frame {first + 1} of {len(tasks)}: {value.reason}: try fewer --workers")
+            found[first] = value
+        return [value for first, _ in groups for value in found[first]]
+
+
+def run(
+    workers: Workers,
+    tasks: Iterable[T],
+    call: Callable[[T], R],
+    *,
+    time_limit: float | None = None,
+    stop: threading.Event | None = None,
+) -> Generator[tuple[T, R | WorkerDied], None, None]:
+    """Run tasks, and yield each with its value in the order of completion.
+
+    If the iterator is closed early, the processes of a pool are killed.
+
+    Parameters
+    ----------
+    workers
+        What runs the tasks.
+    tasks
+        Arguments of ``call``, one each.
+    call
+        Picklable function.
+    time_limit
+        Seconds after which a process of a pool gives a task up.
+    stop
+        Once this event is set, running tasks are finished and no more are started.
+
+    Raises
+    ------
+    DvrkCmaesError
+        Processes cannot be started, or a cluster was lost.
+    Exception
+        What ``call`` raised.
+    """
+    source, stop = iter(tasks), stop or threading.Event()
+    limit = () if time_limit is None or not isinstance(workers, Pool) else (limited, time_limit)
+    running: dict[Future[Any], T] = {}
+    alone: deque[T] = deque()  # those that were in flight when a process died
+    with workers.prepared_here():
+        try:
+            while True:
+                while not stop.is_set() and (not running if alone else len(running) < workers.at_once()):
+                    task = alone[0] if alone else next(source, None)
+                    if task is None:
+                        break
+                    running[workers.submit(*limit, call, task)] = task
+                own = next(source, None) if workers.here and not alone and not stop.is_set() else None
+                if own is not None:
+                    yield own, call(own)
+                elif not running:
+                    return
+                ended = wait_for(running, None if own is None else 0, FIRST_COMPLETED).done
+                if any(map(_has_died, ended)):
+                    ended = wait_for(running).done
+                died = [running.pop(future) for future in ended if _has_died(future)]
+                for future in ended:
+                    if future in running:
+                        if alone:
+                            alone.popleft()
+                        yield running.pop(future), workers.value(future)
+                if died:
+                    workers.renew()
+                    if alone:
+                        yield alone.popleft(), WorkerDied(_DIED)
+                    else:
+                        alone.extend(died)
+        finally:
+            if running:
+                workers.kill()
+            for future in running:
+                future.cancel()
+
+
+def _has_died(future: Future[Any]) -> bool:
+    """Whether the pool of a call was broken, which has ended."""
+    return not future.cancelled() and isinstance(future.exception(), BrokenProcessPool)
+
+
+def _lost(error: BaseException) -> DvrkCmaesError:
+    said = " ".join(str(error).split()) or type(error).__name__
+    return DvrkCmaesError(
+        f"the workers were lost ({said}): what is done is kept, and the same command goes on from there"
+    )
+
+
+def _each(call: Callable[[T], R], group: tuple[int, Sequence[T]]) -> list[R]:
+    return [call(task) for task in group[1]]
+
+
+def limited(seconds: float, call: Callable[[T], R], task: T) -> R | WorkerDied:
+    """Call a function in a process of a pool, and give it up after some seconds.
+
+    Native code that does not come back is ended with its process somewhat later.
+    """
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        raise TimeUpError
+
+    with open(os.devnull, "wb") as nowhere:
+        faulthandler.dump_traceback_later(seconds + _STUCK, exit=True, file=nowhere)
+        signal.signal(signal.SIGALRM, stop)
+        try:
+            try:
+                signal.setitimer(signal.ITIMER_REAL, seconds)
+                return call(task)
+            finally:
+                signal.setitimer(signal.ITIMER_REAL, 0)
+        except TimeUpError:
+            return WorkerDied(f"no result after {seconds:g} s: it was stopped")
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+
+
+@contextlib.contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT in this thread; a process that is started meanwhile inherits that, and so does not see Ctrl-C."""
+    resource_tracker.ensure_running()  # which would otherwise be started with the process, and unblocks SIGINT
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin(packed: str, for_long: bool) -> None:
+    """Prepare a process, which ends when the one that started it does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+    limit_library_threads()
+    if for_long:
+        prepare_long_run()
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
+    try:
+        with open(packed, "rb") as file:
+            start: Callable[[], object] = pickle.load(file)
+    except FileNotFoundError:  # the one that started this one has ended
+        os._exit(1)
+    start()
+
+
+def _exit_after(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)
+
+
+@functools.cache
+def limit_library_threads() -> threadpool_limits:
+    """Limit OpenCV and the BLAS libraries of this process to one thread each; the cores are used by processes."""
+    cv2.setNumThreads(1)
+    return threadpool_limits(1)
+
+
+@contextlib.contextmanager
+def single_library_threads() -> Iterator[None]:
+    """Limit OpenCV and the BLAS libraries of this process to one thread each meanwhile."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def instrument_pool(instrument: Instrument, workers: int, frames: Sized | None = None) -> Pool:
+    """Return processes in which an instrument is prepared: of ``frames``, this one and as many others as they pay."""
+    start = functools.partial(_prepare, instrument)
+    return Pool(start, workers) if frames is None else Pool(start, processes_beside(workers, len(frames)), here=True)
+
+
+def processes_beside(workers: int, frames: int) -> int:
+    """Return the number of processes beside this one with which a calibration is soonest done."""
+    return min(workers - 1, frames // _PAYS)
+
+
+def run_with_body(
+    pool: Pool,
+    key: str,
+    config: EstimateConfig,
+    function: Callable[[Body, EstimateConfig, Any], Any],
+    tasks: Sequence[Any],
+) -> list[Any]:
+    """Return the values of a function of body, settings and task, in the order of the tasks.
+
+    ``key`` is the digest of the instrument that is prepared in the processes. Errors as `Pool.values`.
+    """
+    return pool.values(functools.partial(_with_body, key, config, function), tasks)
+
+
+def _prepare(instrument: Instrument) -> None:
+    """Build the instrument's scenes in a process, and import what its tasks need; scenes cannot be sent back."""
+    import dvrk_cmaes.runs.calibration_pictures  # noqa: F401
+    from dvrk_cmaes.runs.worker import prepare_instrument
+
+    prepare_instrument(instrument)
+
+
+def _with_body(
+    key: str, config: EstimateConfig, function: Callable[[Body, EstimateConfig, Any], Any], task: Any
+) -> Any:
+    from dvrk_cmaes.runs.worker import prepared_body
+    from dvrk_cmaes.silhouette.prepare import body_by
+
+    return function(body_by(prepared_body(key), config.silhouette.method), config, task)
