@@ -148,7 +148,7 @@ def _legend(curves: Sequence[Curve], colours: dict[int, str], width: int) -> tup
     for curve in curves:
         if curve.faint:
             continue
-        wide = round(28 + _LETTER * len(curve.name))
+        wide = round(36 + _LETTER * len(curve.name))
         if at + wide > width and at > _LEFT:
             at, row = _LEFT, row + 1
         y = 12 + row * _LEGEND
