@@ -13,7 +13,7 @@ from helpers.batch_sessions import QUICK_CONFIG, make_session
 from helpers.canned_results import canned
 from helpers.commands import run_command
 from helpers.damage import DEMO, IMAGE, frame
-from helpers.files import read_image, read_mask
+from dvrk_cmaes.frames.images import read_image, read_mask
 from helpers.waiting import within
 
 from dvrk_cmaes import Body, Camera, InputError, estimate, load_instrument
