@@ -13,7 +13,8 @@ class OwnFiles:
     """The files of a folder that was given to read; it may be a link itself, for it was named by the user."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._real = Path(os.path.abspath(folder)), os.path.realpath(folder)
+        self._folder = Path(os.path.abspath(folder))
+        self._real = os.path.realpath(folder) if os.path.exists(folder) else str(self._folder)
 
     def check(self, path: Path) -> Path:
         """Return a path to read; those that are not written as within the folder were named by someone, and are fine.
@@ -41,5 +42,7 @@ class OwnFiles:
 
     def check_folder(self) -> None:
         """Check all that is in the folder, if it is one."""
+        if not os.path.isdir(self._folder):
+            return
         for place, folders, files in os.walk(self._folder):
             self.check_all(Path(place, name) for name in (*folders, *files))

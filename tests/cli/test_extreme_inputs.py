@@ -13,12 +13,12 @@ from helpers.batch_sessions import QUICK_CONFIG, make_session
 from helpers.canned_results import canned
 from helpers.commands import run_command
 from helpers.damage import DEMO, IMAGE, frame
-from dvrk_cmaes.frames.images import read_image, read_mask
 from helpers.waiting import within
 
 from dvrk_cmaes import Body, Camera, InputError, estimate, load_instrument
 from dvrk_cmaes.evaluate.pose_check import check_pose
 from dvrk_cmaes.evaluate.pose_error import Tolerance
+from dvrk_cmaes.frames.images import read_image, read_mask
 from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.instrument.meshes import read_mesh
 from dvrk_cmaes.runs.batch import run_batch
