@@ -20,8 +20,12 @@ _NEAR = np.deg2rad(60.0)  # rotation between modes that are covered by one covar
 _DISTAL_PX = 2.2  # distance of the contour at wrist and jaws, beyond which the standard deviations grow with it
 
 
-def _occlusion_factor(quality: Quality, pixel_scale: float) -> float:
-    """Return the factor on a covariance for contour that is far off at wrist and jaws."""
+def _occlusion_factor(quality: Quality, pixel_scale: float = 1.0) -> float:
+    """Return the factor on a covariance for contour that is far off at wrist and jaws.
+
+    A frame by itself takes its depth from what it shows of these, so that what a model is off by there counts in
+    pixels; one that its session supports does not.
+    """
     return max(1.0, quality.distal_px / (_DISTAL_PX * pixel_scale)) ** 2
 
 
@@ -34,15 +38,14 @@ def rough_covariance(covariance: Float64, noise: OutlineNoise, quality: Quality,
     return covariance * noise.inflation(pixel_scale) * _occlusion_factor(quality, pixel_scale)
 
 
-def pose_covariance(modes: Sequence[Fit], quality: Quality, pixel_scale: float) -> Float64:
+def pose_covariance(modes: Sequence[Fit], quality: Quality) -> Float64:
     """Return the covariance (6 + J, 6 + J) of small changes of the first mode, whose ``quality`` is given.
 
-    ``pixel_scale`` is that of the camera.
     It includes the other modes within 60 degrees, each with its share of the probability. Modes farther away, such as
     the mirror twin, are not a small change of the pose; they are told by the mode's probability.
     """
     best, weights = modes[0], mode_weights(modes)
-    covariance = np.linalg.inv(best.information) * _occlusion_factor(quality, pixel_scale)
+    covariance = np.linalg.inv(best.information) * _occlusion_factor(quality)
     for mode, weight in zip(modes[1:], weights[1:], strict=True):
         if rotation_angle(best.at.pose, mode.at.pose) < _NEAR:
             apart = mode.at.minus(best.at)

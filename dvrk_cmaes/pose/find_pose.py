@@ -88,7 +88,7 @@ def find_pose(
         of_views, others, confirming = measure_modes(views, readings, at, config)
         pooled = pooled_quality(of_views)
         rays += confirming
-        covariance = pose_covariance(modes, pooled, pixel_scale)
+        covariance = pose_covariance(modes, pooled)
         expected = expected_error(instrument, best.at, covariance)
         probability = mode_probability(modes, expected.of_tips_mm)
         if start or not _lacks_fit(of_views, probability, config.trust, pixel_scale):

@@ -46,24 +46,22 @@ def test_expected_error_lowers_probability() -> None:
 
 
 def test_covariance_reaches_live_mode_near_by_but_not_twin() -> None:
-    alone = pose_covariance([mode(0, 0.0)], GOOD, 1.0)
-    near = pose_covariance([mode(0, 0.0), mode(20, 0.0, shift=0.01)], GOOD, 1.0)
-    twin = pose_covariance([mode(0, 0.0), mode(180, 0.0, shift=0.01)], GOOD, 1.0)
+    alone = pose_covariance([mode(0, 0.0)], GOOD)
+    near = pose_covariance([mode(0, 0.0), mode(20, 0.0, shift=0.01)], GOOD)
+    twin = pose_covariance([mode(0, 0.0), mode(180, 0.0, shift=0.01)], GOOD)
     assert np.sqrt(near[0, 0]) > 0.005
     np.testing.assert_array_equal(twin, alone)
 
 
 def test_twin_does_not_change_the_share_of_a_mode_near_by() -> None:
     near, twin = mode(20, 1.0, shift=0.01), mode(180, 0.0)
-    with_twin = pose_covariance([mode(0, 0.0), near, twin], GOOD, 1.0)
-    np.testing.assert_allclose(with_twin, pose_covariance([mode(0, 0.0), near], GOOD, 1.0))
+    with_twin = pose_covariance([mode(0, 0.0), near, twin], GOOD)
+    np.testing.assert_allclose(with_twin, pose_covariance([mode(0, 0.0), near], GOOD))
 
 
 def test_contour_far_off_at_jaws_widens_covariance() -> None:
     off = Quality(0.9, 0.1, {}, 0.5, 6.0, distal_px=4.4)
-    np.testing.assert_allclose(
-        pose_covariance([mode(0, 0.0)], off, 1.0), 4 * pose_covariance([mode(0, 0.0)], GOOD, 1.0)
-    )
+    np.testing.assert_allclose(pose_covariance([mode(0, 0.0)], off), 4 * pose_covariance([mode(0, 0.0)], GOOD))
 
 
 def test_rough_contour_widens_covariance_of_session_frame() -> None:
