@@ -20,6 +20,7 @@ from dvrk_cmaes.calibration.calibrate import find_lag
 from dvrk_cmaes.calibration.lasting_errors import LastingSize
 from dvrk_cmaes.camera.files import read_camera_file, read_intrinsics
 from dvrk_cmaes.camera.rig_files import read_rig
+from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.truth import read_golden
 from dvrk_cmaes.joints.reading import ReadAs, read_joint_file, read_joints
@@ -318,3 +319,27 @@ def test_recording_that_was_cut_off_names_what_mends_it(reports: Path, run: Run,
     refusal = run("import", name, "--out", "session").refusal
     assert "reindex" in refusal
     assert ("recover" in refusal) == (name != "rec.bag.active")
+
+
+@pytest.mark.parametrize("name", ["ls_png", "sam2_obj"])
+def test_masks_that_meet_no_image_are_refused(reports: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"masks: expected masks .*"):
+        read_session(reports / "names-do-not-meet" / name)
+
+
+@pytest.mark.parametrize("names", ["", "frame_00000{}", "{}", "000{}_jpg.rf.0a1b2c", "mask_000{}"])
+def test_masks_meet_the_images_by_name_or_number(reports: Path, tmp_path: Path, names: str) -> None:
+    folder = reports / "names-do-not-meet" / "roboflow"
+    if names:
+        folder = Path(shutil.copytree(folder, tmp_path / "session", ignore=shutil.ignore_patterns("masks.json")))
+        (folder / "masks").mkdir()
+        for number in (0, 1):
+            shutil.copy(
+                bundled_path("demo", "masks", f"000{number}.png"), folder / "masks" / f"{names}.png".format(number)
+            )
+    session = read_session(folder)
+    assert [frame.name for frame in session.frames] == ["0000", "0001"]
+    for frame in session.frames:
+        assert frame.image is not None
+        assert frame.readings
+        assert read_frame(frame, session.camera).mask.any()

@@ -93,12 +93,6 @@ def take_length(where: str, name: str, value: Any) -> int:
     return int(number)
 
 
-def take_size(where: str, name: str, entry: Any) -> Size:
-    """Read width and height from a list of both; InputError otherwise."""
-    width, height = take_numbers(where, name, entry, count=2)
-    return take_length(where, name, width), take_length(where, name, height)
-
-
 def take_numbers(where: str, name: str, entry: Any, count: int | None = None) -> list[float]:
     """Read finite numbers from a flat list, a list of rows, or the ``data`` of a mapping; InputError otherwise."""
     if isinstance(entry, Mapping):

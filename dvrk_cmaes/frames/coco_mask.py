@@ -8,6 +8,7 @@ count.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PureWindowsPath
 from typing import Any
@@ -22,6 +23,7 @@ from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
 
 EXPECTED = "a mask as JSON (COCO's run lengths or polygons, or labelme's shapes)"
+ROBOFLOW = re.compile(r"_(?:jpe?g|png)\.rf\.[0-9a-zA-Z]+$")
 FILES = ("masks.json", "annotations.json")
 """Names of a session's file with the masks of all of its frames."""
 
@@ -181,5 +183,5 @@ def _flat(points: Any) -> Any:
 
 
 def _stem(name: str) -> str:
-    """Return the name of a frame, given that of its image, which may have folders in it."""
-    return PureWindowsPath(name).stem
+    """Return the name of a frame, given that of its image, which may have folders in it, and what Roboflow adds."""
+    return ROBOFLOW.sub("", PureWindowsPath(name).stem)

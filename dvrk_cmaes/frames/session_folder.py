@@ -28,7 +28,7 @@ from dvrk_cmaes.camera.guess import CameraGuess
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
-from dvrk_cmaes.frames.coco_mask import FILES, frames_of
+from dvrk_cmaes.frames.coco_mask import FILES, ROBOFLOW, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import read_keypoints
 from dvrk_cmaes.frames.own_files import OwnFiles
@@ -329,7 +329,7 @@ def _session_frames(
     own.check_all(root / name for name in ("images.csv", "keypoints.csv", "boxes.csv"))
     named = set(images).union(*(file.rows for file in files if file.labels == "frame"))
     for kinds in of_views:
-        kinds[0] = _with_names_of(kinds[0], named)
+        kinds[0] = _with_names_of(mask_folder, kinds[0], kinds[1], named)
     masks = of_views[0][0]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
@@ -394,17 +394,37 @@ def _refuse_annotations(root: Path, folder: Path, masks: Mapping[str, Path]) -> 
     """Raise an InputError for a session without masks that has an annotator's files, which would be passed over."""
     if masks:
         return
+    if folder.is_dir() and any(path.is_dir() and any(image_files(path)) for path in folder.iterdir()):
+        raise InputError(f"{folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(folder)}")
     places = (root / "annotations.xml", *sorted((root / "labels").glob("*.txt")), *sorted(folder.glob("*.*")))
     for path in (path for path in places if path.is_file() and not path.name.startswith(".")):
         raise InputError(f"{path}: expected masks (PNG or JPEG, or masks.json), got {foreign(path.read_bytes())}")
 
 
-def _with_names_of(masks: Mapping[str, Path], named: set[str]) -> Mapping[str, Path]:
-    """Return masks by the names of frames where they have these with a word such as ``_mask`` or ``mask_``."""
-    if not masks or not named.isdisjoint(masks):
+def _with_names_of(
+    folder: Path, masks: Mapping[str, Path], images: Mapping[str, Path], named: set[str]
+) -> Mapping[str, Path]:
+    """Return masks by the names of frames: as they are, or without an annotator's words, or by their equal numbers.
+
+    Raises
+    ------
+    InputError
+        No mask has the name or the number of an image or of a row of the readings, though there are about as many
+        images as masks.
+    """
+    if not masks or not named or not named.isdisjoint(masks):
         return masks
-    found = {_WORD.sub("", name): path for name, path in masks.items()}
-    return masks if len(found) < len(masks) or named.isdisjoint(found) else found
+    for key in (lambda name: _WORD.sub("", name), lambda name: ROBOFLOW.sub("", name), number_of):
+        frames, own = {key(name): name for name in named}, {key(name): name for name in masks}
+        met = {*frames} & {*own} - {None}
+        if met and len(frames) == len(named) and len({*masks.values()}) == len(own) == len(masks):
+            return {frames.get(key(name), name): path for name, path in masks.items()}
+    if len(images) > 1 and 2 * len(images) >= len(masks):
+        raise InputError(
+            f"{folder}: expected masks with the names or the numbers of the frames, got {listed(masks, 2)} beside "
+            f"{listed(sorted(named, key=natural), 2)}: rename them, or leave the images out"
+        )
+    return masks
 
 
 def _seconds_of(files: Sequence[JointFile], frame: str, image_time: int | None) -> float | None:
