@@ -87,6 +87,16 @@ class Mesh:
         threads: int,
         trace: Callable[..., NDArray[numpy.bool_]] | None,
     ) -> list[Comparison]: ...
+    def difference(
+        self,
+        camera: Camera,
+        compared: Sequence[Comparison],
+        camera_from_link: NDArray[numpy.float64],
+        steps: NDArray[numpy.float64],
+        lines_per_pixel: int,
+        threads: int,
+        trace: Callable[..., NDArray[numpy.bool_]] | None,
+    ) -> None: ...
     def contours(
         self,
         camera: Camera,
@@ -145,6 +155,8 @@ class Comparison:
     def losses(self) -> list[float]: ...
     @property
     def outlined(self) -> bool: ...
+    @property
+    def differenced(self) -> bool: ...
     @property
     def unknowns(self) -> int: ...
     def coverage(self, width: int) -> NDArray[numpy.float32]: ...

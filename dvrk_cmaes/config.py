@@ -219,6 +219,9 @@ class RefineConfig:
     ----------
     method
         Method at full image size. Gauss-Newton is always used at smaller sizes.
+    derivatives
+        How Gauss-Newton finds the derivatives of outlines: ``closed-form`` follows the outline's points on the surface,
+        ``differences`` draws outlines anew after a small change of each unknown, either way.
     evaluations
         Evaluations of the loss, for methods other than Gauss-Newton.
     width_px
@@ -246,6 +249,7 @@ class RefineConfig:
     """
 
     method: str = "gauss-newton"
+    derivatives: str = "closed-form"
     evaluations: int = 400
     width_px: int = field(default=110, metadata=_WIDTH)
     first_steps: int = 3

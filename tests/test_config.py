@@ -94,6 +94,7 @@ def test_defaults_are_valid() -> None:
         ({"search": {"method": "cmeas"}}, "search.method: expected one of cmaes, "),
         ({"search": {"free_share": 1.5}}, "search.free_share: expected a share, at most 1, got 1.5"),
         ({"refine": {"method": "sbplex"}}, "refine.method: expected one of sbplx, "),
+        ({"refine": {"derivatives": "difference"}}, "refine.derivatives: expected one of differences, "),
         ({"refine": {"outline": {"blur": -1.0}}}, "refine.outline.blur: expected a number above 0, got -1"),
         ({"distance_field": "fmn"}, "distance_field: expected one of fmm, "),
         ({"decay_px": float("nan")}, "decay_px: expected a finite number, got nan"),

@@ -31,7 +31,7 @@ from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose import find_pose
-from dvrk_cmaes.pose.search import METHODS as REFINEMENTS
+from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
 from dvrk_cmaes.pose.search.modes import PoseCandidate
 

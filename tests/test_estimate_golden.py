@@ -8,6 +8,7 @@ doubtful. ``doubtful``: the status is doubtful for the reason of the case, and t
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 from helpers.files import read_mask
 from helpers.places import bundled_path
 
-from dvrk_cmaes import Body, Camera, Result, estimate
+from dvrk_cmaes import Body, Camera, EstimateConfig, Result, estimate
 from dvrk_cmaes.evaluate.pose_error import PoseError, Tolerance, compare_poses
 from dvrk_cmaes.frames.images import read_ignore
 
@@ -25,10 +26,10 @@ MOST_EVALUATIONS = 3000
 """Largest number of silhouettes that a case may render."""
 
 
-def run_case(body: Body, case: dict[str, Any]) -> Result:
+def run_case(body: Body, case: dict[str, Any], config: EstimateConfig | None = None) -> Result:
     camera = Camera(**{**case["camera"], "distortion": tuple(case["camera"]["distortion"])})
     ignore = None if case["ignore"] is None else read_ignore(GOLDEN / case["ignore"])
-    return estimate(read_mask(GOLDEN / case["mask"]), camera, case["readings"], body, ignore=ignore)
+    return estimate(read_mask(GOLDEN / case["mask"]), camera, case["readings"], body, ignore=ignore, config=config)
 
 
 def error_of(body: Body, case: dict[str, Any], result: Result) -> PoseError:
@@ -64,3 +65,13 @@ def test_golden_case_is_within_tolerances(bundled_body: Body, name: str) -> None
     else:
         assert case["outcome"] == "ok-or-doubtful"
         assert result.status == "doubtful" or not beyond, report
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case["outcome"] == "ok"])
+def test_card_preset_is_within_the_tolerances_of_golden_cases(bundled_body: Body, name: str) -> None:
+    config, case = EstimateConfig(), CASES[name]
+    result = run_case(bundled_body, case, replace(config, refine=replace(config.refine, derivatives="differences")))
+    error = error_of(bundled_body, case, result)
+    assert result.status == "ok", result.reasons
+    assert not error.beyond(Tolerance(**case["tolerance"]))
+    assert result.rays > 10_000

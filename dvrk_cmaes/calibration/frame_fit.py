@@ -334,7 +334,7 @@ def outline_and_masks(
 
 def _better_start(coverage: Coverage, terms: Sequence[Term], starts: Posed) -> Posed:
     """Return the start with the best score."""
-    drawn, others = coverage.draw(starts, derivatives=False), sum_of_costs(terms, starts)
+    drawn, others = coverage.draw(starts, derivatives=None), sum_of_costs(terms, starts)
     scores = [coverage.score_of(one) + 0.5 * float(other) for one, other in zip(drawn, others, strict=True)]
     return starts[int(np.argmin(scores))]
 

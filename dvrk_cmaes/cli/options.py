@@ -333,6 +333,9 @@ class MethodOptions:
         Method of the global search: cmaes (default), crs2, esch, isres or direct-l.
     refine
         Method of the local refinement: gauss-newton (default), coordinate-descent, bobyqa or sbplx.
+    preset
+        card: Gauss-Newton takes its derivatives by central differences of outlines drawn anew, not in closed form:
+        nearly the same poses, in more than twice the time.
     seed
         Seed of all random numbers, a whole number of at least 0; 0 by default. The same input and the same seed give
         the same result.
@@ -345,6 +348,7 @@ class MethodOptions:
 
     search: str | None = None
     refine: str | None = None
+    preset: Literal["card"] | None = None
     seed: int | None = None
     threads: int | None = None
     config: Path | None = None
@@ -376,6 +380,8 @@ class MethodOptions:
         if self.refine is not None:
             _check_name("refine", self.refine, REFINEMENTS)
             settings = replace(settings, refine=replace(settings.refine, method=self.refine))
+        if self.preset == "card":
+            settings = replace(settings, refine=replace(settings.refine, derivatives="differences"))
         check_range("--seed", self.seed, 0, LARGEST_SEED)
         check_range("--threads", self.threads, 1, MOST_THREADS)
         given = {name: value for name in ("seed", "threads") if (value := getattr(self, name)) is not None}

@@ -102,7 +102,7 @@ struct Between {
 // the displacements of the points along the unit normals, px.
 struct Comparison {
   std::vector<double> losses;
-  bool outlined = false;
+  bool outlined = false, differenced = false;  // whether there are points, and their derivatives are by differences
   int samples = 0, unknowns = 0;
   std::vector<OutlinePoint> points;
   std::vector<float> difference, share;

@@ -26,6 +26,7 @@
 #include "comparison.hpp"
 #include "contour.hpp"
 #include "dense.hpp"
+#include "differences.hpp"
 #include "lines.hpp"
 #include "mesh.hpp"
 #include "moving.hpp"
@@ -256,6 +257,7 @@ struct Drawing {
   double bend;            // px, by which a piece of the outline may be off the image of a straight line
   bool columns = false;   // whether the columns are crossed as well as the rows, as `find_points` needs it
   bool to_pixel = false;  // whether only the pixels' centres matter
+  double shortest = kClose;  // px, of the spans through which rays are traced
 
   std::size_t poses() const { return links.shape(0); }
   const double* links_of(std::size_t pose) const { return links.data() + 16 * mesh.link_count() * pose; }
@@ -276,7 +278,7 @@ struct Drawing {
     std::optional<nb::gil_scoped_release> released(std::in_place);
     if (!trace) {
       each_pose(poses(), most, [&](Workspace& at, std::size_t pose) {
-        find(at.drawn, pose);
+        find(at.drawn.outline, at.drawn, pose);
         at.drawn.rows.count_layers();
         if (columns) at.drawn.columns.count_layers();
         use(at, at.drawn, pose);
@@ -284,13 +286,15 @@ struct Drawing {
       return;
     }
     thread_local std::vector<Drawn> drawn;
+    thread_local Outline shared;  // where only points need the outlines afterwards, its memory stays in the cache
     std::vector<Drawn>& all = drawn;
     if (all.size() < poses()) all.resize(poses());
-    each_pose(poses(), most, [&](Workspace&, std::size_t pose) { find(all[pose], pose); });
     SpanRays rays;
     for (std::size_t pose = 0; pose < poses(); ++pose) {
-      rays.add(all[pose].rows, all[pose].outline, camera, links_of(pose), to_pixel);
-      if (columns) rays.add(all[pose].columns, all[pose].outline, camera, links_of(pose), to_pixel);
+      Outline& outline = columns ? all[pose].outline : shared;
+      find(outline, all[pose], pose);
+      rays.add(all[pose].rows, outline, camera, links_of(pose), to_pixel, shortest);
+      if (columns) rays.add(all[pose].columns, outline, camera, links_of(pose), to_pixel, shortest);
     }
     released.reset();
     for (int link = 0; link < mesh.link_count(); ++link) trace_link(rays, link);
@@ -309,10 +313,10 @@ struct Drawing {
  private:
   static constexpr std::size_t kFewEdges = 30000;  // of all poses; starting a thread takes as long as these
 
-  void find(Drawn& at, std::size_t pose) const {
-    at.outline.find(mesh, camera, links_of(pose), camera.is_pinhole() ? 0.0 : camera.straight_length(bend));
-    at.rows.find(at.outline.pieces, Grid::rows(camera, lines_per_pixel));
-    if (columns) at.columns.find(at.outline.pieces, Grid::columns(camera));
+  void find(Outline& outline, Drawn& at, std::size_t pose) const {
+    outline.find(mesh, camera, links_of(pose), camera.is_pinhole() ? 0.0 : camera.straight_length(bend));
+    at.rows.find(outline.pieces, Grid::rows(camera, lines_per_pixel));
+    if (columns) at.columns.find(outline.pieces, Grid::columns(camera));
   }
 
   // Trace the rays of all poses against a link together.
@@ -332,12 +336,14 @@ struct Drawing {
   }
 };
 
+// Half of the spans are shorter, between edges inside the outline; all of a row's together hardly change a sum.
+constexpr double kNegligible = 1.0 / 16;  // px
 constexpr double kBend = 0.004, kExactBend = 0.0005;  // px; the latter where whole pixels are asked for
 
 Made<double> sums(const Mesh& mesh, const Camera& camera, const Given<double>& links, const Given<double>& table,
                   int lines_per_pixel, bool to_pixel, std::size_t threads, const Trace& trace) {
   check_shape("table", table, {camera.height, camera.width + 1, kAny});
-  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, trace, to_pixel ? kExactBend : kBend, false, to_pixel};
+  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, trace, to_pixel ? kExactBend : kBend, false, to_pixel, kNegligible};
   drawing.check();
   const std::size_t images = table.shape(2);
   Made<double> out = zeros<double>({drawing.poses(), images});
@@ -517,6 +523,38 @@ Compared compare(const Mesh& mesh, const Camera& camera, const Target& target, c
     one.outlined = true;
   });
   return found;
+}
+
+// Replace the derivatives of the outlines of C comparisons by central differences. `links` (C, 2 D, L, 4, 4) are the poses
+// of the links after each unknown was changed by its step (C, D), then after minus that.
+void difference(const Mesh& mesh, const Camera& camera, const Compared& compared, const Given<double>& links,
+                const Given<double>& steps, int lines_per_pixel, std::size_t threads, const Trace& trace) {
+  const long count = static_cast<long>(compared.size()), l = mesh.link_count();
+  check_shape("steps", steps, {count, kAny});
+  const std::size_t D = steps.shape(1);
+  check_shape("camera_from_link", links, {count * 2 * static_cast<long>(D), l, 4, 4});
+  for (std::size_t i = 0; i < steps.size(); ++i) {
+    if (!(steps.data()[i] > 0.0)) throw std::invalid_argument("steps: expected positive numbers");
+  }
+  for (const auto& one : compared) {
+    if (!one || !one->outlined || one->unknowns != static_cast<int>(D)) {
+      throw std::invalid_argument("compared: expected comparisons with outlines and as many unknowns as steps");
+    }
+  }
+  const Drawing drawing{mesh, camera, links, lines_per_pixel, threads, trace, kBend, true};
+  drawing.check();
+  std::vector<std::vector<double>> places(drawing.poses());  // of the points of each moved outline, px along their lines
+  drawing.each([&](Workspace&, const Drawn& at, std::size_t pose) {
+    places[pose] = moved_places(compared[pose / (2 * D)]->points, at.rows, at.columns);
+  });
+  for (long k = 0; k < count; ++k) {
+    Comparison& one = *compared[k];
+    for (std::size_t d = 0; d < D; ++d) {
+      const std::size_t first = 2 * D * k + d;
+      difference_points(one.points, places[first], places[first + D], steps.data()[D * k + d], d, D, one.jacobian);
+    }
+    one.differenced = true;
+  }
 }
 
 void make_contour_errors(ContourErrors* self, int reach, int least, double normal_median, double least_sigma, double clip,
@@ -965,6 +1003,10 @@ NB_MODULE(_kernel, module) {
       .def("compare", &compare, "camera"_a, "target"_a, "camera_from_root"_a, "root_from_link"_a, "by_joint"_a.none(),
            "camera_from_link"_a, "lines_per_pixel"_a, "cauchy"_a, "threads"_a, "trace"_a.none(),
            "Compare C silhouettes with a target: losses by widths, and outlines if derivatives by joints are given.")
+      .def("difference", &difference, "camera"_a, "compared"_a, "camera_from_link"_a, "steps"_a, "lines_per_pixel"_a,
+           "threads"_a, "trace"_a.none(),
+           "Replace the Jacobians of C comparisons by central differences of outlines: of the links' poses "
+           "(C * 2 D, L, 4, 4) after each of D steps (C, D) forwards, then after each backwards.")
       .def("contours", &contours, "camera"_a, "mask"_a, "weight"_a, "camera_from_root"_a, "root_from_link"_a, "by_joint"_a,
            "camera_from_link"_a, "errors"_a, "threads"_a, "trace"_a.none(),
            "Compare the outlines of C poses with the contour of a mask: information (C, D, D) and slope (C, D) of half the "
@@ -1010,6 +1052,7 @@ NB_MODULE(_kernel, module) {
   nb::class_<Comparison>(module, "Comparison", "A silhouette compared with a mask.")
       .def_ro("losses", &Comparison::losses, "The Cauchy loss of each width that was asked for.")
       .def_ro("outlined", &Comparison::outlined, "Whether the N points of the outline were asked for.")
+      .def_ro("differenced", &Comparison::differenced, "Whether their derivatives are by differences.")
       .def_ro("unknowns", &Comparison::unknowns, "Number D of the unknowns by which the points move.")
       .def("coverage", &coverage_of, "width"_a, "Return the covered fraction of each pixel before the blur, (H, W).")
       .def_prop_ro("link", [](const Comparison& at) {

@@ -17,9 +17,9 @@ namespace kernel {
 // The spans of many poses' lines, and what their rays have hit so far.
 class SpanRays {
  public:
-  // Add the spans of the lines of a pose, whose links are camera_from_link (L, 4, 4). With `to_pixel`, rays pass the
-  // centres of pixels, and spans without one are not traced.
-  void add(Lines& lines, const Outline& outline, const Camera& camera, const double* links, bool to_pixel) {
+  // Add the spans of the lines of a pose, whose links are camera_from_link (L, 4, 4). Those shorter than `shortest`, px,
+  // are not traced. With `to_pixel`, rays pass the centres of pixels, and spans without one are not traced.
+  void add(Lines& lines, const Outline& outline, const Camera& camera, const double* links, bool to_pixel, double shortest) {
     const double extent = lines.grid.extent;
     const auto start_of = [&](const Crossing& crossing) {
       return to_pixel ? within(std::ceil(crossing.along), 0.0, extent) : crossing.along;
@@ -29,7 +29,7 @@ class SpanRays {
       find_enclosing(lines, outline, begin, end);
       for (Index i = begin; i + 1 < end; ++i) {
         const double start = start_of(lines.crossings[i]), length = start_of(lines.crossings[i + 1]) - start;
-        if (length < (to_pixel ? 1.0 : kClose)) continue;
+        if (length < (to_pixel ? 1.0 : shortest)) continue;
         double middle = start + 0.5 * length;
         if (to_pixel) middle = std::floor(middle - 0.5);
         const double across = lines.grid.place_of(line);

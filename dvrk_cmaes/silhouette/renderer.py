@@ -37,6 +37,16 @@ METHODS = ("count", "rays")
 They are the number of layers of faces along the line, or one ray through the middle, traced together for many poses.
 """
 
+_STEP = 0.3  # px, by which the outline moves for differences
+_LEVERS = (
+    1.0,
+    1.0,
+    1.0,
+    0.01,
+    0.01,
+    0.004,
+)  # m by unit: translations, tilts, turn about the axis
+_JOINT_LEVER = 0.01  # m by rad of a joint
 _DRAWN, _SUMMED = 16, 64
 """Largest number of poses that are drawn, and of those of which only sums are computed, in a slice of a long call."""
 
@@ -312,6 +322,31 @@ class Renderer:
             worked(len(links[part]) * self.camera.height)
         self._count(poses=len(links))
         return found
+
+    def difference(self, compared: Sequence[_kernel.Comparison], at: Posed, *, lines_per_pixel: int = 2) -> None:
+        """Replace the derivatives of the outlines of C comparisons by central differences of outlines drawn anew.
+
+        Each of the D = 6 + J unknowns is changed by a step that moves the outline by about ``_STEP`` px, either way.
+
+        Parameters
+        ----------
+        compared
+            What `compare` returned, with outlines.
+        at
+            The poses in the camera, as they were compared.
+        lines_per_pixel
+            Lines of the image on which outlines were found, for each row of pixels.
+        """
+        body, count, joints = self.body, len(at), at.joints.shape[1]
+        pixel = np.abs(at.pose[:, 2, 3]) / np.sqrt(self.camera.fx * self.camera.fy)  # m at the root's distance
+        steps = np.ascontiguousarray(_STEP * pixel[:, None] / np.array(_LEVERS + (_JOINT_LEVER,) * joints))
+        changes = np.concatenate([np.eye(6 + joints), -np.eye(6 + joints)]) * steps[:, None]
+        moved = at[np.repeat(np.arange(count), changes.shape[1])].moved(changes.reshape(-1, 6 + joints))
+        links = np.ascontiguousarray(body.camera_from_links(moved.pose, moved.joints))
+        camera = kernel_camera(self.camera)
+        body.mesh.difference(camera, list(compared), links, steps, lines_per_pixel, self.threads, self._trace)
+        worked(len(links) * self.camera.height)
+        self._count(poses=len(links))
 
     def contours(
         self, at: Posed, mask: Bool, weight: Float32, errors: _kernel.ContourErrors

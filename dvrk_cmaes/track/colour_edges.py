@@ -22,7 +22,7 @@ from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.doubts import SUPPORTED, colours_without_outline, outline_without_edge, reasons
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.track.clearance import MOST_CLEARANCE
@@ -254,7 +254,9 @@ class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
         self._model, self._drawn, self._images, self._reach = model, drawn, images, reach
         self._covariance = covariance
 
-    def draw(self, at: Posed, *, derivatives: bool = True) -> list[tuple[Float64, Float64, Float64]]:
+    def draw(
+        self, at: Posed, *, derivatives: Derivatives | None = "closed-form"
+    ) -> list[tuple[Float64, Float64, Float64]]:
         """Measure the outline's points at C poses: motion (N, D), distances (N,), px, and weights (N,) of each."""
         return [self._measured(at[k]) for k in range(len(at))]
 

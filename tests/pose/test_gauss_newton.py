@@ -113,7 +113,7 @@ def test_silhouette_outside_window_gives_finite_score(bundled_body: Body) -> Non
 def test_pose_is_drawn_once(bundled_body: Body) -> None:
     at = terms(bundled_body).coverage
     pair = Posed.stacked([TRUE, TRUE.moved(NEAR)])
-    at.draw(pair[:1], derivatives=False)
+    at.draw(pair[:1], derivatives=None)
     assert at.silhouettes == 1
     first, second = at.draw(pair)  # the outline of the first one is asked for now
     assert at.silhouettes == 3
@@ -132,7 +132,7 @@ def test_oldest_drawings_are_forgotten(bundled_body: Body, monkeypatch: pytest.M
     at = terms(bundled_body).coverage
     monkeypatch.setattr("dvrk_cmaes.pose.terms.sized_view.REMEMBERED", 2)
     for step in (0.0, 1e-4, 2e-4, 0.0):
-        at.draw(Posed.stacked([TRUE.moved(np.full(9, step))]), derivatives=False)
+        at.draw(Posed.stacked([TRUE.moved(np.full(9, step))]), derivatives=None)
     assert at.silhouettes == 4
 
 

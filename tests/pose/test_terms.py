@@ -13,6 +13,7 @@ from helpers.transforms import exp_rotation, lookat_pose, transform
 from dvrk_cmaes import Body, Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.geometry import Posed
+from dvrk_cmaes.pose.refine import DERIVATIVES
 from dvrk_cmaes.pose.search.objective import project_tips
 from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -94,6 +95,28 @@ def test_information_tells_how_fast_the_slope_changes(bundled_body: Body, name: 
     np.testing.assert_allclose(
         (slopes[1] - slopes[0]) * SPREAD, expected_change, atol=0.25 * np.abs(expected_change).max() + 1e-9
     )
+
+
+@pytest.mark.parametrize("shrink", [1, 2])
+def test_differences_of_outlines_are_the_derivatives_in_closed_form(bundled_body: Body, shrink: int) -> None:
+    views = [view_at(bundled_body, CAMERA, TRUE), view_at(bundled_body, CAMERA, TRUE, RIGHT_FROM_LEFT)]
+    term = Coverage([SizedView(view, blur=1.2, shrink=shrink) for view in views], OutlineConfig())
+    at = Posed.stacked([TRUE.moved(OFF), TRUE.moved(-OFF)])
+    (closed, differences) = (term.draw(at, derivatives=name) for name in DERIVATIVES)
+    for one, other in zip(closed, differences, strict=True):
+        for exact, found in zip(one, other, strict=True):
+            assert found.differenced
+            assert not exact.differenced
+            np.testing.assert_array_equal(exact.pixels, found.pixels)
+            moved = exact.jacobian * SPREAD, found.jacobian * SPREAD
+            off = np.abs(moved[0] - moved[1]).max(axis=1)
+            assert np.median(off) < 0.02 * np.abs(moved[0]).max()
+            assert (off > 0.15 * np.abs(moved[0]).max()).mean() < 0.05
+    (of_closed, of_differences) = (
+        term.near(drawn, at).normal_equations(np.zeros((2, 9))) for drawn in (closed, differences)
+    )
+    for exact, found, units in zip(of_closed, of_differences, (np.outer(SPREAD, SPREAD), SPREAD), strict=True):
+        np.testing.assert_allclose(found * units, exact * units, atol=0.08 * np.abs(exact * units).max())
 
 
 def test_terms_of_several_poses_are_those_of_each(bundled_body: Body) -> None:

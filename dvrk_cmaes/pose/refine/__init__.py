@@ -4,3 +4,6 @@ from __future__ import annotations
 
 METHODS = ("gauss-newton", "coordinate-descent", "bobyqa", "sbplx")
 """Names of the refinement methods."""
+
+DERIVATIVES = ("closed-form", "differences")
+"""Ways in which Gauss-Newton finds the derivatives of outlines."""

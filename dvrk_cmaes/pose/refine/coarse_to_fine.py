@@ -22,6 +22,7 @@ from dvrk_cmaes.pose.search.modes import PoseCandidate, are_distinct, best_per_m
 from dvrk_cmaes.pose.search.objective import loss_of_views
 from dvrk_cmaes.pose.terms.contour import CorrelatedContour, has_correlated_noise
 from dvrk_cmaes.pose.terms.coverage import Coverage
+from dvrk_cmaes.pose.terms.outline_term import Derivatives
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Term
 from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
@@ -70,6 +71,7 @@ class LocalSearch:
         self._views = tuple(views)
         self._decimated = decimated
         self._readings = readings
+        self._derivatives: Derivatives = "differences" if config.refine.derivatives == "differences" else "closed-form"
         self._config = config
         self._last_selection = Selection(config.refine.last_share, config.refine.last_gap)
         self._sized: list[SizedView] = []
@@ -119,9 +121,9 @@ class LocalSearch:
         sized = []
         for view, coarse in zip(self._views, self._coarse, strict=True):
             own = max(1, round(shrink * view.evidence.camera.width / width)) if shrink > 1 else 1
-            sized.append(
-                SizedView(view, blur=outline.blur, shrink=own, renderer=coarse if shrink > self._half else None)
-            )
+            small = coarse if shrink > self._half else None
+            moved = self._decimated if shrink >= self._half else None  # of which outlines are drawn for differences
+            sized.append(SizedView(view, blur=outline.blur, shrink=own, renderer=small, differences=moved))
         self._sized += sized
         return Coverage(sized, outline)
 
@@ -144,7 +146,8 @@ class LocalSearch:
             return []
         shrink = coverage.views[0].shrink
         steps = Steps.of(self._config.refine.outline, shrink, iterations=iterations, continued=continued)
-        fits = refine(coverage, self._terms, Posed.stacked([mode.at for mode in modes]), steps, selection)
+        at = Posed.stacked([mode.at for mode in modes])
+        fits = refine(coverage, self._terms, at, steps, selection, self._derivatives)
         return _not_diverged(fits)
 
     def _assess(self, coverage: Coverage, modes: Sequence[PoseCandidate]) -> list[Fit]:

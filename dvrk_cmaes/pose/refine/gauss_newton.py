@@ -18,7 +18,7 @@ from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed
 from dvrk_cmaes.pose.refine.selection import ALL, Selection
 from dvrk_cmaes.pose.search.modes import PoseCandidate
-from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
 from dvrk_cmaes.pose.terms.profiles import Profiles
 from dvrk_cmaes.pose.terms.term import Approximation, Quadratic, Term, sum_of_costs, sum_of_locals
 
@@ -110,13 +110,19 @@ class _States:
 
 
 def refine(
-    outline: OutlineTerm[Any], terms: Sequence[Term], starts: Posed, steps: Steps, selection: Selection = ALL
+    outline: OutlineTerm[Any],
+    terms: Sequence[Term],
+    starts: Posed,
+    steps: Steps,
+    selection: Selection = ALL,
+    derivatives: Derivatives = "closed-form",
 ) -> list[Fit]:
     """Refine C starts on the sum of the outline's term and other ``terms``; returns their fits in the same order.
 
-    ``selection`` tells which of the poses take part in each iteration.
+    ``selection`` tells which of the poses take part in each iteration, ``derivatives`` how those of the outline are
+    found.
     """
-    return _Refinement(outline, tuple(terms), steps).run(starts, selection)
+    return _Refinement(outline, tuple(terms), steps, derivatives).run(starts, selection)
 
 
 def assess(outline: OutlineTerm[Any], terms: Sequence[Term], at: Posed) -> list[Fit]:
@@ -131,10 +137,11 @@ class _Refinement:
     outline: OutlineTerm[Any]
     terms: tuple[Term, ...]
     steps: Steps
+    derivatives: Derivatives
 
     def run(self, starts: Posed, selection: Selection) -> list[Fit]:
         """Refine C starts."""
-        drawn, count = self.outline.draw(starts), len(starts)
+        drawn, count = self.outline.draw(starts, derivatives=self.derivatives), len(starts)
         dimension = self.outline.near(drawn[:1], starts[:1]).dimension
         nothing = Quadratic.zero(count, dimension)
         every = np.arange(count)
@@ -169,7 +176,8 @@ class _Refinement:
             return
         stale = index[states.stale[index]]
         if len(stale):
-            self._draw(states, stale, states.at[stale], self.outline.draw(states.at[stale]))
+            drawn = self.outline.draw(states.at[stale], derivatives=self.derivatives)
+            self._draw(states, stale, states.at[stale], drawn)
         near, others = self._near(states, index), sum_of_locals(self.terms, states.at[index])
         others = others.padded(near.dimension)
         information, _ = near.normal_equations(np.zeros((len(index), near.dimension)))
@@ -209,7 +217,9 @@ class _Refinement:
 
     def _test(self, states: _States, index: Indices, at: Posed, others: Float64, small: Bool, *, last: bool) -> None:
         """Move states to trial poses where that lowers the sum of squares; otherwise increase their damping."""
-        drawn = self.outline.draw(at, derivatives=not last)
+        # differences cost twenty silhouettes: they are taken only once a pose is kept
+        later = last or self.derivatives == "differences"
+        drawn = self.outline.draw(at, derivatives=None if later else self.derivatives)
         fall = [
             self.outline.cost_of(states.drawn[k]) - self.outline.cost_of(one)
             for k, one in zip(index, drawn, strict=True)
@@ -223,6 +233,7 @@ class _Refinement:
         _States.put(states.at, moved, at[better])
         self._draw(states, moved, at[better], [one for one, is_better in zip(drawn, better, strict=True) if is_better])
         states.others[moved], states.moved[moved] = others[better], True
+        states.stale[moved] = later and not last
         states.damping[moved] = np.maximum(states.damping[moved] / _DAMPING_STEP, _DAMPING[0])
 
     def _changes(self, states: _States, index: Indices) -> Float64:

@@ -20,6 +20,7 @@ from dvrk_cmaes.pose.refine.elimination import eliminate
 from dvrk_cmaes.pose.refine.gauss_newton import Steps, refine
 from dvrk_cmaes.pose.refine.information import ViewAtFullSize, information_of_views
 from dvrk_cmaes.pose.terms.contour import CorrelatedContour, DrawnContour
+from dvrk_cmaes.pose.terms.outline_term import Derivatives
 from dvrk_cmaes.pose.terms.term import Quadratic, Term
 
 Rotation = tuple[Float64, Float64]
@@ -62,7 +63,7 @@ class PosedInRig(Posed):
 class TurnedContours(CorrelatedContour):
     """The contours of the ``views``, of which all but the first may be turned; at poses of type `PosedInRig`."""
 
-    def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnContour]:
+    def draw(self, at: Posed, *, derivatives: Derivatives | None = "closed-form") -> list[DrawnContour]:
         """Draw C poses in the turned views."""
         assert isinstance(at, PosedInRig)
         return [self._drawn(at[k]) for k in range(len(at))]

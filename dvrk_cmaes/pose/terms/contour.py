@@ -24,7 +24,7 @@ from dvrk_cmaes import _kernel
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 
@@ -85,8 +85,8 @@ class CorrelatedContour(OutlineTerm[DrawnContour]):
             inflation=_INFLATION,
         )
 
-    def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnContour]:
-        """Draw C poses, and sum up the views."""
+    def draw(self, at: Posed, *, derivatives: Derivatives | None = "closed-form") -> list[DrawnContour]:
+        """Draw C poses, and sum up the views; the derivatives are in closed form."""
         return [self._summed(of_pose) for of_pose in zip(*self.of_views(at), strict=True)]
 
     def of_views(self, at: Posed) -> list[list[DrawnContour]]:

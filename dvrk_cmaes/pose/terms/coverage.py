@@ -23,7 +23,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Float64, Posed
-from dvrk_cmaes.pose.terms.outline_term import OutlineTerm
+from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
 from dvrk_cmaes.pose.terms.profiles import Profiles, density
 from dvrk_cmaes.pose.terms.shared_errors import SHOWN, deviations_of
 from dvrk_cmaes.pose.terms.sized_view import SizedView
@@ -114,12 +114,12 @@ class Coverage(OutlineTerm[DrawnCoverage]):
 
     def noise_at(self, at: Posed) -> float:
         """Return the sum of squares at one pose, with the width of scores."""
-        return sum(self.final_losses(self.draw(Posed.stacked([at]), derivatives=False)[0]))
+        return sum(self.final_losses(self.draw(Posed.stacked([at]), derivatives=None)[0]))
 
-    def draw(self, at: Posed, *, derivatives: bool = True) -> list[DrawnCoverage]:
+    def draw(self, at: Posed, *, derivatives: Derivatives | None = "closed-form") -> list[DrawnCoverage]:
         """Draw C poses in all views."""
         lines = self._config.lines_per_pixel
-        of_views = [view.draw(at, lines, self._widths, outlines=derivatives) for view in self.views]
+        of_views = [view.draw(at, lines, self._widths, derivatives) for view in self.views]
         return list(zip(*of_views, strict=True))
 
     def final_losses(self, drawn: DrawnCoverage) -> tuple[float, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Generic, TypeVar
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Approximation
 
 D = TypeVar("D")
+Derivatives = Literal["closed-form", "differences"]
+"""How an outline's derivatives are found: from the motion of its points on the surface, or by central differences."""
 
 
 class OutlineTerm(ABC, Generic[D]):
@@ -24,7 +26,7 @@ class OutlineTerm(ABC, Generic[D]):
     views: tuple[SizedView, ...]
 
     @abstractmethod
-    def draw(self, at: Posed, *, derivatives: bool = True) -> list[D]:
+    def draw(self, at: Posed, *, derivatives: Derivatives | None = "closed-form") -> list[D]:
         """Draw C poses; the approximation needs what is drawn with ``derivatives``."""
 
     @abstractmethod
@@ -48,7 +50,7 @@ class OutlineTerm(ABC, Generic[D]):
 
     def cost(self, at: Posed) -> Float64:
         """Return the sum of squares (C,) at C poses."""
-        return np.array([self.cost_of(drawn) for drawn in self.draw(at, derivatives=False)])
+        return np.array([self.cost_of(drawn) for drawn in self.draw(at, derivatives=None)])
 
     def local(self, at: Posed) -> Approximation:
         """Return the approximation of half the sum of squares near C poses."""

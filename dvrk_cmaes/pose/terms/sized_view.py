@@ -22,7 +22,7 @@ from dvrk_cmaes.pose.terms.shared_errors import (
     sides_of_shaft,
 )
 from dvrk_cmaes.pose.views import FrameView
-from dvrk_cmaes.silhouette import OutlinePoints, Renderer
+from dvrk_cmaes.silhouette import Body, OutlinePoints, Renderer
 from dvrk_cmaes.silhouette.moving_points import moving_points
 
 Float64 = NDArray[np.float64]
@@ -43,7 +43,8 @@ class SizedView:
     mask : (H, W) bool, of the window. target : the blurred mask. weight : (H, W), 0 for ignored pixels and
     beside them, 1 for others. length : px of contour at this size. shrink, view_from_camera : as given. Poses are in
     the reference camera. ``blur``, px, is the standard deviation of that of coverage and mask; ``renderer`` draws
-    another body than that of the view, if given. ``margin``, px of the whole size, is taken off the mask all round.
+    another body than that of the view, if given, and ``differences`` is that of which the outlines are drawn for
+    differences. ``margin``, px of the whole size, is taken off the mask all round.
 
     The last drawings are kept: a refinement often begins where another one has drawn already.
     """
@@ -55,6 +56,7 @@ class SizedView:
         blur: float,
         shrink: int = 1,
         renderer: Renderer | None = None,
+        differences: Body | None = None,
         margin: float = 0.0,
     ) -> None:
         evidence, camera = view.evidence, view.evidence.camera
@@ -74,6 +76,8 @@ class SizedView:
         used = view.renderer if renderer is None else renderer
         self.camera = self._in_window(camera)
         self._renderer = Renderer(used.body, self.camera, threads=used.threads)
+        moved = used.body if differences is None else differences
+        self._moved = Renderer(moved, self.camera, threads=used.threads)
         self.weight = np.ones((height, width), dtype=np.float32)
         if evidence.ignores:
             weight = evidence.weight if shrink == 1 else evidence.weight_at(*size)
@@ -101,6 +105,7 @@ class SizedView:
         other.__dict__ |= self.__dict__
         other.camera = self._in_window(camera)
         other._renderer = Renderer(self._renderer.body, other.camera, threads=self._renderer.threads)
+        other._moved = Renderer(self._moved.body, other.camera, threads=self._renderer.threads)
         other._remembered = {}
         return other
 
@@ -112,26 +117,34 @@ class SizedView:
     @property
     def silhouettes(self) -> int:
         """Number of silhouettes drawn so far."""
-        return self._renderer.poses
+        return self._renderer.poses + self._moved.poses
 
     @property
     def rays(self) -> int:
         """Number of rays traced so far."""
-        return self._renderer.rays
+        return self._renderer.rays + self._moved.rays
 
     def draw(
-        self, at: Posed, lines_per_pixel: int, cauchy: Sequence[float], *, outlines: bool
+        self, at: Posed, lines_per_pixel: int, cauchy: Sequence[float], derivatives: str | None
     ) -> list[_kernel.Comparison]:
-        """Draw C poses and compare them with the mask, by losses of some widths, with ``outlines`` if asked for."""
+        """Draw C poses and compare them with the mask, by losses of some widths; outlines are with ``derivatives``."""
         seen = at.seen_from(self.view_from_camera)
         keys = [(seen.pose[k].tobytes(), seen.joints[k].tobytes(), lines_per_pixel, *cauchy) for k in range(len(seen))]
         kept = ((key, self._remembered.get(key)) for key in keys)
-        known = {key: one for key, one in kept if one is not None and (one.outlined or not outlines)}
+        differences = derivatives == "differences"
+        known = {
+            key: one
+            for key, one in kept
+            if one is not None and (derivatives is None or (one.outlined and one.differenced == differences))
+        }
         missing = [k for k, key in enumerate(keys) if key not in known]
         if missing:
+            outlined = derivatives is not None
             drawn = self._renderer.compare(
-                seen[missing], self.target, cauchy, lines_per_pixel=lines_per_pixel, outlines=outlines
+                seen[missing], self.target, cauchy, lines_per_pixel=lines_per_pixel, outlines=outlined
             )
+            if differences:
+                self._moved.difference(drawn, seen[missing], lines_per_pixel=lines_per_pixel)
             known |= zip([keys[k] for k in missing], drawn, strict=True)
             self._remembered = dict(list((self._remembered | known).items())[-REMEMBERED:])
         return [known[key] for key in keys]
