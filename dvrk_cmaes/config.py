@@ -284,7 +284,8 @@ class TrustConfig:
         Least intersection over union of silhouette and mask.
     largest_distal_px
         Largest root mean square distance of the mask's contour beyond the shaft from the silhouette's outline. Limits
-        in px are those of images 640 px wide, and grow with wider ones.
+        in px are those of images 640 px wide, and grow with wider ones; this one only for frames that are solved with
+        their session or followed.
     largest_bend_px, largest_bend_share
         Largest deviation of the silhouette from a straight line along a straight edge that ends the mask: the larger of
         ``largest_bend_px`` and ``largest_bend_share`` times the width of the shaft in the image.
