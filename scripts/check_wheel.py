@@ -48,11 +48,13 @@ class Record:
 def _is_within_open_folder(event: str, arguments: tuple[Any, ...]) -> bool:
     """Return whether an event opens a folder itself, or what is in a folder that is open already.
 
-    The audit hook is not told which folder that is. The package writes in this way, and never through links.
+    The audit hook does not see which folder that is. The package writes in this way, and never through links; it lists
+    folders by `os.fwalk`, which opens them by relative names that are no files of the working directory.
     """
     if event != "open" or arguments[1] is not None or not isinstance(arguments[2], int):
         return False
-    within = not os.path.isabs(os.fsdecode(arguments[0])) and arguments[2] & os.O_NOFOLLOW
+    name = os.fsdecode(arguments[0])
+    within = not os.path.isabs(name) and (arguments[2] & os.O_NOFOLLOW or not os.path.isfile(name))
     return bool(within or arguments[2] & os.O_DIRECTORY)
 
 

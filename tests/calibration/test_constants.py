@@ -66,7 +66,7 @@ def test_effect_is_the_derivative_of_what_is_seen(case: str, bundled_body: Body)
         change = np.zeros(len(steps))
         change[index] = step
         views = sized(change), sized(-change)
-        drawn = [view.draw(poses, 2, [0.5], outlines=False)[0] for view in views]
+        drawn = [view.draw(poses, 2, [0.5], None)[0] for view in views]
         gained = [one.coverage(view.camera.width) - view.target.image for one, view in zip(drawn, views, strict=True)]
         found = (moments(gained[0], corner) - moments(gained[1], corner)) / (2 * step)
         np.testing.assert_allclose(found, expected[:, index], atol=0.1 * np.linalg.norm(expected[:, index]))

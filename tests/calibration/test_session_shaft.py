@@ -72,7 +72,7 @@ def test_effect_is_the_area_that_a_larger_part_adds(
     stored = StoredFrame.of(frames[0].data, at, bundled_body, EstimateConfig())
     for scale in (1 / 1.03, 1.03):
         view = SizedView(stored.views[0].restored(resized(bundled_body, scale)), blur=1.2)
-        (drawn,) = view.draw(Posed.stacked([at]), 2, [0.5], outlines=False)
+        (drawn,) = view.draw(Posed.stacked([at]), 2, [0.5], None)
         areas.append(float(drawn.coverage(view.camera.width).sum()))
     view = SizedView(stored.views[0].restored(bundled_body), blur=1.2)
     (points,) = view.outlines(Posed.stacked([at]))

@@ -194,7 +194,7 @@ def test_region_of_interest_is_refused(tmp_path: Path) -> None:
         ("", "expected a camera file (YAML or XML), got an empty file"),
         ("# nothing\n", "expected a camera file (YAML or XML), got no mapping of names to values"),
         ("- 1\n- 2\n", "expected a camera file (YAML or XML), got no mapping of names to values"),
-        (b"\xff\xfe\x00", "expected a camera file (YAML or XML) in UTF-8, got other bytes at 0"),
+        (b"\xff\xfe", "expected a camera file (YAML or XML) in UTF-8, got other bytes at 0"),
         (
             "width: [1, 2\nheight: 2]: 3\n",
             "expected a camera file (YAML or XML), got no valid YAML (line 2: did not find expected ',' or ']')",

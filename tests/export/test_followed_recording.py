@@ -56,8 +56,8 @@ def test_recording_is_exported(capsys: pytest.CaptureFixture[str], tracks: Path,
 
 
 def test_tum_has_time_position_and_quaternion(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
-    assert run_command(capsys, "export", tracks, "--to", "tum", "--out", tracks.parent).code == 0
-    lines = [list(map(float, line.split())) for line in (tracks.parent / "PSM1.tum").read_text().splitlines()]
+    assert run_command(capsys, "export", tracks, "--to", "tum", "--out", tracks.parent / "out").code == 0
+    lines = [list(map(float, line.split())) for line in (tracks.parent / "out" / "PSM1.tum").read_text().splitlines()]
     assert len(lines) == 3
     for numbers, entry in zip(lines, ROWS, strict=False):
         pose = np.array(entry["camera_from_root"])
@@ -69,14 +69,14 @@ def test_tum_has_time_position_and_quaternion(capsys: pytest.CaptureFixture[str]
 def test_tum_takes_times_and_says_where_there_are_none(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
     table = tracks.parent / "images.csv"
     table.write_text("frame,time\n0000,10.5\n0001,11\n0002,12\n0003,13\n")
-    arguments = ("export", tracks, "--to", "tum", "--out", tracks.parent)
+    arguments = ("export", tracks, "--to", "tum", "--out", tracks.parent / "out")
     assert run_command(capsys, *arguments, "--times", table).code == 0
-    assert (tracks.parent / "PSM1.tum").read_text().startswith("10.500000000 0.000000000 ")
+    assert (tracks.parent / "out" / "PSM1.tum").read_text().startswith("10.500000000 0.000000000 ")
     text = (tracks / TRACKS).read_text().splitlines(keepends=True)
     (tracks / TRACKS).write_text("".join(line_of({**json.loads(line), "time": None}) for line in text))
     ran = run_command(capsys, *arguments)
     assert "the frames' times are not known" in ran.err
-    assert (tracks.parent / "PSM1.tum").read_text().startswith("1.000000000 ")
+    assert (tracks.parent / "out" / "PSM1.tum").read_text().startswith("1.000000000 ")
 
 
 def test_base_of_the_recording_is_exported(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
