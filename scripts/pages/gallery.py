@@ -79,8 +79,7 @@ EXHIBITS: Final = (
     ),
     Exhibit(
         "A folder of frames",
-        "In this frame tissue covers a jaw. The report has all frames, the most doubtful ones first; its keys are `j` "
-        "and `k`.",
+        "In this frame tissue covers a jaw. The report has all frames, the most doubtful ones first.",
         ("batch data/demo --out results",),
         "results",
         (("overlays/0002.jpg", "The pose of a frame in which tissue covers a jaw"),),
@@ -146,7 +145,7 @@ EXHIBITS: Final = (
         ),
         "arms",
         ((FOLLOWED, "The silhouettes of two followed instruments, drawn over the images of the recording"),),
-        (("report.html", "the report of both arms"),),
+        (("PSM1/report.html", "the report of the first arm"), ("PSM2/report.html", "the report of the second arm")),
     ),
 )
 
