@@ -26,7 +26,7 @@ from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
 from dvrk_cmaes.calibration.masks_again import with_masks
 from dvrk_cmaes.calibration.model import Calibration, Deviations
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, camera_undetermined
-from dvrk_cmaes.calibration.session_lag import UNREAD
+from dvrk_cmaes.calibration.session_lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionState
 from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_with_modes
@@ -79,7 +79,7 @@ def _less_lag(state: SessionState) -> SessionState:
     if applied is None:
         return state
     kept = np.flatnonzero(state.lag.has_readings()).tolist()
-    state = state.without_others(kept, UNREAD)
+    state = state.without_others(kept, NO_READINGS_AT_LAG)
     if len(state.frames) < LEAST_FRAMES:
         raise InputError(
             f"session: {applied.describe()}, which leaves {len(state.frames)} frames with readings; "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE
-from dvrk_cmaes.calibration.session_lag import UNREAD
+from dvrk_cmaes.calibration.session_lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.critical import known_mistakes
 from dvrk_cmaes.config import SessionConfig
@@ -122,11 +122,12 @@ def few_frames_agree(calibration: SessionCalibration) -> str | None:
 
 def few_frames_read(calibration: SessionCalibration) -> str | None:
     """Judge the share of the frames that have readings once the lag is taken out."""
-    unread = _left_out(calibration, UNREAD)
-    frames = len(calibration.frames) + _left_out(calibration, DISAGREES) + unread
-    if frames - unread <= _TRUSTED_SHARE * frames:
+    without = _left_out(calibration, NO_READINGS_AT_LAG)
+    frames = len(calibration.frames) + _left_out(calibration, DISAGREES) + without
+    if frames - without <= _TRUSTED_SHARE * frames:
         return (
-            f"the lag leaves {unread} of {frames} frames without readings: it is wrong, or rows of readings are missing"
+            f"the lag leaves {without} of {frames} frames without readings: it is wrong, or rows of readings are "
+            "missing"
         )
     return None
 

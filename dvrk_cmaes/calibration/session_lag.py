@@ -37,7 +37,7 @@ _LEAST_LAG = 0.3  # frames, below which a lag, or its change in half of the sess
 _LARGEST_STD = 1.0  # frames, above which the lag is not determined
 _UNDETERMINED = 2.0  # frames, least standard deviation of a lag that is not determined, and ...
 _UNKNOWN = 3.0  # ... largest
-UNREAD: Final = "no readings once the lag is taken out"
+NO_READINGS_AT_LAG: Final = "no readings once the lag is taken out"
 """Why a frame is left out."""
 POSTURES: Final = (
     "the rows have no times, and readings jump from row to row, as those of postures: none is looked for unless --lag "

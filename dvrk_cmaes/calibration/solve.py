@@ -307,14 +307,6 @@ def robust_weights(misfit: Float64, dimension: int) -> Float64:
     return np.asarray(np.minimum((1 + _ROBUST**-2) / (1 + misfit / (dimension * _ROBUST**2)), 1) ** 2)
 
 
-def robust_costs(misfit: Float64, dimension: int) -> Float64:
-    """Return the robust cost (Geman-McClure) of each of N frames, (N,), whose weights `solve` uses.
-
-    ``misfit`` (N,) are squared Mahalanobis distances, whose expectation is ``dimension`` if the model holds.
-    """
-    return np.asarray(misfit * (1 + _ROBUST**-2) / (1 + misfit / (dimension * _ROBUST**2)))
-
-
 def scatter(slopes: Float64) -> Float64:
     """Return the covariance (K, K) of the sum of the slopes (N, K) of frames in the order they were taken.
 

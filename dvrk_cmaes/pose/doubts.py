@@ -150,9 +150,14 @@ def view_mirrored(view: str, main: str, overlap: float) -> str | None:
     return None
 
 
+def _disagree(angle_deg: float, sigmas: float, trust: TrustConfig) -> bool:
+    """Return whether the rotation with which a view fits the first one best contradicts the rig."""
+    return angle_deg >= trust.largest_view_deg and sigmas >= trust.largest_view_sigmas
+
+
 def view_turned(view: str, main: str, angle_deg: float, sigmas: float, trust: TrustConfig) -> str | None:
     """Judge the rotation, degrees and standard deviations, with which a view fits the first one, ``main``, best."""
-    if angle_deg >= trust.largest_view_deg and sigmas >= trust.largest_view_sigmas:
+    if _disagree(angle_deg, sigmas, trust):
         return (
             f"views disagree: {view} fits {main} only if turned by {angle_deg:.2f} deg; the rig may be calibrated "
             "wrongly, or the images are not of one time or exchanged"
@@ -162,7 +167,7 @@ def view_turned(view: str, main: str, angle_deg: float, sigmas: float, trust: Tr
 
 def rig_turned(view: str, frames: int, angle_deg: float, sigmas: float, trust: TrustConfig) -> str | None:
     """Judge the same rotation as all frames of a folder have it together."""
-    if angle_deg >= trust.largest_view_deg and sigmas >= trust.largest_view_sigmas:
+    if _disagree(angle_deg, sigmas, trust):
         return (
             f"views disagree in {frames} frames together: {view} fits the first view only if turned by "
             f"{angle_deg:.2f} deg ({sigmas:.0f} standard deviations); the rig seems to be calibrated wrongly"

@@ -52,11 +52,6 @@ def _position(pose: Float64, ends: Float64, which: Sequence[int]) -> Float64:
     return np.asarray(np.einsum("nij,nj->ni", pose[:, :3, :3], tips) + pose[:, :3, 3])
 
 
-def tip_position(instrument: Instrument, which: Sequence[int]) -> Quantity:
-    """Return the quantity: mean position of some tips in the camera, (C, 3) m."""
-    return lambda at: _position(at.pose, instrument.ends(at.joints), which)
-
-
 def shaft_direction(instrument: Instrument, about: Float64) -> Quantity:
     """Return the quantity: the two components (C, 2) of the shaft's direction across that of the pose ``about``."""
     along = np.array([0.0, 0.0, 1.0]) if instrument.shaft is None else instrument.shaft.direction

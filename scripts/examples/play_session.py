@@ -134,10 +134,6 @@ class Client(WebSocketHandler):
         """Carry out an operation."""
         self._server.take(message if isinstance(message, str) else message.decode())
 
-    def data_received(self, chunk: bytes) -> None:
-        """Never called: there are no uploads."""
-        raise NotImplementedError
-
 
 class Robot:
     """The topics of a recording: ``arms`` has the session of each arm, which share images and cameras."""

@@ -17,7 +17,7 @@ from dvrk_cmaes.calibration.session_doubts import (
     resting_on,
     unusual_insertion,
 )
-from dvrk_cmaes.calibration.session_lag import UNREAD
+from dvrk_cmaes.calibration.session_lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.config import SessionConfig
@@ -68,9 +68,9 @@ def test_contours_far_from_predictions_are_a_doubt_in_pixels_that_grow_with_the_
 
 
 def test_lag_that_leaves_half_of_the_frames_without_readings_is_a_doubt() -> None:
-    (text,) = doubts_of(session(left_out={f"01{k:02d}": UNREAD for k in range(3)}))
+    (text,) = doubts_of(session(left_out={f"01{k:02d}": NO_READINGS_AT_LAG for k in range(3)}))
     assert text.startswith("the lag leaves 3 of 6 frames without readings")
-    assert doubts_of(session(left_out={"0100": UNREAD, "0101": UNREAD})) == ()
+    assert doubts_of(session(left_out={"0100": NO_READINGS_AT_LAG, "0101": NO_READINGS_AT_LAG})) == ()
 
 
 def test_few_frames_that_agree_are_a_doubt() -> None:
