@@ -19,7 +19,7 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
 from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.session_state import SessionState
-from dvrk_cmaes.calibration.together import Begun, solved_alone
+from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.atomic import write_json, write_text
@@ -234,39 +234,6 @@ def _with_keyframes(
         stack.enter_context(opened)
         recording = begun.finish(others)
         return replace(arm, opened=stack.pop_all(), recording=recording)
-
-
-def track_folder(
-    session: Session,
-    out: Path,
-    body: Body,
-    settings: TrackSettings,
-    *,
-    resume: bool = True,
-    video: bool = True,
-    page: bool = True,
-    rerun: Path | None = None,
-    stop: threading.Event | None = None,
-    progress: Callable[[int, int, TrackResult | None], None] = lambda done, total, result: None,
-    notice: Callable[[str], None] = lambda text: None,
-) -> TrackSummary:
-    """Follow the only arm of a recording; parameters and errors as of `begin_tracking`."""
-    begun = begin_tracking(
-        session,
-        out,
-        body,
-        settings,
-        resume=resume,
-        video=video,
-        page=page,
-        rerun=rerun,
-        stop=stop,
-        progress=progress,
-        notice=notice,
-    )
-    one = solved_alone(begun)
-    one.write()
-    return one.follow()
 
 
 def _forwards(run: TrackRun) -> Followed:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 from helpers.commands import run_command
+from helpers.followed_folder import track_folder
 from helpers.moving_worlds import SMALL
 from rerun.chunk import RrdReader
 
 from dvrk_cmaes import EstimateConfig, prepare, read_session
 from dvrk_cmaes.cli.track import reason_lines
 from dvrk_cmaes.results.track_files import read_tracks
-from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 from helpers.files import write_json
+from helpers.followed_folder import track_folder
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
 
 from dvrk_cmaes import EstimateConfig, FrameData, InputError, prepare, read_calibration, read_session
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.results.track_files import read_tracks
-from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.truth import Truth

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.followed_folder import track_folder
 from helpers.moving_worlds import SMALL
 
 from dvrk_cmaes import EstimateConfig, prepare, read_calibration, read_session
@@ -18,7 +19,6 @@ from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import inputs, solver_process
 from dvrk_cmaes.runs.pool import Pool
-from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording

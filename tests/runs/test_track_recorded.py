@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.files import write_json
+from helpers.followed_folder import track_folder
 from helpers.session_worlds import make_frames_in_memory, write_folder
 from helpers.transforms import change_between
 
@@ -38,7 +39,6 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     with_keyframes,
 )
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
-from dvrk_cmaes.runs.track_folder import track_folder
 from dvrk_cmaes.runs.track_frames import TrackSettings
 from dvrk_cmaes.synth.truth import Truth
 
