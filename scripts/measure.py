@@ -29,7 +29,7 @@ from typing import Final
 from measuring import live
 from measuring.accuracy import accuracy_report, write_figures
 from measuring.benchmark.command import add_options, benchmark_report
-from measuring.falsified import FALSIFIED
+from measuring.falsified import FALSIFIED, INPUTS
 from measuring.pages import write_pages
 from measuring.pictures import GROUPS, pictures_report
 from measuring.report import SCANNED, SHARED, Report, add_output_options, print_report
@@ -75,7 +75,7 @@ def _parser() -> argparse.ArgumentParser:
         )
         one.add_argument("--workers", type=int, default=2, metavar="N", help="folders at once (default: %(default)s)")
         one.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
-        one.add_argument("--falsify", action="append", choices=[*FALSIFIED, "all"], help="kind; may be repeated")
+        one.add_argument("--falsify", action="append", choices=[*FALSIFIED, "inputs", "all"], help="kind")
         one.add_argument("--table", action="store_true", help="print a row for each frame as well")
         one.add_argument("--fit", action="store_true", help="fit the constants of the tips' stated probability")
         one.add_argument("--set", metavar="NAME", help="replace this set of data/figures.json (bundled or scanned)")
@@ -105,13 +105,14 @@ def _parser() -> argparse.ArgumentParser:
 
 def _accuracy(options: argparse.Namespace) -> Report:
     """Report the accuracy of a command on session folders."""
-    kinds = options.falsify or []
+    groups = {"all": FALSIFIED, "inputs": INPUTS}
+    kinds = dict.fromkeys(kind for name in options.falsify or [] for kind in groups.get(name, [name]))
     report = accuracy_report(
         options.command,
         options.folders,
         options=options.further,
         instrument=options.instrument,
-        kinds=[*FALSIFIED] if "all" in kinds else kinds,
+        kinds=[*kinds],
         keep=options.keep,
         workers=options.workers,
         table=options.table,

@@ -113,3 +113,14 @@ def test_readings_with_nul_are_refused_at_the_first_one(tmp_path: Path) -> None:
     path.write_bytes(b"frame,yaw\n0,0.1\n" + b"\0" * 1_000_000)
     with pytest.raises(InputError, match="got a NUL byte at 16"):
         read_joint_file(path)
+
+
+@pytest.mark.parametrize("px", [16, 40])
+def test_mask_of_a_chequerboard_is_doubtful(px: int) -> None:
+    session = read_session(DEMO)
+    row, column = np.indices((session.rig.camera.height, session.rig.camera.width)) // px
+    board = (row + column) % 2 > 0
+    board[row == 0] = board[column == 0] = False
+    found = estimate(board, session.rig.camera, session.frames[0].readings)
+    assert found.status != "ok"
+    assert found.tip_probability is None or found.tip_probability < 0.5

@@ -27,6 +27,7 @@ from measuring.scorer import (
     reason_rows,
     reliability,
     scored,
+    stated_figures,
     total_of_calibrations,
 )
 
@@ -135,6 +136,7 @@ def accuracy_report(
     frames = [frame for one in true for frame in one.frames]
     if kinds:
         report["falsified"] = [_of_kind(kind or "true", [o for o in found if o.kind == kind]) for kind in ("", *kinds)]
+        report["falsified"] += [_of_kind("all falsified", [one for one in found if one.kind])]
     if frames:
         levels = dict.fromkeys(one.level for one in true)
         of_level = {name: [f for one in true if one.level == name for f in one.frames] for name in levels}
@@ -173,9 +175,8 @@ def _of_kind(kind: str, found: Sequence[Measured]) -> dict[str, Any]:
     return {
         "falsified": kind,
         "frames": len(frames),
-        "ok": sum(frame.ok for frame in frames),
         "ok and wrong": sum(frame.wrong for frame in frames),
-        "doubted": sum(not frame.ok for frame in frames) / max(len(frames), 1),
+        **stated_figures(frames),
         "remarked": sum(remarked),
         "refused": sum(bool(one.failures) for one in found),
         "session's doubts": " | ".join(doubts) or "-",

@@ -45,9 +45,10 @@ class Scored:
     """A frame: its status, errors, and what it states of these; None where nothing is stated or there is no pose.
 
     error_mm, rotation_deg, shaft_deg, joints_deg (of each joint) : errors. limit_mm : the error from which on an
-    ok frame is wrong. std_mm : stated standard deviation of the error. ratios (6 + J,) : errors along and about the
-    root's axes and of the joints, in stated standard deviations. square : squared error in the stated covariance, and
-    degrees of freedom. tip_probability, mode_probability, iou, seconds, reasons : as in the result.
+    ok frame is wrong. std_mm, range_mm : stated standard deviation of the error, and its 90 % range. ratios (6 + J,) :
+    errors along and about the root's axes and of the joints, in stated standard deviations. square : squared error in
+    the stated covariance, and degrees of freedom. tip_probability, mode_probability, iou, seconds, reasons : as in the
+    result.
     """
 
     frame: str
@@ -58,6 +59,7 @@ class Scored:
     shaft_deg: float | None = None
     joints_deg: Float64 | None = None
     std_mm: float | None = None
+    range_mm: float | None = None
     ratios: Float64 | None = None
     square: tuple[float, int] | None = None
     tip_probability: float | None = None
@@ -80,6 +82,12 @@ class Scored:
     def wrong(self) -> bool:
         """Whether the status is ok, but the error is too large."""
         return self.ok and self.error_mm > self.limit_mm
+
+    @property
+    def misstated(self) -> bool:
+        """Whether the status is ok, but the error is beyond 3 mm, or beyond 2 mm and 3 stated standard deviations."""
+        stated = _MOST_STD * (np.inf if self.std_mm is None else self.std_mm)
+        return self.ok and self.error_mm > min(WRONG_MM, max(NEAR_MM, stated))
 
 
 def scored(
@@ -109,6 +117,7 @@ def scored(
             compare_rotations(pose, true).shaft_deg,
             np.degrees(np.abs(off)),
             _stated_mm(found.get("std")),
+            (found.get("std") or {}).get("tip_90_mm"),
             ratios,
             square,
             found.get("tip_probability"),
@@ -157,6 +166,20 @@ def _stated_mm(std: Document | None) -> float | None:
     if isinstance(ends, Mapping):
         return float(ends["mean" if "mean" in ends else "tip"])
     return float(np.linalg.norm(std["translation_mm"])) if ends is None else float(ends)
+
+
+def stated_figures(frames: Sequence[Scored]) -> dict[str, Any]:
+    """Return how true is what frames state: those that are ok and misstated, shares outside ranges, tips near."""
+    outside = [frame.error_mm > frame.range_mm for frame in frames if frame.ok and frame.range_mm is not None]
+    sure = [frame.error_mm < NEAR_MM for frame in frames if (frame.tip_probability or 0.0) > _INTERVAL]
+    return {
+        "ok": sum(frame.ok for frame in frames),
+        "ok and misstated": sum(frame.misstated for frame in frames),
+        "worst ok": max((frame.error_mm for frame in frames if frame.ok), default=None),
+        "outside 90 %": _mean(outside),
+        "probability > .9": len(sure),
+        "near": _mean(sure),
+    }
 
 
 def is_wrong(frames: Sequence[Scored]) -> bool:
