@@ -31,17 +31,6 @@ def message(values: dict[str, object]) -> str:
     return str(caught.value)
 
 
-def test_only_named_values_change() -> None:
-    assert updated(Tree(), {"inner": {"count": 4}}, where="") == Tree(inner=Inner(count=4))
-    assert updated(Tree(), {}, where="") == Tree()
-    assert updated(Tree(inner=Inner(on=False)), {"name": "esch"}, where="") == Tree("esch", Inner(on=False))
-
-
-def test_integer_is_converted_to_float() -> None:
-    share = updated(Tree(), {"inner": {"share": 1}}, where="").inner.share
-    assert (share, type(share)) == (1.0, float)
-
-
 @pytest.mark.parametrize(
     ("values", "expected"),
     [

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import builtins
 import json
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -69,26 +68,6 @@ def answer(result: Result) -> str:
 # the result
 
 
-def test_result_has_pose_quality_and_covariance(quick_result: Result, bundled_body: Body) -> None:
-    result = quick_result
-    pose, base = result.camera_from_root, result.camera_from_base
-    assert pose is not None
-    assert base is not None
-    for transform in (pose, base):
-        np.testing.assert_allclose(transform[:3, :3] @ transform[:3, :3].T, np.eye(3), atol=1e-9)
-        assert np.linalg.det(transform[:3, :3]) == pytest.approx(1)
-    assert tuple(result.joints) == bundled_body.instrument.joint_names
-    assert result.quality is not None
-    assert 0.9 < result.quality.iou < 1
-    assert set(result.quality.terms) == {"mse", "dist", "scale", "cylinder", "keypoints", "readings"}
-    assert result.covariance is not None
-    np.testing.assert_allclose(result.covariance, result.covariance.T, atol=1e-12)
-    assert np.linalg.eigvalsh(result.covariance).min() > 0
-    assert result.seconds > 0
-    assert result.evaluations > 128
-    assert result.rays >= 0
-
-
 def test_known_mistake_of_the_camera_file_makes_a_result_doubtful(
     quick_result: Result, bundled_body: Body, frame: FrameData, readings: dict[str, float]
 ) -> None:
@@ -111,18 +90,6 @@ def test_mirror_twin_is_alternative_farther_from_readings(quick_result: Result, 
 
 
 # reproducibility
-
-
-def test_concurrent_calls_give_same_results(bundled_body: Body, session: Session) -> None:
-    frames = [(read_frame(files, session.camera), files.readings) for files in session.frames[:3]]
-
-    def run(job: tuple[FrameData, Any]) -> str:
-        data, readings = job
-        return answer(estimate(data.mask, data.camera, readings, bundled_body, config=QUICK))
-
-    alone = [run(job) for job in frames]
-    with ThreadPoolExecutor(3) as pool:
-        assert list(pool.map(run, frames)) == alone
 
 
 def test_other_candidates_are_refined_only_where_the_first_do_not_agree(
@@ -191,15 +158,6 @@ def test_arguments_are_not_modified(bundled_body: Body, frame: FrameData, readin
 
 
 # evidence
-
-
-def test_warnings_and_frame_name_are_passed_on(bundled_body: Body, frame: FrameData) -> None:
-    wide = {"wrist_pitch": 2.0, "wrist_yaw": -0.5, "jaw": 0.9}
-    result = estimate(frame.mask, frame.camera, wide, bundled_body, frame="0026", warnings=["rescaled"], config=QUICK)
-    assert result.frame == "0026"
-    assert result.warnings[0] == "rescaled"
-    assert "wrist_pitch: 114.6 deg is outside its limits, -80.0 to 80.0 deg" in result.warnings[1]
-    assert result.readings == wide
 
 
 # methods

@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG
-from helpers.crossing_tools import APART, ARMS, CAMERA, FAR, NEAR, CrossingTools
-from helpers.transforms import transform
+from helpers.crossing_tools import APART, ARMS, CAMERA, CrossingTools
 
-from dvrk_cmaes import Body, EstimateConfig, InputError, Result, Rig, ToolInFrame, estimate, estimate_tools
+from dvrk_cmaes import Body, EstimateConfig, InputError, Result, ToolInFrame, estimate, estimate_tools
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import with_tool
 
 QUICK = EstimateConfig()
 QUICK = replace(QUICK, threads=1, search=replace(QUICK.search, samples=128, starts=3, evaluations=65))
-RIG = Rig.stereo(CAMERA, CAMERA, transform(np.eye(3), [-0.0053, 0.0, 0.0]))
 
 
 def readings(tools: CrossingTools, number: int) -> dict[str, float]:
@@ -74,19 +72,6 @@ def test_one_tool_is_estimated_as_by_estimate(crossing: CrossingTools) -> None:
     one = estimate_tools({"PSM1": of_one_view(crossing)["PSM1"]}, CAMERA, ignore=ignore, config=QUICK_CONFIG)["PSM1"]
     by_itself = alone(crossing, 0, QUICK_CONFIG, ignore=ignore)
     assert one.to_dict() | {"seconds": 0} == by_itself.to_dict() | {"seconds": 0}
-
-
-def test_both_eyes(bundled_body: Body) -> None:
-    tools, seen = {}, {}
-    for view in RIG.views:
-        poses = (view.view_from_camera @ NEAR, view.view_from_camera @ FAR)
-        seen[view.name] = CrossingTools(bundled_body, poses).masks
-    for number, arm in enumerate(ARMS):
-        masks = {view: both[number] for view, both in seen.items()}
-        tools[arm] = ToolInFrame(masks, readings(CrossingTools(bundled_body), number), bundled_body)
-    found = estimate_tools(tools, RIG, config=QUICK)
-    assert found["PSM1"].views == ("left", "right")
-    assert tip_mm(CrossingTools(bundled_body), 0, found["PSM1"]) < 0.3
 
 
 def test_start_gives_the_optimum_of_a_search(crossing: CrossingTools) -> None:

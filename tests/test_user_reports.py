@@ -116,15 +116,6 @@ def test_messages_without_joints_are_skipped_and_counted(reports: Path, run: Run
     assert read_joints(folder / "jaw.yaml") == {"jaw": 0.835055}
 
 
-def test_index_of_a_palette_is_the_label(reports: Path) -> None:
-    folder, alone = reports / "mask-palette", read_mask(bundled_path("demo", "masks", "0001.png"))
-    np.testing.assert_array_equal(read_mask(folder / "palette_two_tools.png", label=1), alone)
-    assert read_mask(folder / "palette_two_tools.png", label="any").sum() > alone.sum()
-    np.testing.assert_array_equal(read_mask(folder / "palette_voc.png", label="any"), alone)
-    with pytest.raises(InputError, match="labels by --label"):
-        read_mask(folder / "palette_voc.png")
-
-
 def test_packed_colours_are_read_under_their_new_names(reports: Path, run: Run) -> None:
     imported(run, reports / "bag-encodings" / "yuyv.bag")
     assert len(list(Path("session", "images").iterdir())) == 3
@@ -225,12 +216,6 @@ def test_lens_of_a_camera_file_is_read_under_its_usual_names(reports: Path) -> N
 )
 def test_reading_that_is_written_as_missing_is_not_known(reports: Path, name: str, label: str, joints: int) -> None:
     assert len(read_joint_file(reports / "joints-nan" / name).rows[label].readings()) == joints
-
-
-@pytest.mark.parametrize("word", ["NaN", "<NA>", "NULL", "-", "n/a"])
-def test_words_of_tools_for_a_missing_reading_are_known(tmp_path: Path, word: str) -> None:
-    (tmp_path / "joints.csv").write_text(f"frame,yaw,jaw\n0,{word},0.5\n")
-    assert read_joints(tmp_path / "joints.csv") == {"jaw": 0.5}
 
 
 def test_frames_whose_readings_are_all_missing_count_as_without(reports: Path, run: Run) -> None:

@@ -40,7 +40,7 @@ _IGNORED: Final = (RUN, HELD, ".DS_Store", "Thumbs.db", "desktop.ini")  # file m
 _TEMPORARY: Final = re.compile(r"\.[0-9a-f]{32}\.tmp")
 _FOLDER: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _NO_LINK: Final = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK  # nor is a pipe waited for
-_RENAME_EXCHANGE: Final = 2  # of renameat2(2)
+RENAME_EXCHANGE: Final = 2  # of renameat2(2)
 _CANNOT_LOCK: Final = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, errno.EINVAL)
 # errors that do not depend on the path; EFBIG: the limit on the size of files (ulimit -f)
 _MACHINE_AT_FAULT: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
@@ -671,7 +671,7 @@ def _exchange(above: int, first: str, second: str) -> None:
     library = ctypes.CDLL(None, use_errno=True)
     if hasattr(library, "renameat2"):
         names = os.fsencode(first), os.fsencode(second)
-        if library.renameat2(above, names[0], above, names[1], _RENAME_EXCHANGE) == 0:
+        if library.renameat2(above, names[0], above, names[1], RENAME_EXCHANGE) == 0:
             return
     apart = _temporary()
     os.rename(second, apart, src_dir_fd=above, dst_dir_fd=above)

@@ -11,7 +11,6 @@ from helpers.transforms import transform
 
 from dvrk_cmaes import Body, EstimateConfig, FrameData, Renderer, Rig
 from dvrk_cmaes.calibration.constants import Constant, OutlineOfView, ViewAsSeen
-from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.session_camera import CameraChange
 from dvrk_cmaes.calibration.session_masks import MaskMargin
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
@@ -70,15 +69,3 @@ def test_effect_is_the_derivative_of_what_is_seen(case: str, bundled_body: Body)
         gained = [one.coverage(view.camera.width) - view.target.image for one, view in zip(drawn, views, strict=True)]
         found = (moments(gained[0], corner) - moments(gained[1], corner)) / (2 * step)
         np.testing.assert_allclose(found, expected[:, index], atol=0.1 * np.linalg.norm(expected[:, index]))
-
-
-def test_blocks_are_known_by_their_names() -> None:
-    blocks = {"camera": np.zeros(3), "margin": np.ones(1)}
-    calibration = Calibration(np.eye(4), np.zeros(5), blocks)
-    assert (calibration.place("camera"), calibration.place("margin")) == (slice(11, 14), slice(14, 15))
-    step = np.arange(15.0)
-    step[:6] = 0
-    changed = calibration.changed(step)
-    np.testing.assert_array_equal(changed.constants["camera"], [11, 12, 13])
-    np.testing.assert_array_equal(changed.further, [11, 12, 13, 15])
-    assert len(replace(calibration, constants={}).further) == 0

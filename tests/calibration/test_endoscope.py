@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +17,6 @@ from dvrk_cmaes.calibration.endoscope import (
     EndoscopeValues,
     Pieces,
     Steered,
-    find_places,
     in_tip,
 )
 from dvrk_cmaes.calibration.endoscope_search import find_hand_eye, find_pieces
@@ -107,20 +106,6 @@ def test_jacobian_is_the_derivative_of_the_predictions(kind: str) -> None:
         np.testing.assert_allclose(jacobian[:, :, k], (later - earlier) / 2e-6, atol=1e-7)
 
 
-@pytest.mark.parametrize("kind", ["steered", "pieces"])
-def test_some_frames_of_an_endoscope_are_where_they_are_in_all_of_them(kind: str) -> None:
-    """Whatever was asked for before, by whichever values."""
-    endoscope, values = an_endoscope(kind)
-    index = np.array([len(endoscope.place) - 1, 0, 1])
-    for asked in (endoscope.start, values):
-        endoscope.relative(asked)
-        some = endoscope.subset(index)
-        for other in (values, endoscope.start):
-            np.testing.assert_array_equal(some.relative(other), endoscope.relative(other)[index])
-            np.testing.assert_array_equal(some.jacobian(other, BASE), endoscope.jacobian(other, BASE)[index])
-            np.testing.assert_array_equal(some.loadings(other, BASE), endoscope.loadings(other, BASE)[index])
-
-
 def test_camera_in_the_tip_is_found_within_its_deviation(world: Steered40, found: tuple[SessionModel, Solved]) -> None:
     model, solution = found
     values = solution.calibration.endoscope
@@ -135,66 +120,11 @@ def test_camera_in_the_tip_is_found_within_its_deviation(world: Steered40, found
     assert np.median(np.linalg.norm(apart[stands, :3], axis=1)) < 1e-3
 
 
-def test_errors_at_all_places_have_that_of_the_reference_in_them() -> None:
-    values = EndoscopeValues.read(np.eye(4), np.eye(4), np.zeros(4), np.zeros((3, 4)))
-    covariance = np.linalg.inv(values.information)
-    np.testing.assert_allclose(np.diag(covariance), values.std**2)
-    of_yaw = covariance[10::4, 10::4] / np.deg2rad(0.3) ** 2
-    np.testing.assert_allclose(of_yaw, np.eye(3) + 1)
-
-
-def test_error_of_a_moving_endoscope_is_between_those_at_its_places() -> None:
-    stands = np.array([[0.1, 0.05, 0.12, 0.2], [0.3, -0.05, 0.13, 0.1], [0.2, 0.1, 0.1, 0.4]])
-    steered = Steered.of(np.concatenate([np.repeat(stands, 4, axis=0), stands[[0]] + 0.25 * (stands[1] - stands[0])]))
-    assert steered is not None
-    np.testing.assert_allclose(steered.shares[:12], np.repeat(np.eye(3), 4, axis=0))
-    np.testing.assert_allclose(steered.shares[12], [0.75, 0.25, 0.0], atol=1e-9)
-
-
-def test_deviations_of_the_tip_have_errors_of_camera_and_masks_in_them(
-    found: tuple[SessionModel, Solved],
-) -> None:
-    model, solution = found
-    covariance = np.linalg.inv(solution.information)
-    times = [0.1 * k for k in range(FRAMES)]
-    given = model, solution.calibration, covariance, NAMES_OF_FRAMES, times
-    alone, whole = SessionEndoscope.of(*given), SessionEndoscope.of(*given, 3.0 * covariance)
-    assert alone is not None
-    assert whole is not None
-    np.testing.assert_allclose(whole.std_tip_from_camera, 2 * np.array(alone.std_tip_from_camera))
-    np.testing.assert_allclose(whole.std_ecm_from_base, 2 * np.array(alone.std_ecm_from_base))
-    np.testing.assert_allclose(whole.covariance, alone.covariance)
-
-
 def test_readings_of_an_endoscope_that_stands_change_nothing() -> None:
     rng = np.random.default_rng(3)
     read = np.array([0.1, 0.2, 0.1, 0.3]) + 1e-5 * rng.standard_normal((30, 4))
     assert Steered.of(read) is None
     assert Steered.of(np.full((30, 4), np.nan)) is None
-
-
-@pytest.mark.parametrize("noise", [1e-3, 5e-3])
-def test_single_readings_that_are_off_make_no_place(noise: float) -> None:
-    """Of many readings some are beyond four standard deviations of what the most scatter."""
-    rng, kinds = np.random.default_rng(5), []
-    for _ in range(20):
-        scatter = noise * rng.standard_normal((100, 4)) * [1, 1, 0.1, 1]
-        read = np.array([0.1, 0.2, 0.1, 0.3]) + scatter
-        moved_once = read + np.where(np.arange(100) < 60, 0, 1)[:, None] * [0.09, 0, 0.005, 0]
-        kinds.append((Steered.of(read) is None, len(find_places(moved_once))))
-    assert sum(still for still, _ in kinds) >= 19
-    assert all(places == 2 for _, places in kinds)
-
-
-def test_readings_with_noise_are_of_few_places() -> None:
-    """Noise of 0.3 deg and 0.5 mm from frame to frame does not make places of its own."""
-    rng = np.random.default_rng(4)
-    places = np.repeat([[0.1, 0.2, 0.1, 0.3], [0.3, 0.1, 0.12, 0.3]], 30, axis=0)
-    read = places + rng.standard_normal((60, 4)) * [0.005, 0.005, 0.0005, 0.005]
-    found = find_places(read)
-    assert len(found) == 2
-    for one in found:
-        assert np.abs(places[[0, -1]] - one.readings).min(axis=0).max() < 0.005
 
 
 @pytest.mark.parametrize("seed", [1, 5])
@@ -234,21 +164,6 @@ def test_frames_that_err_alike_make_no_pieces_of_their_own() -> None:
         assert counts[0] == counts.max()
         assert len(counts) == 4
         np.testing.assert_allclose(np.flatnonzero(np.diff(pieces.piece)) + 1, [25, 50, 75], atol=3)
-
-
-def test_frames_while_the_camera_moves_are_no_piece() -> None:
-    """The camera takes six frames for its way: these fit no base, and the cut is one of them."""
-    world, rng = steered_world(5, frames=100), np.random.default_rng(2)
-    modes = [list(of_frame) for of_frame in world.modes]
-    for cut in (25, 50, 75):
-        for k in range(cut - 3, cut + 3):
-            way = np.concatenate([0.02 * rng.standard_normal(3), np.deg2rad(8) * rng.standard_normal(3)])
-            modes[k] = [replace(mode, at=mode.at.moved(np.concatenate([way, np.zeros(3)]))) for mode in modes[k]]
-    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    found = find_pieces(world.model, modes, EXPECTED_OFFSETS, PRIOR, consensus, alike=5.0)
-    assert found is not None
-    cuts = np.flatnonzero(np.diff(found[0].piece)) + 1
-    np.testing.assert_allclose(cuts, [25, 50, 75], atol=3)
 
 
 def test_a_session_whose_camera_stands_still_is_not_cut() -> None:
@@ -291,20 +206,6 @@ def test_document_gives_each_frame_its_base(world: Steered40, found: tuple[Sessi
     assert std > still
     assert "no reading of ecm_yaw" in str(session.at({"yaw": 0.1}))
     assert any("ecm_yaw" in text for text in session.endoscope.untold)
-
-
-def test_pieces_are_chosen_by_time_or_name() -> None:
-    world = steered_world(5)
-    consensus = find_consensus(world.model, world.modes, EXPECTED_OFFSETS)
-    found = find_pieces(world.model, world.modes, EXPECTED_OFFSETS, PRIOR, consensus)
-    assert found is not None
-    model, solution = solved(world, *found)
-    session = SessionCalibration.from_dict(as_document(model, solution).to_dict())
-    bases = model.camera_from_base(solution.calibration)
-    for by in ({"time": 3.7}, {"frame": "0037"}):
-        there = session.at({}, **cast(Any, by))
-        assert isinstance(there, SessionCalibration)
-        np.testing.assert_allclose(there.camera_from_base, bases[37], atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.session_worlds import make_frames_in_memory
-from helpers.transforms import change_between, moved
+from helpers.transforms import change_between
 
 from dvrk_cmaes import Body, EstimateConfig, SolvedSession, calibrate_session
 from dvrk_cmaes.calibration import constants
-from dvrk_cmaes.calibration.constants import few_of, outline_task, shifted
+from dvrk_cmaes.calibration.constants import few_of, outline_task
 from dvrk_cmaes.calibration.frame_task import fit_task
-from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import Posed
 
 COUNT, FEW = 12, 5
 
@@ -71,15 +69,3 @@ def test_all_frames_take_part_in_the_only_round(bundled_body: Body, monkeypatch:
     by_few, tasks = solved(bundled_body, EstimateConfig(session=SessionConfig(rounds=1, test_camera=False)))
     assert tasks[0] == ("fit_task", COUNT)
     assert len(by_few.results) == COUNT
-
-
-def test_poses_keep_their_differences_from_what_is_predicted() -> None:
-    rng = np.random.default_rng(3)
-    outer = np.column_stack([rng.normal(0, 0.3, (4, 2)), rng.uniform(0.1, 0.2, 4), rng.normal(0, 1, 4)])
-    model = SessionModel(outer, rng.normal(0, 0.3, (4, 1)), ("jaw",), Deviations.of(SessionConfig(), ("jaw",)))
-    before = Calibration(moved(np.eye(4), rng.normal(0, 0.1, 6)), rng.normal(0, 0.01, 3))
-    after = before.changed(rng.normal(0, 0.05, 9))
-    change = rng.normal(0, 0.01, (4, 7))
-    at = shifted(model, model.predict(before).moved(change), before, after)
-    assert isinstance(at, Posed)
-    np.testing.assert_allclose(at.minus(model.predict(after)), change, atol=1e-12)

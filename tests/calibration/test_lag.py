@@ -11,13 +11,12 @@ from helpers.session_worlds import EXPECTED_OFFSETS, NAMES, PRIOR, SEEN, World, 
 from dvrk_cmaes import InputError, Lag, ReadingSeries
 from dvrk_cmaes.calibration.clock import Clock
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
-from dvrk_cmaes.calibration.lag_search import LagCurve, search_lag
+from dvrk_cmaes.calibration.lag_search import search_lag
 from dvrk_cmaes.calibration.model import Calibration, SessionModel
 from dvrk_cmaes.calibration.session_lag import POSTURES, FramesOfLag, LagEstimate, describe_lag, refine_lag
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.io.typed_document import convert_document
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 ROWS, FPS = 240, 30.0
@@ -107,12 +106,6 @@ def test_noise_of_the_readings_does_not_draw_the_lag_to_the_middle_between_two_r
     assert np.median(np.abs(found)) < 0.12
 
 
-def test_refinement_goes_on_from_a_search_that_was_a_frame_off() -> None:
-    world, clock, modes = moving_world(1.1, seed=1)
-    for start in (0.0, 2.0):
-        assert refined_near(start, world, clock, modes)[0] == pytest.approx(1.1, abs=0.2)
-
-
 def test_stated_standard_deviation_covers_the_error() -> None:
     errors = []
     for seed in range(8):
@@ -166,24 +159,6 @@ def test_lag_is_applied_only_if_it_differs_from_zero() -> None:
     )
 
 
-def test_few_frames_are_not_searched() -> None:
-    world, clock, modes = moving_world(3.0, seed=1)
-    few = list(range(0, 25, 5))
-    model, chosen = world.model.subset(few), [modes[i] for i in few]
-    found = search_lag(clock.subset(few), model, chosen, EXPECTED_OFFSETS)
-    assert found.lag is None
-    assert found.undetermined == "5 frames have a pose and readings, at least 6 are needed"
-
-
-def test_disagreement_is_least_at_the_lag() -> None:
-    world, clock, modes = moving_world(4.0, seed=2)
-    curve = search_lag(clock, world.model, modes, EXPECTED_OFFSETS).curve
-    assert curve is not None
-    assert (curve.unit, curve.lags[curve.misfit.argmin()]) == ("frames", 4.0)
-    assert curve.misfit[curve.lags == 0.0] > 2 * curve.misfit.min()
-    np.testing.assert_allclose(convert_document("", curve.to_dict(), LagCurve).points, curve.points, atol=1e-9)
-
-
 @pytest.mark.parametrize("drift", [1.5e-3, -1.5e-3])
 def test_clocks_that_run_at_different_rates_make_the_lag_drift(drift: float) -> None:
     world, clock, modes = moving_world(3.0, seed=5, count=1800, every=30, drift=drift)
@@ -194,11 +169,6 @@ def test_clocks_that_run_at_different_rates_make_the_lag_drift(drift: float) -> 
     assert (lag.drift, lag.std_drift) == pytest.approx((value[1], std[1]), rel=0.3)
 
 
-def test_clocks_of_one_rate_have_no_drift() -> None:
-    for seed in range(2):
-        assert estimated(*moving_world(2.0, seed, count=1800, every=60)).drift == 0.0
-
-
 def estimated(world: World, clock: Clock, modes: list[list[Mode]]) -> Lag:
     """The lag that the frames' modes tell."""
     estimate = LagEstimate.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
@@ -207,81 +177,12 @@ def estimated(world: World, clock: Clock, modes: list[list[Mode]]) -> Lag:
     return lag
 
 
-@pytest.mark.parametrize(("every", "factor"), [(6, 10**0.5), (60, 1.0)])
-def test_errors_of_cables_in_frames_close_to_each_other_count_once_when_lags_are_compared(
-    every: int, factor: float
-) -> None:
-    world, clock, _ = moving_world(0.0, seed=0, every=every)
-    own, compared = world.model.deviations, clock.model_to_compare(world.model, only(0.0)).deviations
-    assert compared.outer == pytest.approx(own.outer * [1, 1, 1, factor])
-    assert compared.joints == pytest.approx(own.joints * factor)
-
-
-def test_model_at_a_lag_has_the_readings_of_that_time() -> None:
-    world, clock, _ = moving_world(0.0, seed=0)
-    model = clock.model_at(world.model, only(2.5))
-    times = np.array(list(clock.series.frames.values())) - 2.5
-    np.testing.assert_array_equal(model.outer, clock.series.at(OUTER_JOINTS, times))
-    assert clock.has_readings(only(2.5)).all()
-    assert not clock.has_readings(only(300.0)).any()
-
-
 def test_true_calibration_is_recovered_at_the_lag() -> None:
     world, clock, modes = moving_world(3.0, seed=4)
     right: Calibration = find_consensus(clock.model_at(world.model, only(3.0)), modes, EXPECTED_OFFSETS).calibration
     wrong: Calibration = find_consensus(world.model, modes, EXPECTED_OFFSETS).calibration
     off = [np.linalg.norm(one.camera_from_base[:3, 3] - world.truth.camera_from_base[:3, 3]) for one in (right, wrong)]
     assert off[0] < off[1]
-
-
-def test_frames_without_readings_near_the_lag_are_not_kept() -> None:
-    world, clock, modes = moving_world(4.0, seed=2)
-    series, names = clock.series, list(clock.series.frames)
-    late = series.times["yaw"] >= 8.0  # the image of frame 12 shows the arm as read at 8: no lag above 4 can be tried
-    times = {name: stamps[late] for name, stamps in series.times.items()}
-    values = {name: stamps[late] for name, stamps in series.values.items()}
-    estimate = LagEstimate.of(replace(series, times=times, values=values), names, world.model.deviations.outer)
-    estimate = estimate.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR)
-    lag = estimate.applied
-    assert lag is not None
-    assert lag.frames == pytest.approx(4.0, abs=0.3)
-    kept = estimate.has_readings()
-    assert names[0] == "0012"
-    assert (bool(kept[0]), bool(kept[1:].all())) == (False, True)
-    model = world.model.subset(np.flatnonzero(kept))
-    estimate = estimate.subset(np.flatnonzero(kept).tolist()).refined(model, fits_of(modes[1:]), world.truth, PRIOR)
-    assert not np.isnan(estimate.corrected(model).outer).any()
-
-
-@pytest.mark.parametrize("lag", [0.0, 0.9])
-def test_fits_tell_that_there_is_no_lag_or_which_is_to_be_tried(lag: float) -> None:
-    world, clock, modes = moving_world(lag, seed=1)
-    estimate = LagEstimate.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
-    found = find_consensus(world.model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
-    estimate, to_try = estimate.told_by_fits(world.model, fits_of(modes), found.calibration, PRIOR)
-    if lag == 0.0:
-        assert to_try is None
-        assert estimate.lag is not None
-        assert not estimate.lag.applied
-        assert estimate.lag.std_frames is not None
-        assert abs(estimate.lag.frames) < 2 * estimate.lag.std_frames + 0.1
-    else:
-        assert to_try == pytest.approx(lag, abs=0.3)
-        assert estimate.lag is None
-
-
-def test_fits_do_not_tell_that_there_is_no_lag_where_the_modes_agree_on_another() -> None:
-    """Fits are near what a session without a lag expects, and hardly tell others; the modes do not know of it."""
-    world, clock, modes = moving_world(0.0, seed=1)
-    estimate = LagEstimate.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
-    curve = LagCurve.of("frames", np.arange(-2.0, 6.0), np.array([3.0, 2.0, 1.0, 0.7, 0.4, 0.2, 0.5, 1.0]))
-    estimate = replace(estimate, curve=curve)
-    found = find_consensus(world.model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
-    before = estimate.change_of_predictions(world.model, found.calibration)
-    told, to_try = estimate.told_by_fits(world.model, fits_of(modes), found.calibration, PRIOR)
-    assert (told.lag, to_try) == (None, None)
-    without = replace(estimate, curve=None).change_of_predictions(world.model, found.calibration)
-    assert np.linalg.norm(before) > 1.3 * np.linalg.norm(without)  # the base is expected to err by more
 
 
 def test_arms_that_agree_share_their_lag_and_others_do_not() -> None:
@@ -300,27 +201,6 @@ def test_arms_that_agree_share_their_lag_and_others_do_not() -> None:
     unknown = replace(own, lag=None, undetermined="the arm hardly moves").with_others([near])
     assert unknown.lag is not None
     assert unknown.lag.frames == pytest.approx(2.3)
-
-
-def test_curve_tells_how_large_the_lag_may_be() -> None:
-    lags = 0.1 * np.arange(-3.0, 6.0)
-    sharp = LagCurve.of("s", lags, 50.0 * (lags - 0.0) ** 2)
-    flat = LagCurve.of("s", lags, np.full(len(lags), 1.0))
-    late = LagCurve.of("s", lags, 50.0 * (lags - 0.3) ** 2)
-    assert sharp.root_mean_square(60, 0.1) < 0.03
-    assert flat.root_mean_square(60, 0.1) == pytest.approx(0.1, rel=0.1)
-    assert late.root_mean_square(60, 0.1) == 0.1  # no more than what is expected beforehand
-    assert [curve.against_none for curve in (sharp, flat, late)] == [False, False, True]
-    assert late.root_mean_square(60, 0.1, 0.3) < 0.05  # about the lag that it tells
-
-
-def test_lag_of_a_flat_curve_has_a_least_standard_deviation() -> None:
-    lags = np.arange(-8.0, 13.0) / 30
-    flat, sharp = (LagCurve.of("s", lags, weight * (lags - 0.1) ** 2) for weight in (0.1, 200.0))
-    assert sharp.least_std(8, 0.1, 0.1, applied=True) == 0
-    assert flat.least_std(8, 0.1, 0.0, applied=False) == pytest.approx(0.07, rel=0.2)
-    assert flat.least_std(8, 0.1, -0.15, applied=True) > 0.08  # an accidental minimum, far from what is likely
-    assert LagCurve.of("s", lags[:1], lags[:1]).least_std(8, 0.1, 0.0, applied=True) == 0
 
 
 def shuffled(clock: Clock) -> ReadingSeries:
@@ -343,18 +223,6 @@ def test_lag_is_found_in_rows_that_move_smoothly_and_not_in_shuffled_ones() -> N
     assert (found.lag, found.applied, found.undetermined) == (None, None, POSTURES)
     asked = LagEstimate.of(shuffled(clock), names, outer_std, "auto")
     assert asked.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR).curve is not None
-
-
-@pytest.mark.parametrize(("columns", "times", "postures"), [(5, 1, True), (30, 1, True), (5, 8, False), (30, 8, False)])
-def test_rows_of_a_board_are_postures_unless_the_arm_is_recorded_between_them(
-    columns: int, times: int, postures: bool
-) -> None:
-    column, row = np.tile(np.arange(columns), 4), np.repeat(np.arange(4), columns)
-    at = np.linspace(0, len(column) - 1, times * (len(column) - 1) + 1)
-    yaw, pitch = (np.interp(at, np.arange(len(column)), 0.04 * each) for each in (column, row))
-    rows = np.arange(len(at), dtype=float)
-    series = ReadingSeries("frames", {"yaw": rows, "pitch": rows}, {"yaw": yaw, "pitch": pitch}, {}, 1.0)
-    assert series.jumps(("yaw", "pitch"), np.full(2, 1e-3)) == postures
 
 
 def test_given_lag_is_neither_searched_nor_refined() -> None:

@@ -11,21 +11,16 @@ from helpers.transforms import change_between
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import (
-    SINGLE_SIZE,
     USUAL_SIZE,
     CommonErrors,
     LastingSize,
-    LastingSlopes,
-    frames_alike,
     without_lasting,
 )
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
-from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.solve import FrameFits, solve
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 SIZE = 6 + len(NAMES)
-NOTHING = np.zeros(SIZE)
 NEARER = np.array([0.0, 0.0, 2e-3, *np.zeros(SIZE - 3)])
 """Change of a frame's outline by a standard deviation of an error that lasts, as of a shaft that looks wider."""
 
@@ -47,24 +42,6 @@ def test_correlation_falls_with_time_and_is_zero_where_times_are_unknown() -> No
     np.testing.assert_allclose(found[0], [1.0, np.exp(-1), np.exp(-3), 0.0])
     np.testing.assert_allclose(np.diag(found), 1.0)
     np.testing.assert_allclose(found, found.T)
-
-
-def test_slopes_without_errors_that_last_vary_as_their_covariance_says() -> None:
-    """That of one frame's slope is its information; that of two frames' slopes is the product of their loadings."""
-    rng, size = np.random.default_rng(0), LastingSize(0.7, 0.2)
-    world, times = make_world(2), np.array([0.0, 0.05])
-    terms = Quadratic.joined(outlines(world, rng, size, times))
-    slopes = LastingSlopes.of(terms, 1, size, times)
-    left = without_lasting(terms, 1, size)
-    drawn = []
-    for _ in range(4000):
-        sampled = without_lasting(Quadratic.joined(outlines(world, rng, size, times)), 1, size)
-        drawn.append(sampled.slope[:, 2])
-    one, other = np.array(drawn).T
-    assert np.var(one) == pytest.approx(left.information[0, 2, 2], rel=0.1)
-    expected = size.correlation(times)[0, 1] * slopes.loadings[0, 2, 0] * slopes.loadings[1, 2, 0]
-    assert np.mean(one * other) == pytest.approx(expected, rel=0.1)
-    assert slopes.between_frames[2, 2] == pytest.approx(2 * expected)
 
 
 def test_stated_deviations_hold_for_errors_that_last() -> None:
@@ -121,26 +98,6 @@ def test_size_is_found() -> None:
     assert large.log_std_seconds < small.log_std_seconds
 
 
-def test_few_frames_leave_the_usual_size() -> None:
-    found = estimated(USUAL_SIZE, 3, 5.0)
-    assert USUAL_SIZE.scale / 2 < found.size.scale < 2 * USUAL_SIZE.scale
-    assert found.size.seconds == pytest.approx(USUAL_SIZE.seconds, rel=0.2)
-
-
-def test_masks_are_described_with_what_lasts() -> None:
-    lasting = LastingEstimate(SINGLE_SIZE, 0.5, 0.25, timed=True, side_px=0.4)
-    margins = [("left", Margin(0.4, 0.1, True)), ("right", Margin(-0.2, 0.15, False))]
-    masks = SessionMasks.of(margins, lasting)
-    assert masks.describe() == (
-        "masks are 0.40 px (std 0.10) too wide all round; taken off; masks of the right eye are 0.20 px (std 0.15) too "
-        "narrow all round; left as they are; errors of a side of the shaft are 0.4 px (std 0.2) and last 0.2 s"
-    )
-    assert (masks.taken_off_in("left"), masks.taken_off_in("right")) == (0.4, 0.0)
-    untimed = SessionMasks.of(margins, replace(lasting, timed=False))
-    assert untimed.lasting_seconds is None
-    assert untimed.describe().endswith("(std 0.2)")
-
-
 def seen_consecutively(frames: int, seed: int) -> tuple[World, list[Quadratic], np.ndarray]:
     """Sample outlines of a recording of 30 images a second, all of whose errors last for a third of a second."""
     times = np.arange(frames) / 30
@@ -178,9 +135,3 @@ def test_more_consecutive_frames_tell_no_more_than_every_fourth_of_them() -> Non
     assert size[1, False] > 1.5
     np.testing.assert_allclose(stds[1], stds[4], rtol=0.15)
     assert np.sqrt(np.mean(np.square(apart))) < 0.5
-
-
-def test_frames_near_each_other_count_as_one() -> None:
-    times = np.array([0.0, 0.4, 5.0, np.nan, 0.8, np.nan])
-    np.testing.assert_array_equal(frames_alike(times, 1.0), [2, 3, 1, 1, 2, 1])
-    np.testing.assert_array_equal(frames_alike(times, 0.0), np.ones(6))

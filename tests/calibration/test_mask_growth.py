@@ -10,12 +10,11 @@ import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
 from helpers.transforms import apply
 
-from dvrk_cmaes import Body, EstimateConfig, FrameData, InputError, SessionCalibration, SessionFrame, calibrate_session
+from dvrk_cmaes import Body, EstimateConfig, FrameData, SessionCalibration, SessionFrame, calibrate_session
 from dvrk_cmaes.calibration.constants import OutlineOfView
 from dvrk_cmaes.calibration.frame_fit import outline_and_masks
 from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE
-from dvrk_cmaes.calibration.mask_growth import MaskGrowth, changes_by_masks, covariance_of_masks
-from dvrk_cmaes.calibration.session_masks import SessionMasks
+from dvrk_cmaes.calibration.mask_growth import MaskGrowth, changes_by_masks
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
@@ -79,15 +78,6 @@ def test_errors_of_masks_change_what_an_outline_tells_as_its_derivative_says(bun
     assert np.linalg.norm(found - told) < 0.5 * np.linalg.norm(found)  # the loss is robust, so not in proportion
 
 
-def test_error_of_a_side_that_a_fit_discounts_changes_little_of_what_it_tells(bundled_body: Body) -> None:
-    exact, dark = (
-        np.linalg.norm(np.linalg.solve(told.information[0] + INFORMATION, by_masks)[:3, 1:3], axis=0)
-        for told, by_masks in (near_truth(bundled_body, pixels) for pixels in (0, 5))
-    )
-    assert dark[0] < 0.1 * exact[0]
-    assert dark[1] > 0.3 * exact[1]  # of the other side
-
-
 @pytest.fixture(scope="module")
 def calibrations(bundled_body: Body) -> dict[int, tuple[SessionCalibration, float]]:
     """Calibrations by the width of shadows, px, with the error of the base's origin in standard deviations."""
@@ -140,37 +130,3 @@ def test_errors_of_masks_move_a_pose_as_they_move_the_outline(bundled_body: Body
         np.testing.assert_allclose(found, expected, atol=0.15)
     both = moves[:, 3 : 3 + 4] @ np.array([1.0, 1.0, 1.0, 1.0])  # what faces any direction is all that a margin is
     np.testing.assert_allclose(both, moves[:, 0] * np.abs(across).sum(), atol=1e-12)
-
-
-def test_what_arm_and_base_hold_does_not_follow_the_masks() -> None:
-    masks = SessionMasks(
-        0.0,
-        0.1,
-        applied=False,
-        growth_px=(0.5,) * 6,
-        error_squares=tuple(map(tuple, np.diag([0.0] + [0.25] * 6).tolist())),
-        by_errors=tuple(map(tuple, (-np.eye(11, 7)).tolist())),
-    )
-    own, by_calibration = np.eye(9, 7), np.eye(9, 11)
-    follows = covariance_of_masks(masks, own)
-    assert np.trace(follows) > 1.5
-    assert np.trace(covariance_of_masks(masks, own, by_calibration)) < 1e-12  # the base has moved against it
-    assert np.trace(covariance_of_masks(masks, own, -by_calibration)) == pytest.approx(4 * np.trace(follows))
-    alone = covariance_of_masks(SessionMasks(0.3, 0.4, applied=False), own)
-    assert 0.4**2 < alone[0, 0] < 0.6**2
-    assert not alone[1:].any()
-    assert 0 < covariance_of_masks(None, own)[0, 0] < 0.1**2
-
-
-@pytest.mark.parametrize("change", [{"by_errors": [[1.0]]}, {"error_squares": [[1.0] * 7] * 6}, {"by_errors": []}])
-def test_matrices_of_another_shape_are_refused(
-    calibrations: dict[int, tuple[SessionCalibration, float]], change: dict[str, object]
-) -> None:
-    document = calibrations[3][0].to_dict()
-    read = SessionCalibration.from_dict(document).masks
-    assert read is not None
-    assert read.to_dict() == document["masks"]
-    document["masks"] |= change
-    (name,) = change
-    with pytest.raises(InputError, match=f"masks.{name}: expected"):
-        SessionCalibration.from_dict(document)

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
-from helpers.transforms import moved
 
 from dvrk_cmaes import (
     Body,
@@ -21,9 +20,8 @@ from dvrk_cmaes import (
     SolvedSession,
     calibrate_session,
 )
-from dvrk_cmaes.calibration.masks_again import MasksAgain, compared
+from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.frames.packed_mask import PackedMask
 
 Bool = np.ndarray
 Masks = Mapping[str, Bool]
@@ -76,13 +74,6 @@ def again_of(solved: SolvedSession) -> MasksAgain:
     return again
 
 
-def test_only_frames_whose_masks_change_count_as_changed(corrected: SolvedSession) -> None:
-    again = again_of(corrected)
-    assert (again.frames, again.changed, again.applied) == (8, len(SPOILT), True)
-    assert again.iou < 1
-    assert list(corrected.found_masks) == [f"{i:04d}" for i in SPOILT]
-
-
 def test_frames_are_solved_with_their_new_masks(
     bundled_body: Body, spoilt: tuple[list[SessionFrame], dict[str, Bool]], corrected: SolvedSession
 ) -> None:
@@ -109,26 +100,6 @@ def test_predictions_are_measured_against_the_first_masks(
         assert predicted.iou < against_new - 0.005
 
 
-def test_the_silhouettes_are_those_of_the_fits(
-    bundled_body: Body, spoilt: tuple[list[SessionFrame], dict[str, Bool]]
-) -> None:
-    frames, right = spoilt
-    overlaps = {}
-
-    def finder(frame: SessionFrame) -> Finder:
-        def find(seen: Masks, first: Masks) -> Masks:
-            overlaps[frame.name] = (next(iter(seen.values())) & right[frame.name]).sum() / (
-                next(iter(seen.values())) | right[frame.name]
-            ).sum()
-            return {}
-
-        return find
-
-    again = again_of(solved_with(bundled_body, frames, finder))
-    assert min(overlaps.values()) > 0.95
-    assert (again.changed, again.iou, again.applied) == (0, 1.0, False)
-
-
 def test_masks_by_which_the_first_ones_are_predicted_worse_are_not_used(
     bundled_body: Body, spoilt: tuple[list[SessionFrame], dict[str, Bool]]
 ) -> None:
@@ -148,28 +119,7 @@ def test_masks_by_which_the_first_ones_are_predicted_worse_are_not_used(
     assert wrong.calibration.leave_one_out == kept.calibration.leave_one_out
 
 
-def test_masks_that_were_given_are_not_found_again(
-    bundled_body: Body, spoilt: tuple[list[SessionFrame], dict[str, Bool]]
-) -> None:
-    config = EstimateConfig(session=SessionConfig(rounds=1))
-    assert calibrate_session(spoilt[0], bundled_body, config=config).calibration.masks_again is None
-
-
 def test_the_document_has_what_changed(corrected: SolvedSession) -> None:
     document = corrected.calibration.to_dict()
     assert document["masks_again"]["changed"] == len(SPOILT)
     assert SessionCalibration.from_dict(document).to_dict()["masks_again"] == document["masks_again"]
-
-
-def test_a_move_of_the_base_is_stated_in_mm_and_deg() -> None:
-    base = moved(np.eye(4), [0.07, -0.07, 0.055, 0.9, 1.8, -0.4])
-    other = moved(base, [2e-3, 0, 0, 0, np.deg2rad(0.5), 0])
-    again = compared([0.99, 0.97], 2, (base, other), [((0.9, 1.0), (0.91, 0.9)), ((0.92, 1.2), (0.93, 1.1))])
-    assert (again.iou, again.base_mm, again.base_deg) == pytest.approx((0.98, 2.0, 0.5))
-    assert again.applied
-    assert "base moved by 2.00 mm, 0.50 deg" in again.describe()
-
-
-def test_packed_masks_are_restored() -> None:
-    mask = np.random.default_rng(0).random((7, 11)) > 0.5
-    np.testing.assert_array_equal(PackedMask.of(mask).restored(), mask)

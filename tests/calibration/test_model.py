@@ -6,23 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.session_worlds import BASE, NAMES, OFFSETS, make_world
+from helpers.session_worlds import NAMES, OFFSETS, make_world
 from helpers.transforms import change_between
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dvrk_cmaes.calibration.model import Calibration, Correction, Deviations, SessionModel, outer_readings
-from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.instrument.arm import base_from_root
-
-
-def test_prediction_follows_from_base_readings_and_offsets() -> None:
-    world = make_world(1)
-    yaw, pitch, insertion, roll = world.model.outer[0]
-    at = world.model.predict(world.truth)
-    true = {"yaw": yaw, "pitch": pitch, "insertion": insertion + 0.3e-3, "roll": roll + np.deg2rad(6)}
-    np.testing.assert_allclose(at.pose[0], BASE @ base_from_root(true), atol=1e-12)
-    np.testing.assert_allclose(at.joints[0], world.model.joints[0] + OFFSETS[2:])
+from dvrk_cmaes.calibration.model import Correction, SessionModel
 
 
 def test_exact_readings_predict_truth() -> None:
@@ -60,24 +49,6 @@ def test_covariance_agrees_with_simulation() -> None:
     np.testing.assert_allclose(seen, stated / np.outer(scale, scale), atol=0.03)
 
 
-def test_joint_without_reading_has_wide_variance() -> None:
-    world = make_world(2)
-    joints = world.model.joints.copy()
-    joints[1, 2] = np.nan
-    model = replace(world.model, outer=world.model.outer, joints=joints)
-    assert model.predict(world.truth).joints[1, 2] == pytest.approx(OFFSETS[4])
-    spread = np.sqrt(model.covariance(world.truth)[:, 8, 8])
-    assert spread[0] == pytest.approx(np.deg2rad(SessionConfig().jaw_deg))
-    assert spread[1] > 3
-
-
-def test_roll_offset_rotates_about_shaft_only() -> None:
-    world = make_world(4)
-    turned = Calibration(BASE, OFFSETS + np.array([0, 0.1, 0, 0, 0]))
-    change = world.model.predict(turned).minus(world.model.predict(world.truth))
-    np.testing.assert_allclose(change[:, :6], np.tile([0, 0, 0, 0, 0, 0.1], (4, 1)), atol=1e-9)
-
-
 def test_roll_offset_and_base_are_confounded_without_rotation() -> None:
     def told(turning: float) -> float:
         rate = make_world(8, turning=turning).model.jacobian(make_world(8).truth)[:, :6, :8]
@@ -86,25 +57,6 @@ def test_roll_offset_and_base_are_confounded_without_rotation() -> None:
 
     assert told(0.0) < 1e-9
     assert told(0.02) < 0.3 * told(0.25)
-
-
-def test_scaled_prior_is_wider_by_given_factor() -> None:
-    world = make_world(2)
-    tight, loose = (world.model.priors(world.truth, scale=times) for times in (1.0, 4.0))
-    for one, other in zip(tight, loose, strict=True):
-        np.testing.assert_allclose(one.information, 16 * other.information)
-        np.testing.assert_array_equal(one.mean.pose, other.mean.pose)
-
-
-def test_inflation_widens_covariance_of_its_frame_only() -> None:
-    world = make_world(2)
-    inflation = np.ones((2, 4))
-    inflation[1] = [10, 1, 2, 1]
-    plain, wide = (m.covariance(world.truth) for m in (world.model, replace(world.model, inflation=inflation)))
-    np.testing.assert_array_equal(plain[0], wide[0])
-    spreads = world.model.deviations
-    assert wide[1, 5, 5] - plain[1, 5, 5] == pytest.approx(99 * spreads.outer[3] ** 2)
-    assert wide[1, 7, 7] == pytest.approx(4 * plain[1, 7, 7])
 
 
 def test_correction_moves_the_prediction_and_widens_its_covariance() -> None:
@@ -116,26 +68,6 @@ def test_correction_moves_the_prediction_and_widens_its_covariance() -> None:
     np.testing.assert_allclose(change[:, 5:], values, atol=1e-9)
     plain, wide = (np.einsum("nii->ni", m.covariance(world.truth)) for m in (world.model, corrected))
     np.testing.assert_allclose((wide - plain)[:, 5:], variances, atol=1e-12)
-
-
-def test_subset_predicts_same_poses() -> None:
-    world = make_world(5)
-    some = replace(world.model, inflation=np.full((5, 4), 1.5)).subset([1, 3])
-    np.testing.assert_array_equal(some.predict(world.truth).pose, world.model.predict(world.truth).pose[[1, 3]])
-    np.testing.assert_array_equal(some.inflation, np.full((2, 4), 1.5))
-
-
-def test_missing_outer_reading_is_nan() -> None:
-    found = outer_readings([{"yaw": 0.1, "pitch": 0.2, "insertion": 0.1, "roll": 0.0}, {"yaw": 0.1}])
-    assert np.isnan(found).tolist() == [[False] * 4, [False, True, True, True]]
-    assert outer_readings([]).shape == (0, 4)
-
-
-def test_initial_standard_deviations_are_configured() -> None:
-    spreads = Deviations.of(SessionConfig(arm_deg=0.2, insertion_mm=0.5, wrist_deg=3, jaw_deg=6), NAMES)
-    np.testing.assert_allclose(np.degrees(spreads.outer[[0, 1]]), 0.2)
-    assert spreads.outer[2] == pytest.approx(0.5e-3)
-    np.testing.assert_allclose(np.degrees(spreads.joints), [3, 3, 6])
 
 
 def test_si_arm_wrist_lies_50_8_mm_farther() -> None:

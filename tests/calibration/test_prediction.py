@@ -10,7 +10,7 @@ from helpers.batch_sessions import QUICK_CONFIG
 from helpers.session_worlds import make_frames_in_memory, true_calibration
 from helpers.transforms import change_between, moved
 
-from dvrk_cmaes import Body, FrameData, InputError, Result, SessionCalibration, SessionFrame, estimate
+from dvrk_cmaes import Body, FrameData, Result, SessionCalibration, SessionFrame, estimate
 from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.synth.truth import Truth
 
@@ -64,14 +64,6 @@ def test_predicted_frame_is_not_searched(known: Known, explained: Result) -> Non
     assert 0 < explained.evaluations < 600  # a search takes thousands
 
 
-def test_base_of_frame_is_near_base_of_session(known: Known, explained: Result) -> None:
-    assert explained.camera_from_base is not None
-    off = change_between(known.session.camera_from_base, explained.camera_from_base)
-    assert 1e3 * np.linalg.norm(off[:3]) < 3
-    # the rotation about the shaft follows from the noisy reading of roll
-    assert np.degrees(np.linalg.norm(off[3:])) < 6
-
-
 def test_covariance_region_contains_truth_and_is_positive(known: Known, explained: Result) -> None:
     assert explained.camera_from_root is not None
     assert explained.covariance is not None
@@ -80,11 +72,6 @@ def test_covariance_region_contains_truth_and_is_positive(known: Known, explaine
     off = np.concatenate([change, known.truth.values - bent])
     assert off @ np.linalg.solve(explained.covariance, off) < 27.9  # 99.9 % of chi-squared, 9
     assert (np.sqrt(np.diag(explained.covariance)) > [1e-5] * 3 + [1e-4] * 6).all()
-
-
-def test_repeated_estimate_is_identical(known: Known, explained: Result) -> None:
-    again = known.estimate(known.session)
-    assert replace(again, seconds=0).to_dict() == replace(explained, seconds=0).to_dict()
 
 
 @pytest.mark.parametrize(
@@ -116,16 +103,3 @@ def test_frame_without_outer_readings_is_searched_with_warning(known: Known, mis
     found = known.estimate(known.session, readings)
     assert found.source == "frame"
     assert f"session: no reading of {', '.join(missing)}: searched without it" in found.warnings
-
-
-def test_wrist_reading_may_be_missing(known: Known) -> None:
-    readings = {name: value for name, value in known.frame.result.readings.items() if name != "jaw"}
-    found = known.estimate(known.session, readings)
-    assert found.source == "session"
-    assert known.tip_mm(found) < 1.0
-
-
-def test_session_of_other_instrument_is_refused(known: Known) -> None:
-    offsets = {name: value for name, value in known.session.offsets.items() if name != "jaw"}
-    with pytest.raises(InputError, match=r"^session: offsets: expected those of insertion, roll, wrist_pitch, "):
-        known.estimate(replace(known.session, offsets=offsets))

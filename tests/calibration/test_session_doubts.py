@@ -15,12 +15,10 @@ from dvrk_cmaes.calibration.session_doubts import (
     bad_predictions,
     doubts_of,
     resting_on,
-    unusual_insertion,
 )
 from dvrk_cmaes.calibration.session_lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.critical import WRONG
-from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import DISAGREES
 from dvrk_cmaes.pose.judge import far_joints
@@ -41,15 +39,6 @@ def with_offset(name: str, value: float, std: float) -> SessionCalibration:
     covariance = one.covariance.copy()
     covariance[place, place] = std**2
     return replace(one, offsets={**one.offsets, name: value}, covariance=covariance)
-
-
-def test_good_session_has_no_doubts() -> None:
-    assert doubts_of(session()) == ()
-    assert doubts_of(session(leave_one_out={"0000": (0.9, 1.0), "0001": (0.92, 1.0)})) == ()
-
-
-def test_frame_without_readings_is_no_doubt_about_the_session() -> None:
-    assert doubts_of(session(left_out={"0003": "no readings of all outer joints (yaw, pitch, insertion, roll)"})) == ()
 
 
 def test_bad_predictions_are_a_doubt() -> None:
@@ -113,21 +102,6 @@ def test_offset_beyond_what_cables_do_is_a_doubt(name: str, value: float, std: f
     assert "another instrument" in text or "an instrument with another shaft" in text
 
 
-def test_uncertain_or_commanded_offset_is_no_doubt() -> None:
-    assert doubts_of(with_offset("insertion", 16.8e-3, 8e-3)) == ()
-    assert doubts_of(with_offset("roll", np.deg2rad(20), np.deg2rad(8))) == ()
-    commanded = replace(with_offset("wrist_yaw", np.deg2rad(60), 0.01), commanded={"wrist_yaw": 0.0})
-    assert doubts_of(commanded) == ()
-
-
-def test_insertion_of_another_tool_of_the_kind_is_only_remarked() -> None:
-    other = with_offset("insertion", 6.8e-3, 0.1e-3)
-    text = unusual_insertion(other, SessionConfig())
-    assert text.startswith("offset of insertion: +6.8 mm (std 0.1), where 0.5 mm are usual; likely causes")
-    assert doubts_of(other) == ()
-    assert unusual_insertion(session(), SessionConfig()) == ""
-
-
 def test_masks_that_are_far_too_wide_are_a_doubt() -> None:
     (text,) = doubts_of(session(masks=SessionMasks(2.74, 0.1, applied=True)))
     assert text.startswith("masks are 2.7 px (std 0.1) too wide all round: more than segmenters err")
@@ -159,14 +133,6 @@ def test_results_that_rest_on_a_doubtful_session_are_doubtful_for_its_reasons() 
     assert of_frame.remarks == ("camera file: unusual", "lag: taken out")
     assert (of_image.status, of_image.reasons) == ("doubtful", of_frame.reasons)
     assert (of_lost.status, of_lost.reasons) == ("lost", (*of_frame.reasons, *lost.reasons))
-
-
-def test_remarks_of_a_session_make_nothing_doubtful() -> None:
-    followed = TrackResult(0.0, "ok", (), np.eye(4), {}, None, None, None)
-    found = resting_on(followed, session(remarks=("lag: taken out",)))
-    assert (found.status, found.reasons, found.remarks) == ("ok", (), ("lag: taken out",))
-    assert found.to_dict("0000")["remarks"] == ["lag: taken out"]
-    assert resting_on(followed, None) is followed
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from dvrk_cmaes import (
     Body,
     EstimateConfig,
     FrameData,
-    InputError,
     SessionCalibration,
     SessionFrame,
     SolvedSession,
@@ -147,23 +146,6 @@ def test_arms_in_one_solution_share_the_endoscope(
     np.testing.assert_array_equal(left.problem.endoscope_prior, one.problem.endoscope_prior)
 
 
-def test_an_arm_that_fails_leaves_the_first_one_solved(
-    bundled_body: Body, world: tuple[RecordedArm, list[SessionFrame]]
-) -> None:
-    _, frames = world
-    done = []
-
-    def first(_: Sequence[Place]) -> Begun[None]:
-        return begin_arm(frames[:4], problem_of(bundled_body)).then(lambda found: done.append(found[0]))
-
-    def second(_: Sequence[Place]) -> Begun[None]:
-        return begin_arm(frames[:2], problem_of(bundled_body)).then(lambda found: done.append(found[0]))
-
-    with pytest.raises(InputError, match="at least 3 usable frames"):
-        solved_together({"PSM1": first, "PSM2": second})
-    assert len(done) == 1
-
-
 def test_without_readings_each_piece_has_its_base(
     bundled_body: Body, world: tuple[RecordedArm, list[SessionFrame]]
 ) -> None:
@@ -190,16 +172,3 @@ def test_without_readings_each_piece_has_its_base(
     assert any("moved between frames" in text for text in solved.calibration.remarks)
     errors = base_errors(solved, arm, without)
     assert np.median(errors) < 1.5
-
-
-def test_still_endoscope_with_readings_is_as_without(
-    bundled_body: Body, world: tuple[RecordedArm, list[SessionFrame]]
-) -> None:
-    _, frames = world
-    still = dict(zip(ECM_JOINTS, (0.1, 0.2, 0.1, 0.3), strict=True))
-    some = [with_result(frame, readings={**frame.result.readings, **still}) for frame in frames[:4]]
-    without = [without_ecm(frame) for frame in some]
-    one, other = (calibrate_session(own, bundled_body, config=QUICK).calibration for own in (some, without))
-    assert one.endoscope is None
-    np.testing.assert_array_equal(one.camera_from_base, other.camera_from_base)
-    np.testing.assert_array_equal(one.covariance, other.covariance)

@@ -66,18 +66,6 @@ def test_poses_are_those_of_the_left_camera(
         assert result.quality.iou > 0.95
 
 
-def test_second_eye_makes_the_fit_more_certain(
-    bundled_body: Body,
-    one_eye: tuple[np.ndarray, list[Truth], list[SessionFrame]],
-    both_eyes: tuple[list[SessionFrame], SolvedSession],
-) -> None:
-    seen = [frame for k, frame in enumerate(one_eye[2]) if k != 2]  # that one only the right eye sees
-    for name, alone in calibrate_session(seen, bundled_body, config=SETTINGS).results.items():
-        errors = [result.expected_error for result in (alone, both_eyes[1].results[name])]
-        assert None not in errors
-        assert errors[1].tip_mm["mean"] < errors[0].tip_mm["mean"]  # type: ignore[union-attr]
-
-
 def test_new_frame_is_predicted_and_fitted_in_both_eyes(
     bundled_body: Body, both_eyes: tuple[list[SessionFrame], SolvedSession]
 ) -> None:
@@ -94,27 +82,6 @@ def test_new_frame_is_predicted_and_fitted_in_both_eyes(
     assert found.covariance is not None
     # one standard deviation of each axis in the mean: the frame is one of those that were solved together
     assert float(apart @ np.linalg.solve(found.covariance[:3, :3], apart)) < 3.0
-
-
-def test_prior_of_a_frame_without_the_left_eye_is_seen_by_the_right_one(
-    bundled_body: Body,
-    both_eyes: tuple[list[SessionFrame], SolvedSession],
-    one_eye: tuple[np.ndarray, list[Truth], list[SessionFrame]],
-) -> None:
-    """Of the frame without a left mask, the right eye sees the shaft only: where along it the tool is, is expected."""
-    made, truth = list(both_eyes[0]), one_eye[1][2]
-    data = made[2].data
-    assert isinstance(data, FrameData)
-    wrist = SMALL.project((RIGHT_FROM_LEFT @ truth.camera_from_root)[None, :3, 3])[0]
-    columns, rows = np.meshgrid(np.arange(SMALL.width), np.arange(SMALL.height))
-    hidden = np.hypot(columns - wrist[0], rows - wrist[1]) < 60
-    left, right = data.views
-    made[2] = replace(made[2], data=replace(data, views=(left, replace(right, ignore=hidden))))
-    result = calibrate_session(made, bundled_body, config=SETTINGS).results[made[2].name]
-    assert result.source == "session"
-    assert result.camera_from_root is not None
-    off = np.linalg.inv(truth.camera_from_root) @ result.camera_from_root
-    assert 1e3 * abs(off[2, 3]) < 1.0  # of the baseline of 5.3 mm
 
 
 def test_focal_length_of_both_eyes_is_refined_together(bundled_body: Body) -> None:

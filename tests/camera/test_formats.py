@@ -130,14 +130,6 @@ def test_unusable_opencv_field_is_named(tmp_path: Path, fields: dict[str, object
     assert found.replace("'", "").lower().startswith(expected.lower())
 
 
-def test_real_stereo_file_is_read(shared: Path) -> None:
-    path = shared / "formats" / "camera" / "opencv_stereo.xml"
-    left, right = read_camera(path), read_camera(path, side="right")
-    assert (left.width, left.height, left.fx, left.fy) == (720, 576, 858.8774, 934.9256)
-    assert (right.fx, right.fy, right.cx) == (872.6555, 954.86, 327.5912)
-    assert left.distortion == (-0.2484, 0.2681, 0.0048, -0.0033, 0)
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

@@ -54,14 +54,6 @@ def storage(pose: Any = POSE, *, names: tuple[str, ...] = ("K1", "D1", "K2", "D2
     return {name: matrix(value) for name, value in zip(names, values, strict=True)} | {"image_size": [640, 480]}
 
 
-def test_view_maps_points_of_the_reference_camera() -> None:
-    rig = Rig.stereo(LEFT, RIGHT, POSE)
-    assert rig.names == ("left", "right")
-    assert rig.camera is LEFT
-    np.testing.assert_allclose(apply(rig.view("right").view_from_camera, np.zeros((1, 3)))[0], POSE[:3, 3])
-    np.testing.assert_allclose(rig.view("right").camera_from_view @ POSE, np.eye(4), atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("pose", "text"),
     [

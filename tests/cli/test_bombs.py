@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from helpers.bombs import BOMBS
-from helpers.damage import frame
+from helpers.demo_files import frame
 from helpers.instrument_files import mesh_link, write_urdf
 from helpers.places import HELPERS
 

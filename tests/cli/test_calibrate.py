@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
 from helpers.commands import Ran, run_command
-from helpers.files import write_json
 from helpers.places import ROOT
 from helpers.printed_blocks import blocks, printed_parts, words
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
@@ -61,17 +60,6 @@ def calibrated(place: Path) -> Path:
     assert main([str(one) for one in ("calibrate", place / "session", "--workers", "1", *options)]) == 0
     assert {path: path.read_bytes() for path in (place / "results").rglob("*") if path.is_file()} == before
     return place / "calibrated"
-
-
-def test_output_folder_has_all_files(calibrated: Path) -> None:
-    written = {path.name for path in calibrated.iterdir()}
-    assert {"session.json", "frames", "overlays", "poses.csv", "summary.json", "report.html"} <= written
-    results = [json.loads(path.read_text()) for path in sorted((calibrated / "frames").iterdir())]
-    assert [one["frame"] for one in results] == [f"000{k}" for k in range(5)]
-    assert {one["source"] for one in results} == {"session"}
-    assert all(one["change"]["translation_mm"] >= 0 for one in results)
-    assert len(list((calibrated / "overlays").iterdir())) == 5
-    assert json.loads((calibrated / "summary.json").read_text())["lag"] is None
 
 
 def test_doubtful_frames_are_named(calibrated: Path) -> None:
@@ -131,12 +119,6 @@ def refusal(command: Command, *arguments: Any) -> str:
     return ran.err.splitlines()[-1].removeprefix("dvrk-cmaes: ")
 
 
-def test_input_results_are_not_overwritten(command: Command) -> None:
-    assert refusal(command, "session", "--results", "results", "--out", "results") == (
-        "--out: expected another folder than --results, whose frames stay as they are, got results"
-    )
-
-
 def test_too_few_frames_are_refused(command: Command, bundled_body: Body, tmp_path: Path) -> None:
     write_folder(tmp_path / "session", make_frames_in_memory(bundled_body, 2, level="clean")[2])
     options = ("--results", tmp_path / "results", "--out", tmp_path / "out", *QUICKLY)
@@ -150,14 +132,6 @@ def test_wrong_arm_is_refused(command: Command, place: Path) -> None:
     options = ("--results", "results", "--out", "wrong", "--arm", "si", *QUICKLY)
     assert "51 mm longer: expected --arm" in refusal(command, "session", *options)
     assert not (place / "wrong").exists()
-
-
-def test_results_of_other_instrument_are_refused(command: Command, place: Path, tmp_path: Path) -> None:
-    for path in (place / "results" / "frames").iterdir():
-        document = json.loads(path.read_text())
-        write_json(tmp_path / "frames" / path.name, {**document, "instrument": "hook"})
-    options = ("--results", tmp_path, "--out", tmp_path / "out", *QUICKLY)
-    assert refusal(command, "session", *options) == "frame 0000: instrument: expected lnd, got a result of hook"
 
 
 def test_refined_camera_is_written_and_stated(command: Command, bundled_body: Body, tmp_path: Path) -> None:
@@ -208,12 +182,6 @@ def test_camera_is_not_guessed_beside_a_file_or_from_few_frames(command: Command
     assert text == "--focal: expected a focal length of 96 to 1920 px, 0.3 to 6 widths of the images, got 5"
     text = refusal(command, "session", "--focal", "500", *options)
     assert text.startswith("--camera: expected a camera file, which these frames do not replace: camera: 5 frames; ")
-
-
-def test_camera_is_not_refined_from_few_frames(command: Command) -> None:
-    ran = command("calibrate", "session", "--results", "results", "--out", "few", "--refine-camera", *QUICKLY)
-    assert ran.code == 2
-    assert ran.refusal.endswith("--refine-camera: camera: 5 frames; at least 10 are needed to tell its focal length")
 
 
 def test_both_eyes_are_calibrated_and_drawn_beside_each_other(

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import functools
 import os
-import re
-import resource
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from helpers.canned_results import canned, write_results
 from helpers.commands import main
-from helpers.damage import CAMERA, DEMO, IMAGE, JOINTS, MASK, SMALL_CAMERA, frame
+from helpers.demo_files import CAMERA, DEMO, IMAGE, JOINTS, MASK, SMALL_CAMERA, frame
 from helpers.made_recordings import good, write_bag, write_video
 
 from dvrk_cmaes.cli.options import InstrumentOptions
@@ -89,17 +86,6 @@ def test_invalid_file_name_is_refused(said: Said, tmp_path: Path, reader: str, k
     assert len(told) < 900
 
 
-@contextmanager
-def no_room() -> Iterator[None]:
-    """Limit files to 1000 bytes to simulate a full disk; Python ignores SIGXFSZ."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
     return write_results(tmp_path / "results", *(canned(f"{k:04d}", k) for k in range(6)))
@@ -108,50 +94,6 @@ def results(tmp_path: Path) -> Path:
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
     return write_bag(tmp_path / "bag", "mcap", good(2))
-
-
-@pytest.fixture
-def writers(results: Path, bag: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[object]]:
-    """Give commands that write; the test appends the place to write to."""
-    monkeypatch.setattr("dvrk_cmaes.runs.frame.estimate_views", lambda *_a, **_k: canned("0000"))
-    return {
-        "estimate": [*frame(), "--out"],
-        "export": ["export", results, "--to", "csv", "--out"],
-        "import": ["import", bag, "--out"],
-    }
-
-
-@pytest.mark.parametrize("command", ["estimate", "export", "import"])
-@pytest.mark.parametrize(
-    "place",
-    [
-        *("file", "file/below", "/proc/nowhere", "/proc/self/status", "/dev/full", "/dev/full/below"),
-        *("loop", "x" * 300, "a\0b"),
-    ],
-)
-def test_unwritable_place_is_refused(
-    said: Said, tmp_path: Path, writers: dict[str, list[object]], command: str, place: str
-) -> None:
-    (tmp_path / "file").write_text("mine")
-    (tmp_path / "loop").symlink_to("loop")
-    told = said([*writers[command], place])
-    assert told.startswith((f"2 {place}", f"2 {place!r}"[:-1]))
-    assert re.search("expected a (folder|place) to write", told)
-    assert (tmp_path / "file").read_text() == "mine"
-
-
-@pytest.mark.parametrize("command", ["estimate", "export", "import"])
-def test_full_disk_gives_exit_code_1_without_partial_files(
-    tmp_path: Path, writers: dict[str, list[object]], command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with no_room():
-        code = main([str(argument) for argument in [*writers[command], tmp_path / "out"]])
-    told = capsys.readouterr().err
-    assert code == 1, told
-    assert told.count("\n") == 1
-    assert "not written (File too large)" in told
-    assert [path for path in (tmp_path / "out").rglob("*") if path.is_file()] == []
-    assert list(tmp_path.glob(".*")) == []
 
 
 def test_files_with_unusual_names_are_read_and_written(
@@ -189,13 +131,6 @@ def program(shell: str, folder: Path, *arguments: object) -> subprocess.Complete
         *map(str, arguments),
     ]
     return subprocess.run(["sh", "-c", shell, "sh", *words], capture_output=True, text=True, check=False, cwd=folder)
-
-
-@pytest.mark.parametrize("arguments", [("--version",), ("--help",), ("export", "results", "--to", "csv", "--json")])
-def test_full_disk_at_stdout_is_reported(tmp_path: Path, arguments: tuple[str, ...]) -> None:
-    write_results(tmp_path / "results", canned("0000"))
-    done = program('"$@" >/dev/full', tmp_path, *arguments)
-    assert (done.returncode, done.stderr) == (1, "dvrk-cmaes: stdout: No space left on device\n")
 
 
 def test_exit_code_without_stdout_or_stderr(tmp_path: Path) -> None:

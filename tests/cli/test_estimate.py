@@ -64,15 +64,6 @@ def quick(tmp_path: Path) -> Path:
 # output
 
 
-def test_outer_readings_give_base_of_either_arm(run: Run, quick: Path) -> None:
-    classic, si = (
-        np.array(run(*frame(config=quick, arm=arm), "--json").result["camera_from_base"]) for arm in ("classic", "si")
-    )
-    offset = np.linalg.inv(classic) @ si
-    np.testing.assert_allclose(offset[:3, :3], np.eye(3), atol=1e-6)
-    assert np.linalg.norm(offset[:3, 3]) == pytest.approx(0.4826 - 0.4318, abs=1e-6)
-
-
 def test_half_size_mask_rescales_camera_with_warning(run: Run, quick: Path, tmp_path: Path) -> None:
     half = picture(
         tmp_path / "0000.png", cv2.resize(cv2.imread(str(MASK), 0), (320, 240), interpolation=cv2.INTER_AREA)
@@ -91,18 +82,6 @@ def test_reading_outside_limits_gives_warning(run: Run, quick: Path) -> None:
     assert "reading of wrist_pitch: 91.7 deg is outside its limits" in done.err
     assert any("wrist_pitch" in warning for warning in done.result["warnings"])
     assert done.result["readings"]["wrist_pitch"] == 1.6
-
-
-def test_flags_equal_settings_and_override_them(run: Run, tmp_path: Path) -> None:
-    file = write(tmp_path / "own.toml", f"seed = 5\nthreads = 1\n{QUICK}method = 'crs2'\n[refine]\nmethod = 'sbplx'\n")
-    other = write(tmp_path / "other.toml", f"seed = 7\nthreads = 2\n{QUICK}method = 'esch'\n")
-    by_file = run(*frame(config=file), "--json").result
-    by_flags = run(*frame(config=other, seed=5, threads=1, search="crs2", refine="sbplx"), "--json").result
-    assert by_file.pop("seconds") > 0
-    assert by_flags.pop("seconds") > 0
-    assert by_file == by_flags
-    assert by_file["config"]["seed"] == by_file["seed"] == 5
-    assert by_file["config"]["search"] == {**by_file["config"]["search"], "method": "crs2", "samples": 128, "starts": 3}
 
 
 # usage

@@ -9,19 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.batch_sessions import QUICK_CONFIG, make_session
+from helpers.batch_sessions import QUICK_CONFIG
 from helpers.canned_results import canned
 from helpers.commands import run_command
-from helpers.damage import DEMO, IMAGE, frame
+from helpers.demo_files import DEMO, IMAGE, frame
 from helpers.waiting import within
 
 from dvrk_cmaes import Body, Camera, InputError, estimate, load_instrument
-from dvrk_cmaes.evaluate.pose_check import check_pose
-from dvrk_cmaes.evaluate.pose_error import Tolerance
-from dvrk_cmaes.frames.images import read_image, read_mask
-from dvrk_cmaes.frames.truth import FrameTruth
 from dvrk_cmaes.instrument.meshes import read_mesh
-from dvrk_cmaes.runs.batch import run_batch
 
 SMALL = Camera(fx=260, fy=260, cx=80, cy=60, width=160, height=120, distortion=())
 MANY = "9" * 5000
@@ -138,42 +133,6 @@ def test_package_manifest_that_is_no_file_is_passed_over(tmp_path: Path) -> None
         load_instrument(tmp_path / "x.urdf")
 
 
-def test_golden_pose_without_joints_is_compared_with_another_instruments_result() -> None:
-    result = canned("a", joints={})
-    assert result.camera_from_root is not None
-    golden = FrameTruth(result.camera_from_root, {})
-    check = check_pose(result, golden, load_instrument("lnd"), Tolerance())
-    assert (check.right, check.no_pose) == (False, "no joint wrist_pitch in the result; is it another instrument's?")
-
-
-def test_jpeg_with_wrong_bits_is_refused_without_libjpegs_lines(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    data = bytearray(IMAGE.read_bytes())
-    refused = []
-    for place in range(2000, len(data) - 100, 997):
-        damaged = bytearray(data)
-        damaged[place : place + 8] = b"\xff\x00\xff\x00\xff\x00\xff\x00"
-        (tmp_path / "x.jpg").write_bytes(damaged)
-        try:
-            read_image(tmp_path / "x.jpg")
-        except InputError as error:
-            refused.append(str(error))
-    assert set(refused) == {f"{tmp_path / 'x.jpg'}: expected an image (PNG or JPEG), got one that is damaged"}
-    assert capfd.readouterr().err == ""
-
-
-def test_png_with_wrong_bits_is_refused_without_libpngs_lines(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    data = (DEMO / "masks" / "0000.png").read_bytes()
-    for place in range(data.index(b"IDAT"), len(data) - 12, len(data) // 20):
-        (tmp_path / "x.png").write_bytes(data[:place] + bytes([data[place] ^ 16]) + data[place + 1 :])
-        with pytest.raises(InputError):
-            read_mask(tmp_path / "x.png")
-    assert capfd.readouterr().err == ""
-
-
 @pytest.mark.parametrize("number", ["1e308", "-1e308"])
 @pytest.mark.parametrize("key", ["fx", "cx", "width"])
 def test_extreme_number_of_a_camera_is_refused_without_warnings(
@@ -183,30 +142,6 @@ def test_extreme_number_of_a_camera_is_refused_without_warnings(
     (tmp_path / "camera.yaml").write_text("\n".join(f"{name}: {value}" for name, value in values.items()))
     refusal = run_command(capfd, *frame(camera=tmp_path / "camera.yaml")).refusal
     assert refusal.startswith(f"{tmp_path / 'camera.yaml'}: ")
-
-
-def test_batch_refuses_damaged_result_of_frame_it_leaves_before_it_starts(tmp_path: Path) -> None:
-    from dvrk_cmaes import read_session
-
-    session = read_session(make_session(tmp_path / "session", ["a", "b"]))
-    model = load_instrument("lnd")
-    with pytest.raises(InputError, match="none"):
-        run_batch(session, tmp_path / "out", model, config=QUICK_CONFIG, pattern="none*")
-    (tmp_path / "out" / "frames").mkdir(parents=True)
-    (tmp_path / "out" / "frames" / "b.json").write_text("{")
-    (tmp_path / "out" / "run.json").write_text("{}")
-    with pytest.raises(InputError):
-        run_batch(session, tmp_path / "out", model, config=QUICK_CONFIG, pattern="a")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["frames", "run.json"]
-
-
-def test_results_of_other_programs_need_no_seconds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for number in range(4):
-        document = canned(f"{number}", number).to_dict()
-        kept = {name: document[name] for name in ("camera_from_root", "joints", "readings", "camera_from_base")}
-        (tmp_path / f"{number}.json").write_text(json.dumps(kept))
-    assert run_command(capfd, "consistency", tmp_path).code in (0, 3)
-    assert run_command(capfd, "export", tmp_path, "--to", "csv", "--out", tmp_path / "made").code == 0
 
 
 def result_with_pose(folder: Path, **changes: object) -> Path:

@@ -30,7 +30,7 @@ def printed(monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], *, colu
     monkeypatch.setattr("sys.stdout", terminal)
     monkeypatch.setenv("COLUMNS", str(columns))
     monkeypatch.setenv("TERM", "xterm-256color")
-    monkeypatch.setattr(app, "_console", Console())  # of this width: the app keeps its first one
+    monkeypatch.setattr(app, "console", Console())  # of this width: the app keeps its first one
     assert main(arguments) == 0
     return STYLES.sub("", terminal.getvalue())
 

@@ -10,7 +10,7 @@ import warnings
 
 import pytest
 from helpers.commands import run_command
-from helpers.damage import frame
+from helpers.demo_files import frame
 
 SIGNALLED = """
 import os, sys

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.commands import run_command
 from helpers.places import bundled_path
 
 from dvrk_cmaes import InputError, read_session
@@ -51,10 +49,6 @@ KINDS: dict[str, Callable[[Path], None]] = {
 }
 
 
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
 @pytest.fixture
 def session(tmp_path: Path) -> Path:
     """The bundled session, in a folder that may be written to."""
@@ -77,33 +71,6 @@ def test_other_files_beside_results_stay_unless_the_folder_is_replaced(tmp_path:
     KINDS["notes"](tmp_path / "calibrated")
     with pytest.raises(InputError, match=r"notes\.json was not written by `calibrate`"):
         opened(tmp_path / "calibrated", "calibrate", whole=True)
-
-
-@pytest.mark.parametrize("way", ["session", "session/images/..", "link"])
-def test_mask_of_a_session_is_not_replaced_by_that_of_an_estimate(
-    capsys: pytest.CaptureFixture[str], session: Path, tmp_path: Path, way: str
-) -> None:
-    os.symlink(session, tmp_path / "link")
-    before = content(session)
-    image = session / "images" / "0000.jpg"
-    options = ("--camera", session / "camera.yaml", "--joints", session / "joints.csv")
-    ran = run_command(capsys, "estimate", "--image", image, *options, "--out", tmp_path / way)
-    assert ran.refusal == (
-        f"{tmp_path / way}: expected a new or empty folder, or one of an earlier estimate, got one with README.md; "
-        "nothing was changed"
-    )
-    assert content(session) == before
-
-
-def test_result_of_a_batch_is_not_replaced_by_that_of_an_estimate(
-    capsys: pytest.CaptureFixture[str], session: Path, tmp_path: Path
-) -> None:
-    KINDS["batch"](tmp_path / "out")
-    before = content(tmp_path / "out")
-    options = ("--camera", session / "camera.yaml", "--joints", session / "joints.csv", "--out", tmp_path / "out")
-    ran = run_command(capsys, "estimate", "--mask", session / "masks" / "0000.png", *options)
-    assert "it has what `batch` wrote, which stays as it is" in ran.refusal
-    assert content(tmp_path / "out") == before
 
 
 def run_of(session: Path, frames: dict[str, Any]) -> str:

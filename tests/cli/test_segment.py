@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import shutil
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK
-from helpers.commands import Ran, run_command
+from helpers.commands import run_command
 from helpers.drawn_tools import draw_tool
 from helpers.files import read_mask, write_image
 from helpers.places import bundled_path
@@ -21,8 +18,6 @@ from helpers.sam2_graphs import TOOL, write_export
 
 from dvrk_cmaes import read_session
 from dvrk_cmaes.segment import Segmentation
-
-cli_segment = import_module("dvrk_cmaes.cli.segment")
 
 DEMO = bundled_path("demo")
 
@@ -38,16 +33,6 @@ def folder(tmp_path: Path) -> Path:
     for name, shadow in (("0001", 0.0), ("0002", 0.5)):
         write_image(tmp_path / "session" / "images" / f"{name}.png", draw_tool(shadow=shadow).image)
     return tmp_path / "session"
-
-
-def test_json_output(capsys: pytest.CaptureFixture[str], image: Path, tmp_path: Path) -> None:
-    ran = run_command(capsys, "segment", image, "--out", tmp_path / "out", "--json")
-    assert (ran.code, ran.err) == (0, "")
-    assert ran.result["model"] == "classic"
-    found = ran.result["frames"]["a"]
-    assert set(found) == {"status", "confidence", "share", "notes", "mask", "overlay", "score", "seconds"}
-    assert found["status"] == "ok"
-    assert Path(found["mask"]).is_file()
 
 
 def test_folder_is_segmented_despite_failing_images(
@@ -104,28 +89,6 @@ def test_mask_that_was_corrected_by_hand_is_not_replaced(
     assert mask.read_bytes() == before
 
 
-def test_interrupted_run_leaves_the_earlier_masks(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "found"
-    assert run_command(capsys, "segment", folder, "--out", out).code in (0, 3)
-    before = {path: path.read_bytes() for path in out.rglob("*.*")}
-    done = []
-    segment_one = cli_segment.segment_file
-
-    def interrupted(frame: str, *rest: Any) -> Any:
-        if done:
-            raise KeyboardInterrupt
-        done.append(frame)
-        return segment_one(frame, *rest)
-
-    monkeypatch.setattr(cli_segment, "segment_file", interrupted)
-    run_command(capsys, "segment", folder, "--out", out, "--point", "30,110")
-    assert done == ["0001"]
-    assert {path: path.read_bytes() for path in out.rglob("*.*")} == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["found", "session"]
-
-
 def test_images_that_are_segmented_one_by_one_share_a_folder(
     capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
 ) -> None:
@@ -136,30 +99,6 @@ def test_images_that_are_segmented_one_by_one_share_a_folder(
     assert sorted(path.name for path in (out / "masks").iterdir()) == ["0001.png", "0002.png"]
     written = json.loads((out / "run.json").read_text())["files"]
     assert {name for name in written if name.startswith("masks/")} == {"masks/0001.png", "masks/0002.png"}
-
-
-def test_folder_with_notes_of_the_user_is_refused(
-    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "found"
-    assert run_command(capsys, "segment", folder, "--out", out).code in (0, 3)
-    (out / "notes.txt").write_text("mine")
-    assert run_command(capsys, "segment", folder, "--out", out).refusal == (
-        f"{out}: notes.txt was not written by `segment`; choose another --out, or move it"
-    )
-    assert (out / "notes.txt").read_text() == "mine"
-
-
-def test_folder_that_another_run_writes_to_is_left_to_it(
-    capsys: pytest.CaptureFixture[str], folder: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "found").mkdir()
-    with (tmp_path / "found" / "run.json").open("wb") as run:
-        fcntl.flock(run, fcntl.LOCK_EX)
-        ran = run_command(capsys, "segment", folder, "--out", tmp_path / "found")
-    assert ran.code == 1
-    assert "is writing there" in ran.err
-    assert [path.name for path in (tmp_path / "found").iterdir()] == ["run.json"]
 
 
 def test_guess_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -194,32 +133,6 @@ def test_place_without_images_is_refused(capsys: pytest.CaptureFixture[str], tmp
     assert run_command(capsys, "segment", tmp_path).refusal == f"{tmp_path}: expected images (PNG or JPEG), got none"
     missing = tmp_path / "a.png"
     assert run_command(capsys, "segment", missing).refusal.startswith(f"{missing}: no such file; expected an image")
-
-
-def estimated(capsys: pytest.CaptureFixture[str], tmp_path: Path, *arguments: object) -> Ran:
-    (tmp_path / "quick.toml").write_text(QUICK, encoding="utf-8")
-    settings = ("--camera", DEMO / "camera.yaml", "--joints", DEMO / "joints.csv", "--config", tmp_path / "quick.toml")
-    return run_command(capsys, "estimate", *settings, *arguments)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ([], "--mask: expected a mask, or an image to find it in (--image FILE), got neither"),
-        (
-            ["--image", DEMO / "images" / "0000.jpg", "--label", "1"],
-            "--label, --pick: expected a mask with them (--mask FILE), got none",
-        ),
-        (
-            ["--mask", DEMO / "masks" / "0000.png", "--box", "1,2,3,4"],
-            "--box, --point, --not-point, --model, --weights: expected no mask with them, got --mask too",
-        ),
-    ],
-)
-def test_mask_excludes_segmentation_options(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[object], expected: str
-) -> None:
-    assert estimated(capsys, tmp_path, *arguments).refusal == expected
 
 
 def test_masks_by_sam2_are_those_of_the_session(

@@ -10,7 +10,6 @@ import pytest
 from helpers.commands import run_command
 from helpers.followed_folder import track_folder
 from helpers.moving_worlds import SMALL
-from rerun.chunk import RrdReader
 
 from dvrk_cmaes import EstimateConfig, prepare, read_session
 from dvrk_cmaes.cli.track import reason_lines
@@ -51,20 +50,6 @@ def test_reasons_are_counted_with_their_frames() -> None:
     assert lines[:2] == ["  lost: 3 frames (0001 to 0002, 0004)", "  no mask: 2 frames (0001 to 0002)"]
     assert lines[2:] == ["  what to do about reasons: dvrk-cmaes help problems"]
     assert list(reason_lines([{"frame": "0000", **seen}])) == []
-
-
-def test_recording_for_the_rerun_viewer_is_written(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "seen.rrd"
-    options = ["--every", "4", "--lag", "0", "--no-video", "--no-page", "--rerun", str(path)]
-    ran = run_command(capsys, "track", str(recording), "--out", str(tmp_path / "out"), *options)
-    assert ran.code in (0, 3)
-    assert f"for the Rerun viewer: {path}" in ran.out
-    chunks = RrdReader(path).stream().to_chunks()
-    entities = {chunk.entity_path for chunk in chunks}
-    assert {"/camera", "/camera/mask", "/camera/outline", "/joints/jaw/found", "/joints/jaw/read"} <= entities
-    assert sum(chunk.num_rows for chunk in chunks if chunk.entity_path == "/camera/mask") == 2
 
 
 def test_video_and_page_can_be_left_out(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -88,31 +88,6 @@ def test_video_of_a_session_is_followed(
     film.release()
 
 
-def test_first_mask_is_found_in_the_box(
-    world: MovingWorld, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    there = np.argwhere(world.masks[0])
-    (top, left), (bottom, right) = there.min(axis=0), there.max(axis=0)
-    box = f"{left},{top},{right},{bottom}"
-    rows = follow(capsys, session / "video.mp4", tmp_path / "out", "--box", box, "--no-video")
-    assert error_mm(world, rows[-1], FRAMES - 1) < 2.5
-
-
-@pytest.mark.parametrize(("axis", "side"), [(1, "left"), (1, "right"), (0, "left"), (0, "right")])
-def test_eye_of_a_stereo_video_is_chosen(
-    images: list[np.ndarray], session: Path, tmp_path: Path, axis: int, side: str
-) -> None:
-    other = [np.full_like(shown, 40) for shown in images]
-    pair = (images, other) if side == "left" else (other, images)
-    both = [np.concatenate(eyes, axis=axis) for eyes in zip(*pair, strict=True)]
-    shutil.copytree(session, tmp_path / "stereo")
-    path = write_video(tmp_path / "stereo" / "film.avi", both)
-    found = read_session(tmp_path / "stereo", video=SessionVideo.open(path, side=side))  # type: ignore[arg-type]
-    for files, shown in zip(found.frames, images, strict=True):
-        assert files.video is not None
-        assert np.array_equal(files.video.image(), shown)
-
-
 def test_frames_are_read_in_any_order(images: list[np.ndarray], session: Path) -> None:
     frames = read_session(session, video=SessionVideo.open(session / "video.mp4")).frames
     for k in (3, 1, 1, 5):

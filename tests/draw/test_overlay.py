@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.transforms import moved
 
 from dvrk_cmaes import Body, Camera, Renderer, Result
-from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW
+from dvrk_cmaes.draw.canvas import GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE
 from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.draw.panels import header
-from dvrk_cmaes.draw.projection import found_edges, project_visible, projected_edges, skeleton_lines
+from dvrk_cmaes.draw.projection import project_visible, projected_edges, skeleton_lines
 from dvrk_cmaes.results.result import Quality
 
 PINHOLE = Camera(640, 480, 1030.0, 1030.0, 318.2, 243.7)
@@ -80,56 +79,6 @@ def test_all_parts_are_drawn(bundled_body: Body, camera: Camera, width: int) -> 
         assert count(frame, colour) > 30, colour
 
 
-def test_tints_show_mask_and_silhouette_differences(bundled_body: Body) -> None:
-    mask = true_mask(bundled_body, PINHOLE)
-    off = moved(POSE, [0.002, 0.002, 0.0, 0.0, 0.0, 0.1])
-
-    def areas(pose: np.ndarray) -> tuple[float, float]:
-        """Give the share of the mask that each tint covers."""
-        frame = picture_of(draw_overlay(result(pose), mask, PINHOLE, bundled_body), mask.shape).astype(int)
-        ground, inside = np.array(DARK), np.array([56, 56, 56])
-        half = [(inside + YELLOW) // 2, (ground + SKY_BLUE) // 2]
-        mask_only, silhouette_only = ((np.abs(frame - tint).max(axis=2) < 4).sum() for tint in half)
-        return mask_only / (4 * mask.sum()), silhouette_only / (4 * mask.sum())
-
-    assert max(areas(POSE)) < 0.002
-    assert min(areas(off)) > 0.02
-
-
-def test_image_of_other_size_is_shown(bundled_body: Body) -> None:
-    mask = true_mask(bundled_body, PINHOLE)
-    image = np.full((960, 1280, 3), (40, 60, 160), dtype=np.uint8)
-    frame = picture_of(draw_overlay(result(), mask, PINHOLE, bundled_body, image=image), mask.shape)
-    assert (frame[20, 20] == [40, 60, 160]).all()
-    assert count(frame, (40, 60, 160)) > 0.8 * 960 * 1280
-
-
-def test_ignored_pixels_are_hatched(bundled_body: Body) -> None:
-    mask = true_mask(bundled_body, PINHOLE)
-    ignore = np.zeros_like(mask)
-    ignore[300:400, 300:400] = True
-    frame = picture_of(draw_overlay(result(), mask, PINHOLE, bundled_body, ignore=ignore), mask.shape)
-    corner, elsewhere = frame[620:780, 620:780], frame[620:780, 20:180]
-    assert 0.05 < (corner.max(axis=2) > 100).mean() < 0.5
-    assert (elsewhere.max(axis=2) < 100).all()
-
-
-def test_given_tips_are_marked(bundled_body: Body) -> None:
-    mask = true_mask(bundled_body, PINHOLE)
-    tips = np.array([[500.0, 400.0], [560.0, 420.0]])
-    frame = picture_of(draw_overlay(result(), mask, PINHOLE, bundled_body, keypoints=tips), mask.shape)
-    for u, v in (2 * tips + 0.5).astype(int):
-        assert count(frame[v - 8 : v + 9, u - 8 : u + 9], ORANGE) > 20
-
-
-def test_failed_frame_shows_mask_and_reasons(bundled_body: Body) -> None:
-    mask = true_mask(bundled_body, PINHOLE)
-    failed = result(None, status="failed", reasons=("nothing was found",), joints={}, quality=None, covariance=None)
-    drawn = draw_overlay(failed, mask, PINHOLE, bundled_body)
-    assert count(drawn, VERMILLION) > 500
-    assert count(drawn, YELLOW) > 500
-
-
 def test_instrument_through_camera_plane_is_clipped(bundled_body: Body) -> None:
     through = POSE.copy()
     through[:3, 3] = [0.0, 0.0, 0.02]  # most of the shaft lies behind the camera
@@ -148,17 +97,6 @@ def test_projected_edges_lie_on_outline(bundled_body: Body, camera: Camera) -> N
             around = mask[v - 2 : v + 3, u - 2 : u + 3]
             assert around.any()
             assert not around.all()
-
-
-def test_detected_edges_lie_on_projected_edges(bundled_body: Body) -> None:
-    from dvrk_cmaes.evidence.gather import gather_evidence
-
-    evidence = gather_evidence(true_mask(bundled_body, LENS), LENS, bundled_body.instrument)
-    projected = projected_edges(bundled_body.instrument, POSE, LENS)
-    for edge in found_edges(evidence.shaft_edges[0], LENS):
-        gaps = [np.nanmin(np.linalg.norm(edge[:, None] - other[None], axis=2), axis=1) for other in projected]
-        # Points on the projected edge are up to 5 px apart.
-        assert min(np.median(gap) for gap in gaps) < 2.5
 
 
 def test_skeleton_ends_at_projected_tips(bundled_body: Body) -> None:

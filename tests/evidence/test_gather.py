@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.transforms import lookat_pose
 
-from dvrk_cmaes import Body, Camera, InputError, Renderer
+from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.evidence.distance_field import FIELDS, distance_field
 from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.jaw_tips import distal_direction
@@ -42,18 +42,6 @@ def test_shaft_edges_agree_with_projected_cylinder(bundled_body: Body, camera: C
     assert off < 4 * axis_tilt_error(evidence.shaft_edges[0], camera, shaft.radius)
 
 
-def test_holes_and_blobs_do_not_move_shaft_edges(bundled_body: Body) -> None:
-    camera = CAMERAS["pinhole"]
-    mask = drawn(bundled_body, camera)
-    straight = gather_evidence(mask, camera, bundled_body.instrument).shaft_edges[0]
-    v, u = np.mgrid[:480, :640]
-    middle = straight.ends.mean(axis=(0, 1))
-    mask &= np.hypot(u - middle[0], v - middle[1]) > 6
-    mask |= np.hypot(u - straight.ends[0, 0, 0], v - straight.ends[0, 0, 1]) < 7
-    rough = gather_evidence(mask, camera, bundled_body.instrument).shaft_edges[0]
-    assert (np.abs(rough.planes @ straight.planes.T).max(axis=1) > np.cos(np.deg2rad(0.3))).all()
-
-
 @pytest.mark.parametrize("width", [1280, 2560])
 def test_rough_edges_of_a_large_image_are_found(bundled_body: Body, width: int) -> None:
     camera = CAMERAS["pinhole"].scaled(width, width * 3 // 4)
@@ -72,14 +60,6 @@ def test_rough_edges_of_a_large_image_are_found(bundled_body: Body, width: int) 
     lines /= np.linalg.norm(lines[:, :2], axis=1, keepdims=True)
     away = np.abs(evidence.shaft_edges[0].ends @ lines[:, :2].T + lines[:, 2])
     assert away.min(axis=2).max() < 5 * width / 640
-
-
-def test_edges_much_closer_than_the_mask_is_wide_are_not_the_shaft(bundled_body: Body) -> None:
-    v, u = np.mgrid[:480, :640]
-    bar, disc = (np.abs(v - 240) < 16) & (u > 330), np.hypot(u - 250, v - 240) < 130
-    alone, beside = (gather_evidence(mask, CAMERAS["pinhole"], bundled_body.instrument) for mask in (bar, bar | disc))
-    assert alone.shaft_edges
-    assert beside.shaft_edges == ()
 
 
 def towards_jaws(mask: np.ndarray, camera: Camera, ends: list[list[list[float]]]) -> tuple[float, bool]:
@@ -101,15 +81,6 @@ def test_instrument_points_away_from_where_it_comes_in() -> None:
     assert towards_jaws(beam & (u > 290) & (u < 500), camera, ends) == (1, False)
 
 
-def test_instrument_points_away_from_the_border_through_a_lens_that_bends_it() -> None:
-    v, u = np.mgrid[:480, :640]
-    camera = Camera(640, 480, 320, 320, 320, 240, (0.1, 0.02, 0.0, 0.0, 0.0, 0.45, 0.05, 0.0), "rational_polynomial")
-    middle = float((camera.normalise(np.array([[600.0, 240.0]])) * 320 + 320)[0, 0])
-    assert middle > 640  # the middle of the edges lies outside the image of a camera without a lens
-    ends = [[[middle - 60, 220.0], [middle + 60, 220.0]], [[middle + 60, 260.0], [middle - 60, 260.0]]]
-    assert towards_jaws((np.abs(v - 240) < 20) & (u > 200), camera, ends) == (-1, True)
-
-
 def test_jaw_tips_agree_with_projected_tips(bundled_body: Body) -> None:
     camera = CAMERAS["pinhole"]
     tips = gather_evidence(drawn(bundled_body, camera), camera, bundled_body.instrument).tips
@@ -127,28 +98,6 @@ def test_round_mask_has_no_shaft_edges(bundled_body: Body) -> None:
     assert any(line.startswith("shaft edges: ") for line in evidence.unused)
 
 
-def test_contour_is_subpixel_with_outward_normals() -> None:
-    v, u = np.mgrid[:480, :640]
-    contour = find_contour(np.hypot(u - 300.4, v - 200.3) < 80, CAMERAS["pinhole"])
-    way = contour.pixels - [300.4, 200.3]
-    radius = np.linalg.norm(way, axis=1)
-    assert abs(radius.mean() - 80) < 0.1
-    assert radius.std() < 0.25
-    assert ((way / radius[:, None] * contour.normals).sum(axis=1) > 0.97).all()
-
-
-def test_normals_of_a_contour_are_those_of_the_undistorted_one() -> None:
-    v, u = np.mgrid[:480, :640]
-    mask = np.hypot(u - 170, v - 120) < 100  # near a corner, where the lens bends most
-    straight, bent = (find_contour(mask, camera) for camera in CAMERAS.values())
-    lens, step = CAMERAS["lens"], 1e-3
-    along = np.stack([-straight.normals[:, 1], straight.normals[:, 0]], axis=1)
-    ahead, behind = (lens.normalise(straight.pixels + sign * step * along) * [lens.fx, lens.fy] for sign in (1, -1))
-    tangent = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1, keepdims=True)
-    np.testing.assert_allclose(bent.normals, np.stack([tangent[:, 1], -tangent[:, 0]], axis=1), atol=1e-6)
-    assert np.abs(bent.normals - straight.normals).max() > 0.01
-
-
 @pytest.mark.parametrize("method", FIELDS)
 def test_distance_field_is_zero_inside_mask(method: str) -> None:
     v, u = np.mgrid[:90, :120]
@@ -156,17 +105,3 @@ def test_distance_field_is_zero_inside_mask(method: str) -> None:
     field = distance_field(mask, method)
     assert (field[mask] == 0).all()
     np.testing.assert_allclose(field, np.maximum(np.hypot(u - 60, v - 40) - 20, 0), rtol=0.03, atol=0.8)
-
-
-@pytest.mark.parametrize("method", FIELDS)
-def test_distance_field_of_some_pixels_is_that_of_all(method: str, bundled_body: Body) -> None:
-    camera = CAMERAS["pinhole"]
-    mask, where = (np.pad(drawn(bundled_body, one), 1) for one in (camera, CAMERAS["lens"]))
-    some, every = distance_field(mask, method, where=where), distance_field(mask, method)
-    assert every[where].max() > 3
-    np.testing.assert_array_equal(some[where], every[where])
-
-
-def test_unknown_distance_field_is_refused() -> None:
-    with pytest.raises(InputError, match="distance field: expected one of"):
-        distance_field(np.eye(4, dtype=np.bool_), "euclid")

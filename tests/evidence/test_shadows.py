@@ -50,15 +50,6 @@ def test_right_mask_has_none(width: int) -> None:
     assert shadow_stretches(image, rough) is None
 
 
-def test_image_of_another_size_is_fitted_to_the_mask() -> None:
-    image, bar = scene(640)
-    mask = shifted(bar, 7)
-    small = cv2.resize(mask.astype(np.uint8), (320, 240), interpolation=cv2.INTER_AREA) > 0
-    found = shadow_stretches(image, small)
-    assert found is not None
-    assert found.shape == small.shape
-
-
 def test_image_that_shows_nothing_tells_nothing() -> None:
     _, bar = scene(320)
     assert shadow_stretches(np.full((240, 320, 3), 90, np.uint8), bar) is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.places import bundled_path
-from helpers.transforms import lookat_pose, transform
+from helpers.transforms import lookat_pose
 
 from dvrk_cmaes import Body, Camera, EstimateConfig, Renderer, estimate, read_frame, read_session
 from dvrk_cmaes.config import TrustConfig
@@ -52,45 +52,6 @@ def test_bend_along_cut_is_sagitta_of_round_end() -> None:
     assert largest_bend(outline, rounded_by(5.0, outline), WIDTH) == pytest.approx(5.0, abs=0.05)
 
 
-def test_straight_end_has_no_bend() -> None:
-    outline = bar()
-    assert largest_bend(outline, np.zeros(len(outline)), WIDTH) == 0
-
-
-@pytest.mark.parametrize("degrees", [17, 45, 123, 210, 301])
-def test_cut_in_any_direction_is_found(degrees: float) -> None:
-    outline, turn = bar(), np.deg2rad(degrees)
-    turned = outline @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    assert largest_bend(turned, rounded_by(5.0, outline), WIDTH) == pytest.approx(5.0, abs=0.2)
-
-
-def test_shifted_and_rotated_silhouette_has_no_bend() -> None:
-    outline = bar()
-    distances, end = np.zeros(len(outline)), at_the_end(outline)
-    distances[end] = 4.0 + 0.1 * outline[end, 1]
-    assert np.ptp(distances) == 10.0
-    assert largest_bend(outline[end], distances[end], WIDTH) < 1e-9
-
-
-def test_line_shorter_than_shaft_width_is_no_cut() -> None:
-    outline = bar(width=40.0)
-    assert largest_bend(outline, rounded_by(5.0, outline), 40.0) > 4.9
-    assert largest_bend(outline, rounded_by(5.0, outline), 60.0) == 0
-
-
-def test_line_with_mask_on_both_sides_is_no_cut() -> None:
-    """The mask is interrupted by an object that crosses it, with shaft and tip on either side."""
-    outline = bar()
-    turn = np.linspace(0, 2 * np.pi, 120)
-    beyond = np.stack([260 + 30 * np.cos(turn), 30 + 30 * np.sin(turn)], axis=1)
-    distances = np.concatenate([rounded_by(5.0, outline), np.zeros(len(turn))])
-    assert largest_bend(np.concatenate([outline, beyond]), distances, WIDTH) < 0.5
-
-
-def test_empty_outline_has_no_bend() -> None:
-    assert largest_bend(np.empty((0, 2)), np.empty(0), WIDTH) == 0
-
-
 @pytest.mark.parametrize("distance", [0.07, 0.11, 0.16])
 def test_complete_mask_at_true_pose_has_no_bend(bundled_body: Body, distance: float) -> None:
     """Mask and silhouette have the same straight lines, so only the pixel grid's noise remains."""
@@ -105,19 +66,6 @@ def test_complete_mask_at_true_pose_has_no_bend(bundled_body: Body, distance: fl
 
 
 # width of the shaft
-
-
-def test_shaft_width_is_distance_of_edges(bundled_body: Body) -> None:
-    mask = Renderer(bundled_body, CAMERA).masks(POSE[None], JOINTS[None])[0]
-    edges = gather_evidence(mask, CAMERA, bundled_body.instrument).shaft_edges[0]
-    root = CAMERA.project(POSE[None, :3, 3])[0]
-    lines = edges.planes @ np.linalg.inv(CAMERA.matrix)
-    apart = -((lines[:, :2] @ root + lines[:, 2]) / np.linalg.norm(lines[:, :2], axis=1)).sum()
-    assert shaft_width(bundled_body.instrument, CAMERA, POSE) == pytest.approx(apart, rel=0.1)
-
-
-def test_shaft_behind_camera_has_no_width(bundled_body: Body) -> None:
-    assert shaft_width(bundled_body.instrument, CAMERA, transform(np.eye(3), np.array([0, 0, -0.1]))) is None
 
 
 # reasons
@@ -147,15 +95,6 @@ def test_neighbouring_images_allow_a_larger_bend(bundled_body: Body, evidence: E
     limit = next(bend for bend in np.arange(2.0, 8.0, 0.01) if doubts(bundled_body, evidence, bend))
     assert doubts(bundled_body, evidence, 1.45 * limit, followed=True) == []
     assert len(doubts(bundled_body, evidence, 1.55 * limit, followed=True)) == 1
-
-
-def test_bend_of_rough_outline_gives_no_reason(bundled_body: Body, evidence: Evidence) -> None:
-    assert doubts(bundled_body, evidence, 2.9) == []
-
-
-def test_threshold_grows_with_shaft_width(bundled_body: Body, evidence: Evidence) -> None:
-    assert doubts(bundled_body, evidence, 4.0, distance=0.11) != []
-    assert doubts(bundled_body, evidence, 4.0, distance=0.1) == []
 
 
 # frames

@@ -12,9 +12,7 @@ import pytest
 from helpers.canned_results import BASE, canned, failed, write_results
 from helpers.commands import Ran, run_command
 from helpers.files import write_json
-from helpers.transforms import moved, rotation_angle
-
-from dvrk_cmaes.export.base_choice import median_pose
+from helpers.transforms import moved
 
 OTHER = moved(BASE, [0.01, 0.02, 0.0, 0.0, 0.0, 0.3])
 
@@ -50,13 +48,6 @@ def test_calibration_is_preferred_to_frames(results: Path, run: Run) -> None:
     assert ran.result["base"]["origin"] == f"the session calibration {results / 'session.json'} of 2 frames"
 
 
-def test_named_frame_is_preferred_to_calibration(results: Path, run: Run) -> None:
-    write_json(results / "session.json", session())
-    ran = run(results, "--to", "dvrk", "--frame", "0001", "--json")
-    np.testing.assert_allclose(exported_base(ran), BASE, atol=1e-8)
-    assert ran.result["base"]["frames"] == ["0001"]
-
-
 def test_median_of_ok_frames_is_exported(results: Path, run: Run) -> None:
     ran = run(results, "--to", "dvrk", "--json")
     np.testing.assert_allclose(exported_base(ran), BASE, atol=1e-6)
@@ -73,19 +64,6 @@ def test_doubtful_frames_are_used_if_too_few_are_ok(tmp_path: Path, run: Run) ->
     ran = run(out, "--to", "dvrk", "--json")
     assert ran.result["base"]["frames"] == ["0000", "0001", "0004"]
     assert ran.err == ("dvrk-cmaes: warning: too few frames are ok (1 of 5): doubtful ones are used as well\n")
-
-
-def test_disagreeing_frames_give_warning(tmp_path: Path, run: Run) -> None:
-    turned = [canned(f"000{k}", camera_from_base=moved(BASE, [0, 0, 0, 0, 0, 0.3 * k])) for k in range(4)]
-    ran = run(write_results(tmp_path, *turned), "--to", "dvrk", "--json")
-    assert ran.result["base"]["spread_deg"] > 5
-    assert "the frames disagree: calibrate the session" in ran.err
-
-
-def test_single_doubtful_frame_gives_warning(results: Path, run: Run) -> None:
-    ran = run(results / "frames" / "0003.json", "--to", "dvrk", "--json")
-    np.testing.assert_allclose(exported_base(ran), OTHER, atol=1e-8)
-    assert ran.err == "dvrk-cmaes: warning: frame 0003 is doubtful: tiny\n"
 
 
 def test_frames_without_pose_are_left_out_with_warning(results: Path, run: Run) -> None:
@@ -113,12 +91,3 @@ def test_results_without_base_are_refused(tmp_path: Path, run: Run) -> None:
 def test_format_that_is_no_longer_written_is_refused_with_what_is_used(results: Path, run: Run, to: str) -> None:
     assert run(results, "--to", to).refusal.startswith(f"--to {to}: no longer an option; use ")
     assert run(results, f"--to={to}").refusal.startswith(f"--to {to}: no longer an option; use ")
-
-
-def test_median_pose_tolerates_third_of_outliers() -> None:
-    rng = np.random.default_rng(0)
-    near = [moved(BASE, [*rng.normal(0, 1e-3, 3), *rng.normal(0, 0.01, 3)]) for _ in range(20)]
-    far = [moved(BASE, [*rng.normal(0, 0.3, 3), *rng.normal(0, 2.0, 3)]) for _ in range(10)]
-    found = median_pose(np.array([*near, *far]))
-    assert np.linalg.norm(found[:3, 3] - BASE[:3, 3]) < 1e-3
-    assert np.degrees(rotation_angle(found, BASE)) < 0.6

@@ -11,8 +11,6 @@ from helpers.commands import run_command
 from helpers.files import write_json
 from helpers.track_rows import row
 
-from dvrk_cmaes import read_results
-from dvrk_cmaes.geometry import quaternion_wxyz
 from dvrk_cmaes.results.track_files import TRACKS, line_of
 
 ROWS = [row(0), row(1), row(2, "lost", "no mask"), row(3, "gone")]
@@ -31,39 +29,12 @@ def tracks(tmp_path: Path) -> Path:
     return tmp_path / "tracks"
 
 
-def test_frames_are_results(tracks: Path) -> None:
-    frames = read_results(tracks).frames
-    assert {name: result.status for name, result in frames.items()} == {
-        "0000": "ok",
-        "0001": "ok",
-        "0002": "doubtful",
-        "0003": "failed",
-    }
-    first = frames["0001"]
-    assert first.time == pytest.approx(1 / 30)
-    np.testing.assert_allclose(first.std_translation_mm, [0.1, 0.2, 0.3])
-    np.testing.assert_allclose(first.std_rotation_deg, [1.0, 2.0, 3.0])
-    assert first.std_joints_deg == pytest.approx({"wrist_pitch": 1.0, "wrist_yaw": 1.0, "jaw": 1.0})
-    assert frames["0002"].reasons == ("no mask",)
-
-
 @pytest.mark.parametrize("to", ["csv", "bop", "tum", "ros1-bag", "ros2-bag"])
 def test_recording_is_exported(capsys: pytest.CaptureFixture[str], tracks: Path, to: str) -> None:
     ran = run_command(capsys, "export", tracks, "--to", to, "--json")
     assert ran.code == 0, ran.err
     assert ran.result["left_out"] == ([] if to == "csv" else ["0003"])  # the table has a row of each frame
     assert all(Path(path).stat().st_size for path in ran.result["written"])
-
-
-def test_tum_has_time_position_and_quaternion(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:
-    assert run_command(capsys, "export", tracks, "--to", "tum", "--out", tracks.parent / "out").code == 0
-    lines = [list(map(float, line.split())) for line in (tracks.parent / "out" / "PSM1.tum").read_text().splitlines()]
-    assert len(lines) == 3
-    for numbers, entry in zip(lines, ROWS, strict=False):
-        pose = np.array(entry["camera_from_root"])
-        assert numbers[0] == pytest.approx(entry["time"], abs=1e-6)
-        np.testing.assert_allclose(numbers[1:4], pose[:3, 3], atol=1e-9)
-        np.testing.assert_allclose(np.roll(numbers[4:], 1), quaternion_wxyz(pose[:3, :3]), atol=1e-9)
 
 
 def test_tum_takes_times_and_says_where_there_are_none(capsys: pytest.CaptureFixture[str], tracks: Path) -> None:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL
 from helpers.track_rows import row
-from helpers.transforms import exp_rotation, inverse, transform
 from rerun.chunk import RrdReader
 
-from dvrk_cmaes import Body, DvrkCmaesError, InputError, Rig
+from dvrk_cmaes import Body, DvrkCmaesError, InputError
 from dvrk_cmaes.export.rerun_file import check_rerun, rerun_file
 from dvrk_cmaes.results.tracked import TrackView
 
@@ -89,15 +86,6 @@ def test_timelines_are_frame_and_time(recording: Recording) -> None:
     np.testing.assert_allclose(times, [0, 1 / 30, 2 / 30], atol=1e-8)
 
 
-def test_joints_are_curves_in_degrees_with_gaps(recording: Recording) -> None:
-    found = [value for value in recording.column("/joints/jaw/found", "Scalars:scalars") if value]
-    read = [value for value in recording.column("/joints/jaw/read", "Scalars:scalars") if value]
-    np.testing.assert_allclose(np.ravel(found), np.degrees([0.2, 0.22]))
-    np.testing.assert_allclose(np.ravel(read), np.degrees([0.5, 0.6]))
-    assert len(recording.column("/joints/jaw/found", "frame")) == 3
-    np.testing.assert_allclose(np.ravel(recording.column("/offsets/roll", "Scalars:scalars")), np.degrees([0.05, 0.05]))
-
-
 def test_links_have_their_poses_and_are_hidden_without_one(recording: Recording, bundled_body: Body) -> None:
     places = [value for value in recording.column("/instrument", "Transform3D:translation") if value]
     np.testing.assert_allclose(np.reshape(places, (-1, 3)), [[0, 0, 0.1], [0.002, 0, 0.1]], atol=1e-7)
@@ -107,59 +95,6 @@ def test_links_have_their_poses_and_are_hidden_without_one(recording: Recording,
     for link, pose in zip(bundled_body.instrument.links, bundled_body.instrument.forward(joints), strict=True):
         turned = recording.column(f"/instrument/{link.name}", "Transform3D:mat3x3")[0]
         np.testing.assert_allclose(np.reshape(turned, (3, 3)).T, pose[:3, :3], atol=1e-6)
-
-
-def test_images_and_masks_are_pictures(recording: Recording, image: np.ndarray, mask: np.ndarray) -> None:
-    def decoded(entity: str, number: int) -> np.ndarray:
-        blobs = [value for value in recording.column(entity, "EncodedImage:blob") if value]
-        return cv2.imdecode(np.array(blobs[number][0], np.uint8), cv2.IMREAD_UNCHANGED)
-
-    assert np.abs(decoded("/camera/image", 0).astype(int) - image).max() < 6
-    for number in (0, 1):  # of the first and the third frame
-        seen = decoded("/camera/mask", number)
-        np.testing.assert_array_equal(seen[..., 3] > 0, mask)
-    strips = recording.column("/camera/outline", "LineStrips2D:strips")
-    corners = np.array(strips[0][0])
-    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[60.5, 40.5], [199.5, 119.5]])
-
-
-def test_status_and_reasons_are_told(recording: Recording) -> None:
-    assert np.ravel(recording.column("/status", "StateChange:state")).tolist() == ["ok", "gone", "doubtful"]
-    told = np.ravel(recording.column("/reasons", "TextLog:text")).tolist()
-    (colours,) = recording.column("/status", "StateConfiguration:values", static=True)
-    assert {"ok", "doubtful", "lost", "gone"} == set(colours)
-    assert told == ["0000: ok", "0001: gone; no mask", "0002: doubtful; uncertain: x"]
-
-
-def test_frames_without_times_have_numbers_only(bundled_body: Body, tmp_path: Path) -> None:
-    with rerun_file(tmp_path / "a.rrd", SMALL, bundled_body.instrument, "made") as log:
-        log.add(0, row(0, time=None), {}, [TrackView(None, None, None, SIZE)])
-    names = {name for chunk in Recording(tmp_path / "a.rrd").chunks for name in chunk.timeline_names}
-    assert names == {"frame"}
-
-
-def test_each_view_of_a_rig_has_its_camera_and_pictures(bundled_body: Body, mask: np.ndarray, tmp_path: Path) -> None:
-    right = replace(SMALL, cx=SMALL.cx + 3)
-    right_from_left = transform(exp_rotation([0.01, -0.02, 0.0]), [-0.005, 0.0, 0.0])
-    moved = np.roll(mask, 20, axis=1)
-    with rerun_file(
-        tmp_path / "a.rrd", Rig.stereo(SMALL, right, right_from_left), bundled_body.instrument, "made"
-    ) as log:
-        log.add(0, row(0), {}, [TrackView(None, mask, mask, SIZE), TrackView(None, moved, moved, SIZE)])
-    found = Recording(tmp_path / "a.rrd")
-    assert {"/camera", "/camera_right"} <= found.entities(static=True)
-    (place,) = found.column("/camera_right", "Transform3D:translation", static=True)
-    np.testing.assert_allclose(np.ravel(place), inverse(right_from_left)[:3, 3], atol=1e-7)
-    (matrix,) = found.column("/camera_right", "Pinhole:image_from_camera", static=True)
-    np.testing.assert_allclose(np.reshape(matrix, (3, 3)).T[0, 2], right.cx + 0.5)
-    ((strip,),) = found.column("/camera_right/outline", "LineStrips2D:strips")
-    np.testing.assert_allclose(np.min(strip, axis=0), [80.5, 40.5])
-
-
-def test_nothing_is_left_after_an_error(bundled_body: Body, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="broken"), rerun_file(tmp_path / "a.rrd", SMALL, bundled_body.instrument, "s"):
-        raise InputError("broken")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_place_that_cannot_be_written_to_is_named(bundled_body: Body, tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from dvrk_cmaes.export.ros_topics import ToolTip
 from dvrk_cmaes.instrument.arm import base_from_root
 
 KINDS = {"ros1-bag": "PSM1.bag", "ros2-bag": "PSM1"}
@@ -74,10 +73,6 @@ def matrix(position: Any, orientation: Any) -> np.ndarray:
 
 def poses(messages: Messages, topic: str) -> list[np.ndarray]:
     return [matrix(message.pose.position, message.pose.orientation) for _, message in messages[topic]]
-
-
-def stamps(messages: Messages, topic: str) -> list[int]:
-    return [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for _, message in messages[topic]]
 
 
 @pytest.fixture
@@ -154,22 +149,6 @@ def test_tip_is_that_of_tool_description(run: Run, results: Path, shared: Path) 
     assert lengths[1] == pytest.approx([0.0107] * 3)
 
 
-def test_without_times_frames_are_numbered_with_warning(run: Run, results: Path) -> None:
-    ran = run(results, "--to", "ros1-bag")
-    assert ran.code == 0
-    assert "the frames' times are not known (--times images.csv): they are numbered, one second apart" in ran.err
-    assert stamps(read_bag(results / "exports" / "PSM1.bag"), "/PSM1/measured_js") == [10**9, 2 * 10**9, 3 * 10**9]
-
-
-def test_times_in_names_are_used(run: Run, tmp_path: Path) -> None:
-    names = [f"left_{time // 10**9}.{time % 10**9:09d}" for time in TIMES.values()]
-    out = write_results(tmp_path / "out", *(canned(name, k) for k, name in enumerate(names)))
-    ran = run(out, "--to", "ros1-bag")
-    assert ran.err == ""
-    messages = read_bag(out / "exports" / "PSM1.bag")
-    assert stamps(messages, f"{FOUND}/camera_from_root") == list(TIMES.values())
-
-
 def test_base_that_is_not_known_is_left_out(run: Run, tmp_path: Path) -> None:
     out = write_results(tmp_path / "out", canned("0001", camera_from_base=None))
     ran = run(out, "--to", "ros2-bag")
@@ -208,8 +187,3 @@ def test_missing_library_is_named(monkeypatch: pytest.MonkeyPatch, run: Run, res
         "--to ros1-bag: ROS recordings are written by the library rosbags, which is not installed; "
         "run: pip install 'rosbags>=0.11,<0.12'"
     )
-
-
-def test_tip_needs_both_wrist_angles() -> None:
-    assert ToolTip().in_root({"wrist_pitch": 0.1}) is None
-    assert ToolTip().in_root({"wrist_pitch": 0.1, "wrist_yaw": 0.2}) is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -38,13 +37,6 @@ def test_times_of_images_are_those_of_frames(folder: Path) -> None:
     assert times == [1.5, None, 1755000000.25, None, None]
 
 
-def test_times_of_readings_are_those_of_frames(folder: Path) -> None:
-    header, *rows = (folder / "joints.csv").read_text().splitlines()
-    timed = [f"{row},{k / 4}" for k, row in enumerate(rows)]
-    (folder / "joints.csv").write_text("\n".join([f"{header},time", *timed]))
-    assert [frame.time for frame in read_session(folder).frames] == [0, 0.25, 0.5, 0.75, 1]
-
-
 @pytest.mark.parametrize("tips", [1, 2])
 def test_golden_tips_are_one_or_two(folder: Path, tips: int) -> None:
     truth = read_golden(folder / "golden.json")
@@ -53,12 +45,6 @@ def test_golden_tips_are_one_or_two(folder: Path, tips: int) -> None:
     write_golden(folder / "golden.json", SessionTruth({"0000": replace(frame, tips=frame.tips[:tips])}))
     again = read_golden(folder / "golden.json").frames["0000"].tips
     np.testing.assert_allclose(again, frame.tips[:tips], atol=1e-9)
-
-
-def test_frame_without_row_has_no_readings(folder: Path) -> None:
-    rows = (folder / "joints.csv").read_text().splitlines()
-    (folder / "joints.csv").write_text("\n".join(rows[:-1]))
-    assert read_session(folder).frames[-1].readings == {}
 
 
 def test_other_folder_is_refused(tmp_path: Path) -> None:
@@ -76,10 +62,3 @@ def test_keypoints_are_read_by_frame(tmp_path: Path) -> None:
     path.write_text("frame,tip_1_u,tip_1_v,tip_2_u,tip_2_v\n7, 1,2 ,3,4\n")
     found = read_keypoints(path)
     np.testing.assert_array_equal(found["7"], [[1, 2], [3, 4]])
-
-
-def test_golden_file_round_trip(tmp_path: Path) -> None:
-    write_golden(tmp_path / "golden.json", read_golden(DEMO / "golden.json"))
-    again, first = (json.loads((folder / "golden.json").read_text()) for folder in (tmp_path, DEMO))
-    assert again["frames"]["0003"] == first["frames"]["0003"]
-    assert again["camera_from_base"] == first["camera_from_base"]

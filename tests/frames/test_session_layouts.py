@@ -68,18 +68,6 @@ def test_damaged_reading_affects_its_frame_only(tmp_path: Path) -> None:
         read_frame(bad, read_session(inside, camera=CAMERA).camera)
 
 
-def test_published_frame_agrees_with_converted_session(shared: Path) -> None:
-    easy = shared / "frames" / "real" / "easy"
-    (found,) = read_session(shared / "formats" / "published_layout", camera=easy / "camera.yaml").frames
-    same = {frame.name: frame for frame in read_session(easy).frames}[found.name]
-    assert found.readings == pytest.approx(same.readings, abs=1e-6)
-    camera = read_session(easy).camera
-    one, other = read_frame(found, camera), read_frame(same, camera)
-    assert (one.mask != other.mask).sum() == 0
-    assert one.image is not None
-    assert one.image.shape == (480, 640, 3)
-
-
 def test_image_outside_recording_is_unusable(folder: Path) -> None:
     (folder / "joints.csv").write_text("time,jaw\n10.00,0.2\n10.04,0.4\n")
     (folder / "images.csv").write_text("frame,time\n0000,10.02\n0001,10.05\n")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from helpers.instrument_files import TETRA_OBJ, gripper, write_urdf
 from helpers.places import bundled_path
 
-from dvrk_cmaes import InputError, load_instrument
+from dvrk_cmaes import load_instrument
 from dvrk_cmaes.instrument import urdf
 
 
@@ -72,26 +71,6 @@ def test_changed_mesh_or_urdf_is_read_again(folder: Path, count_reads: list[Path
     source.write_text(source.read_text() + "\n")
     load_instrument(source, use_cache=True)
     assert len(count_reads) == 3
-
-
-def test_pipe_in_place_of_a_mesh_that_was_cached_is_refused(folder: Path) -> None:
-    source = folder / "small" / "small.urdf"
-    load_instrument(source, use_cache=True)
-    mesh = folder / "small" / "meshes" / "wrist.obj"
-    mesh.unlink()
-    os.mkfifo(mesh)
-    with pytest.raises(InputError, match=mesh.stem):
-        load_instrument(source, use_cache=True)
-
-
-def test_other_options_have_their_own_entry(folder: Path) -> None:
-    source = folder / "small" / "small.urdf"
-    thin = load_instrument(source, use_cache=True, shaft_radius=0.003)
-    thick = load_instrument(source, use_cache=True)
-    assert thin.shaft is not None
-    assert thick.shaft is not None
-    assert thin.shaft.radius == 0.003
-    assert thick.shaft.radius > 0.0039
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 no archive", b"\x00" * 5000])

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yourdfpy
-from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, loaded, write_urdf
+from helpers.instrument_files import ALL_SHARED, box_link, joint, loaded, write_urdf
 from helpers.places import bundled_path
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -52,12 +52,6 @@ def test_real_instruments_agree_with_yourdfpy(path: Path, fractions: np.ndarray)
     check_against_yourdfpy(path, fractions)
 
 
-@settings(max_examples=25, deadline=None)
-@given(fractions=BATCHES)
-def test_bundled_instrument_agrees_with_yourdfpy(fractions: np.ndarray) -> None:
-    check_against_yourdfpy(BUNDLED, fractions)
-
-
 MIXED = (
     box_link("roll_link")
     + joint("follower", "prismatic", "roll_link", "a", '<origin xyz="0.1 0 0.2" rpy="0.3 -1 2"/><axis xyz="0 0 -1"/>'
@@ -99,22 +93,6 @@ def test_chained_mimic_joints_follow_first_joint(tmp_path: Path) -> None:
     instrument = load_instrument(write_urdf(tmp_path, body))
     assert instrument.joint_names == ("first",)
     np.testing.assert_allclose(instrument.forward([0.2])[:, 0, 3], [0, 0.2, 0.5, -3 * 0.5 + 0.5])
-
-
-def test_joint_without_geometry_is_left_out(tmp_path: Path) -> None:
-    body = (
-        gripper() + joint("idle", "revolute", "jaw_link", "nothing", '<axis xyz="1 0 0"/>') + '<link name="nothing"/>'
-    )
-    instrument = load_instrument(write_urdf(tmp_path, body))
-    assert instrument.joint_names == ("wrist_pitch", "wrist_yaw", "jaw")
-    assert [link.name for link in instrument.links] == ["roll_link", "wrist_pitch_link", "jaw_1_link", "jaw_2_link"]
-
-
-@pytest.mark.shared
-def test_joints_of_real_instruments() -> None:
-    for path in ALL_SHARED:
-        assert loaded(path).joint_names == ("wrist_pitch", "wrist_yaw", "jaw")[: 2 if path == HOOK else 3]
-    np.testing.assert_allclose(loaded(SCANNED).limits, [[-1.39626, 1.39626]] * 2 + [[-0.349066, 1.39626]])
 
 
 def test_unknown_joint_is_refused_with_nearest_name() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, box_link, gripper, joint, loaded, write_urdf
+from helpers.instrument_files import ALL_SHARED, HOOK, SCANNED, gripper, joint, loaded, write_urdf
 from helpers.places import bundled_path
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from dvrk_cmaes import InputError, load_instrument
 from dvrk_cmaes.instrument import Shaft
-from dvrk_cmaes.instrument.symmetry import twin_distance
 
 LND = bundled_path("instruments", "lnd", "lnd.urdf")
 FRACTION = st.floats(0.0, 1.0)
@@ -59,21 +58,6 @@ def test_scanned_shaft_excludes_flange() -> None:
     shaft = loaded(SCANNED).shaft
     assert shaft is not None
     check_shaft(shaft, 0.00407, -0.3237, -0.0090, 1e-4)
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("path", ALL_SHARED[1:], ids=lambda path: path.stem)
-def test_modelled_shafts_exclude_wrist_mount(path: Path) -> None:
-    shaft = loaded(path).shaft
-    assert shaft is not None
-    check_shaft(shaft, 0.004365, -0.5566, -0.0090, 1e-4)
-
-
-def test_shaft_is_straight_part_without_flange(small: Path) -> None:
-    shaft = shaft_of(small)
-    assert 0.004 * np.cos(np.pi / 64) < shaft.radius < 0.004
-    check_shaft(shaft, 0.004, -0.31, -0.01, 5e-6)
-    assert shaft.length == pytest.approx(0.3, abs=1e-5)
 
 
 def test_radius_is_mean_half_width_over_views(tmp_path: Path) -> None:
@@ -122,44 +106,11 @@ def test_missing_shaft_requires_radius_and_axis(small: Path) -> None:
     assert (shaft.proximal_end, shaft.distal_end) == pytest.approx((0.0, 0.009))
 
 
-@pytest.mark.parametrize(
-    "shape", ['<box size="0.008 0.008 0.3"/>', '<cylinder radius="0.01" length="0.05"/>', '<sphere radius="0.1"/>']
-)
-def test_square_short_and_round_shapes_are_no_shaft(tmp_path: Path, shape: str) -> None:
-    assert load_instrument(write_urdf(tmp_path, gripper(shape))).shaft is None
-
-
 def test_shaft_is_found_from_root_above_roll_joint(tmp_path: Path) -> None:
     base = '<link name="base"/>' + joint(
         "roll", "revolute", "base", "roll_link", '<origin xyz="0 0 0.4"/><axis xyz="0 0 1"/>'
     )
     check_shaft(shaft_of(write_urdf(tmp_path, base + gripper()), root_link="base"), 0.004, 0.09, 0.39, 5e-6)
-
-
-def test_shaft_behind_other_joint_is_ignored(tmp_path: Path) -> None:
-    base = box_link("base") + joint("swing", "revolute", "base", "roll_link", '<axis xyz="1 0 0"/>')
-    assert load_instrument(write_urdf(tmp_path, base + gripper()), root_link="base").shaft is None
-
-
-def test_wrist_pin_is_no_shaft(tmp_path: Path) -> None:
-    pin = '<visual><geometry><cylinder radius="0.0005" length="0.006"/></geometry></visual>'
-    body = gripper().replace('<link name="wrist_yaw_link"/>', f'<link name="wrist_yaw_link">{pin}</link>')
-    path = write_urdf(tmp_path, body)
-    assert load_instrument(path, root_link="wrist_yaw_link").shaft is None
-    assert load_instrument(path, root_link="wrist_pitch_link").shaft is None
-    check_shaft(shaft_of(path), 0.004, -0.31, -0.01, 5e-6)
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("root", ["wrist_pitch_link", "wrist_yaw_link"])
-@pytest.mark.parametrize("path", ALL_SHARED[1:], ids=lambda path: path.stem)
-def test_real_instruments_have_no_shaft_below_roll_link(path: Path, root: str) -> None:
-    assert load_instrument(path, root_link=root).shaft is None
-
-
-def test_rod_has_axis_along_z(tmp_path: Path) -> None:
-    rod = '<link name="roll_link"><visual><geometry><cylinder radius="0.004" length="0.3"/></geometry></visual></link>'
-    check_shaft(shaft_of(write_urdf(tmp_path, rod)), 0.004, -0.15, 0.15, 5e-6)
 
 
 # jaw tips
@@ -201,19 +152,6 @@ def test_jaw_tips_of_boxes_are_centres_of_ends(small: Path) -> None:
 # skeleton
 
 
-def test_skeleton_follows_shaft_axes_and_tips(small: Path) -> None:
-    instrument = loaded(small)
-    joints = [0.3, -0.4, 0.5]
-    points = instrument.skeleton(joints)
-    np.testing.assert_allclose(points[0], [0, 0, -0.31], atol=1e-5)
-    np.testing.assert_allclose(points[-5], [0, 0, -0.01], atol=1e-5)
-    np.testing.assert_allclose(points[-4], [0, 0, 0], atol=1e-12)
-    jaw = [link.name for link in instrument.links].index("jaw_1_link")
-    np.testing.assert_allclose(points[-3], instrument.forward(joints)[jaw, :3, 3], atol=1e-12)
-    np.testing.assert_allclose(points[-2:], instrument.tips(joints))
-    assert np.linalg.norm(np.diff(points[:-4], axis=0), axis=1).max() < 0.0101
-
-
 # mirror twin
 
 
@@ -224,15 +162,6 @@ def test_tips_of_twin_coincide_in_reverse_order(pitch: float, yaw: float, jaw: f
     half_turn, mirrored = lnd.twin(np.eye(4), joints)
     tips = lnd.tips(mirrored) @ half_turn[:3, :3].T + half_turn[:3, 3]
     np.testing.assert_allclose(tips[::-1], lnd.tips(joints), atol=1e-5)
-
-
-def test_symmetric_instruments_have_twin(tmp_path: Path, small: Path) -> None:
-    assert loaded("lnd").has_twin
-    assert loaded(small).has_twin
-    barb = joint("bolt", "fixed", "jaw_1_link", "barb") + box_link("barb", "0.004 0.01 0.004", "-0.004 0.01 0.004")
-    barbed = load_instrument(write_urdf(tmp_path, gripper() + barb))
-    assert not barbed.has_twin
-    assert twin_distance(barbed) > 1e-3
 
 
 @pytest.mark.shared

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -15,10 +12,8 @@ import pytest
 from msgspec import Struct
 
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.typed_document import Count, Number, Point, Texts, Transform, convert_document
 
-POSE = np.eye(4).tolist()
 HUGE = 10**400
 
 
@@ -45,36 +40,6 @@ class Whole:
     point: Point | None = None
     named: Named | None = None
     free: dict[str, Any] = field(default_factory=dict)
-
-
-def refusal(convert: Callable[[], object]) -> str:
-    """Return the message of the InputError, empty if there is none."""
-    try:
-        convert()
-    except InputError as error:
-        return str(error)
-    return ""
-
-
-def test_document_is_converted_to_its_types() -> None:
-    whole = convert_document(
-        "a.json",
-        {
-            "size": 1,
-            "notes": ["a"],
-            "parts": [{"score": 0.5}],
-            "pose": POSE,
-            "point": [1, 2, 3.5],
-            "named": {"base-frame": "camera"},
-            "free": {"deep": [None, {}]},
-            "unknown": 3,
-        },
-        Whole,
-    )
-    assert (whole.size, type(whole.size), whole.notes, whole.parts) == (1.0, float, ("a",), (Part(0.5),))
-    assert (whole.kind, whole.free, whole.named) == ("near", {"deep": [None, {}]}, Named("camera"))
-    np.testing.assert_array_equal(whole.pose, np.eye(4))
-    np.testing.assert_array_equal(whole.point, [1, 2, 3.5])
 
 
 @pytest.mark.parametrize(
@@ -116,31 +81,6 @@ def test_wrong_field_is_named(change: dict[str, Any], expected: str) -> None:
         convert_document("a.json", {"size": 1, **change}, Whole)
     assert str(caught.value).startswith(f"a.json: {expected}")
     assert len(str(caught.value)) < 200
-
-
-def test_document_must_be_an_object() -> None:
-    with pytest.raises(InputError, match=r"^a\.json: expected an object, got \[1\]$"):
-        convert_document("a.json", [1], Whole)
-
-
-@pytest.mark.parametrize("name", ["free", "notes", "values"])
-def test_deep_nesting_ends_in_one_line(tmp_path: Path, name: str) -> None:
-    path = tmp_path / "a.json"
-    for levels in range(850, 1000, 3):  # Python's limit of recursion lies among them
-        path.write_text('{"size": 1, "' + name + '": ' + '{"a":' * levels + "1" + "}" * levels + "}")
-        text = refusal(lambda: convert_document(str(path), read_json_object(path, expected="a document"), Whole))
-        assert text.startswith(f"{path}: ") or (name == "free" and not text)
-        assert "\n" not in text
-
-
-def test_every_damaged_value_is_converted_or_refused() -> None:
-    good = {"size": 1, "values": {"a": 1}, "parts": [{"score": 1}], "pose": POSE, "named": {"base-frame": ""}}
-    values = [None, True, -1, HUGE, 1e999, "", "\ud800", [], {}, [[]], {"a": {}}, json.loads("NaN")]
-    for name in Whole.__dataclass_fields__:
-        for value in values:
-            document = {**good, name: value}
-            text = refusal(lambda document=document: convert_document("a.json", document, Whole))
-            assert not text or "expected" in text
 
 
 THREADS = """

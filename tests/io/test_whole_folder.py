@@ -94,24 +94,11 @@ def test_file_that_is_added_while_the_new_folder_is_written_is_kept(out: Path) -
     assert (out / "camera.yaml").read_text() == "first"
 
 
-def test_file_that_is_added_in_the_last_moment_is_kept(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    exchange = output_module._exchange
-
-    def add_then_exchange(above: int, first: str, second: str) -> None:
-        add_mask(out)
-        exchange(above, first, second)
-
-    monkeypatch.setattr(output_module, "_exchange", add_then_exchange)
-    write(out, "second")
-    assert (out / "masks" / "0.png").read_text() == "mine"
-    assert (out / "camera.yaml").read_text() == "second"
-
-
 @pytest.mark.parametrize("in_one_step", [True, False])
 @pytest.mark.parametrize("link", [True, False])
 def test_own_folder_is_replaced(out: Path, monkeypatch: pytest.MonkeyPatch, in_one_step: bool, link: bool) -> None:
     if not in_one_step:
-        monkeypatch.setattr(output_module, "_RENAME_EXCHANGE", -1)  # no such flag
+        monkeypatch.setattr(output_module, "RENAME_EXCHANGE", -1)  # no such flag
     if link:
         os.symlink(out, out.parent / "link")
     write(out.parent / "link" if link else out, "second")

@@ -10,7 +10,7 @@ import pytest
 
 from dvrk_cmaes import InputError
 from dvrk_cmaes.joints.reading import frame_readings, read_joint_file, read_joints
-from dvrk_cmaes.joints.times import parse_time, read_image_times, time_in_name
+from dvrk_cmaes.joints.times import parse_time, time_in_name
 
 ARM = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 VALUES = (0.59, -0.48, 0.1697, 0.39, -0.68, -0.36)
@@ -57,19 +57,6 @@ def message(path: Path, frame: str | None = None) -> str:
 
 
 # messages of a topic
-
-
-def test_older_and_prefixed_joint_names_are_known(tmp_path: Path) -> None:
-    for old, new in (("yaw, pitch", "outer_yaw, PSM1_pitch"), ("insertion", "PSM1_outer_insertion")):
-        assert read_joints(written(tmp_path, ROS_1.replace(old, new))) == dict(zip(ARM, VALUES, strict=True))
-
-
-def test_unnamed_values_are_in_dvrk_order_with_note(tmp_path: Path) -> None:
-    file = read_joint_file(
-        written(tmp_path, ROS_1.replace("[yaw, pitch, insertion, roll, wrist_pitch, wrist_yaw]", "[]"))
-    )
-    assert frame_readings([file], "x", single=True).readings == dict(zip(ARM, VALUES, strict=True))
-    assert file.notes == ("joints are not named: taken in the dVRK's order, by their number",)
 
 
 def test_gap_beyond_tolerance_is_refused(tmp_path: Path) -> None:
@@ -133,20 +120,7 @@ def test_unusable_recording_is_refused(tmp_path: Path, old: str, new: str, expec
     assert message(written(tmp_path, COLLECTED.replace(old, new))).startswith(expected)
 
 
-def test_real_recording_of_arm_is_read(shared: Path) -> None:
-    file = read_joint_file(shared / "formats" / "recording" / "classic_measured.csv")
-    assert len(file.rows) == 299
-    assert file.joints == ARM
-    assert file.rows["0"].readings()["insertion"] == pytest.approx(0.168949, abs=1e-6)
-
-
 # NumPy
-
-
-def test_numpy_files_of_the_published_layout_are_read(tmp_path: Path) -> None:
-    assert read_joints(saved(tmp_path / "joint_0026.npy", VALUES)) == dict(zip(ARM, VALUES, strict=True))
-    assert read_joints(saved(tmp_path / "jaw_0026.npy", [1.25])) == {"jaw": 1.25}
-    assert message(saved(tmp_path / "all.npy", VALUES)).endswith("write its numbers to a joints.csv")
 
 
 def test_other_numpy_files_are_refused_without_running_code(tmp_path: Path) -> None:
@@ -190,24 +164,3 @@ def test_invalid_time_is_refused(text: str) -> None:
 def test_time_is_read_from_end_of_image_name() -> None:
     assert time_in_name("left_1755000000.123456789") == 1755000000123456789
     assert time_in_name("left_0026") is None
-
-
-def test_image_times_are_read_by_frame(tmp_path: Path) -> None:
-    path = written(tmp_path, "frame,time\n0026,1.5\n0027,1.6\n")
-    assert read_image_times(path) == {"0026": 1_500_000_000, "0027": 1_600_000_000}
-    for text, expected in (
-        ("frame,jaw\n", "header: expected columns frame and time, got frame, jaw"),
-        ("frame,time\na,1\na,2\n", "line 3: frame: expected each frame once, got 'a' again"),
-        ("frame,time\na,\n", "line 2: time: expected a finite number of seconds, got ''"),
-    ):
-        with pytest.raises(InputError) as caught:
-            read_image_times(written(tmp_path, text))
-        assert str(caught.value) == f"{path}: {expected}"
-
-
-def test_readings_at_any_rate_are_interpolated_but_not_over_gaps(tmp_path: Path) -> None:
-    rows = "".join(f"{10 + 0.2 * k:.1f},{0.1 * k:.1f}\n" for k in range(6))
-    file = read_joint_file(written(tmp_path, f"time,jaw\n{rows}12.0,2.0\n"))
-    assert frame_readings([file], "a", time=parse_time("", "10.25")).readings["jaw"] == pytest.approx(0.125)
-    with pytest.raises(InputError, match=r"image's time 11.500 s, within 0.3 s, got the nearest 0.500 s away"):
-        frame_readings([file], "a", time=parse_time("", "11.5"))

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from dvrk_cmaes import InputError
-from dvrk_cmaes.frames.keypoints import parse_keypoints
 from dvrk_cmaes.joints.reading import read_joints
 
 TABLE = """\
@@ -111,18 +110,3 @@ def test_reading_just_below_full_turn_is_accepted() -> None:
 )
 def test_unusable_table_is_refused_with_line(tmp_path: Path, text: str, frame: str | None, expected: str) -> None:
     assert message(table(tmp_path, text), frame) == expected
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("1,2,3", "keypoints: expected four numbers u1,v1,u2,v2 in pixels, got 3 ('1,2,3')"),
-        ("", "keypoints: expected four numbers u1,v1,u2,v2 in pixels, got 1 ('')"),
-        ("1,2,3,x", "keypoints: expected four finite numbers u1,v1,u2,v2 in pixels, got 'x'"),
-        ("1,nan,3,4", "keypoints: expected four finite numbers u1,v1,u2,v2 in pixels, got 'nan'"),
-    ],
-)
-def test_unusable_keypoints_are_refused(text: str, expected: str) -> None:
-    with pytest.raises(InputError) as caught:
-        parse_keypoints(text)
-    assert str(caught.value) == expected

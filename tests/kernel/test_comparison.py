@@ -68,29 +68,3 @@ def test_points_are_those_of_outlines_and_move_as_they_do(bundled_body: Body) ->
             np.testing.assert_array_equal(getattr(one, name), getattr(outline, name))
         lengths = np.linalg.norm(outline.normals, axis=1)[:, None]
         np.testing.assert_allclose(one.jacobian * lengths, moved.jacobian, rtol=1e-9, atol=1e-9)
-
-
-def test_comparisons_do_not_depend_on_threads_or_on_others(bundled_body: Body) -> None:
-    target = _kernel.Target(*mask_and_weight(renderer(bundled_body, 2), ignored=True), blur_filter(BLUR), REACH)
-    alone = [renderer(bundled_body, 2).compare(AT[[k]], target, [0.5])[0] for k in range(len(AT))]
-    for one, other in zip(alone, renderer(bundled_body, 2, threads=3).compare(AT, target, [0.5]), strict=True):
-        assert one.losses == other.losses
-        np.testing.assert_array_equal(one.jacobian, other.jacobian)
-        change = np.full((1, one.unknowns), 1e-4)
-        for mine, theirs in zip(*(_equations(each, change) for each in (one, other)), strict=True):
-            np.testing.assert_array_equal(mine, theirs)
-
-
-def _equations(one: _kernel.Comparison, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return _kernel.normal_equations([one], [1.0], [0.1] * (2 * REACH + 1), 0.5, change)
-
-
-def test_views_count_by_their_factors(bundled_body: Body) -> None:
-    drawing = renderer(bundled_body, 4)
-    target = _kernel.Target(*mask_and_weight(drawing, ignored=False), blur_filter(BLUR), REACH)
-    one, other = drawing.compare(AT[:2], target, [0.5])
-    change = np.full((1, one.unknowns), 1e-4)
-    density = [0.1] * (2 * REACH + 1)
-    both = _kernel.normal_equations([one, other], [2.0, 3.0], density, 0.5, change)
-    for sum_of_both, of_one, of_other in zip(both, _equations(one, change), _equations(other, change), strict=True):
-        np.testing.assert_allclose(sum_of_both, 2 * of_one + 3 * of_other, rtol=1e-12)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, image, info, stamp
+from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, image, stamp
 from helpers.transforms import moved
 
 from dvrk_cmaes import Camera, Rig
@@ -171,19 +171,6 @@ def test_arms_take_turns_and_say_so_where_the_time_is_short() -> None:
     assert any(line.startswith("arms take turns: the steps of all take 1") for line in robot.lines)
 
 
-def test_an_arm_whose_steps_fail_begins_anew_and_the_other_goes_on() -> None:
-    robot = Robot(MASKED, pair())
-    masks_at(robot, 0.0)
-    robot.loop.turn()
-    robot.trackers["PSM1"][0].step = None  # type: ignore[assignment, method-assign]
-    for k in range(1, 5):
-        masks_at(robot, k / 10)
-        robot.loop.turn()
-    assert [len(robot.trackers[arm]) for arm in ARMS] == [2, 1]
-    assert len(robot.trackers["PSM1"][1].steps) == 1
-    assert len(robot.trackers["PSM2"][0].steps) == 5
-
-
 def test_transforms_of_each_arms_tool_and_base_are_fit_for_tf2() -> None:
     robot = Robot(MASKED, pair())
     masks_at(robot, 0.0)
@@ -207,13 +194,6 @@ def test_readings_of_the_endoscopes_arm_are_kept_for_each_arm_and_bounded() -> N
         assert (len(kept), kept[-1].joints["ecm_roll"]) == (1000, 1e-3 * 1499)
 
 
-def test_readings_of_the_endoscopes_arm_that_are_not_whole_are_left_out() -> None:
-    robot = Robot(MASKED, pair())
-    robot.send("/ECM/measured_js", {"header": stamp(0.0), "name": ["yaw"], "position": [0.1]})
-    assert not any(own.take_all() for own in robot.inputs.readings.values())
-    assert robot.lines == ["cameras: 64 x 48 px, focal length 60.0 px, 64 x 48 px, focal length 60.0 px"]
-
-
 def test_whole_readings_of_the_endoscopes_arm_are_given_to_all_arms() -> None:
     robot = Robot(MASKED, pair())
     names = ["outer_yaw", "outer_pitch", "outer_insertion", "outer_roll"]
@@ -223,54 +203,6 @@ def test_whole_readings_of_the_endoscopes_arm_are_given_to_all_arms() -> None:
         [expected],
         [expected],
     ]
-
-
-@pytest.mark.parametrize("change", ["focal length", "size"])
-def test_camera_that_changes_begins_anew_with_a_line(change: str) -> None:
-    robot = Robot(PLAIN)
-    other = camera(80.0) if change == "focal length" else camera().scaled(128, 96)
-    for k, one in enumerate((camera(), camera(), other, other)):
-        robot.send("/left/camera_info", info(one))
-        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros((one.height, one.width), np.uint8)))
-        robot.loop.turn()
-    cameras = [tracker.rig.camera for tracker in robot.trackers["PSM1"]]
-    assert [(one.width, one.fx) for one in cameras] == [(64, 60.0), (other.width, other.fx)]
-    assert [len(tracker.steps) for tracker in robot.trackers["PSM1"]] == [2, 2]
-    (line,) = robot.lines[1:]
-    assert line == (
-        f"camera: {other.width} x {other.height} px, focal length {other.fx:.1f} px; it has changed, and following "
-        "begins anew"
-    )
-    assert robot.loop.counts.restarts == 1
-
-
-def test_images_of_half_the_cameras_size_are_followed_with_a_line() -> None:
-    robot = Robot(PLAIN)
-    robot.send("/left/camera_info", info(camera()))
-    for k in range(12):
-        size = (48, 64) if 4 <= k < 8 else (24, 32)
-        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros(size, np.uint8)))
-        robot.loop.turn()
-    assert [tracker.rig.camera.width for tracker in robot.trackers["PSM1"]] == [32, 64, 32]
-    assert [len(tracker.steps) for tracker in robot.trackers["PSM1"]] == [4, 2, 2]
-    said = [line.partition(": ")[2] for line in robot.lines if "size" in line]
-    assert robot.lines[1] == (
-        "the image of /left/image_rect/compressed is 32 x 24, the calibration 64 x 48: intrinsics rescaled by 0.5"
-    )
-    assert said == ["the size of the images has changed, and following begins anew"] * 2
-
-
-def test_image_of_another_aspect_is_left_out() -> None:
-    robot = Robot(PLAIN, Rig.of_camera(camera()))
-    for k in range(5):
-        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros((48, 48), np.uint8)))
-        robot.loop.turn()
-    assert robot.trackers == {}
-    assert robot.loop.counts.refused == 5
-    assert robot.lines[-1] == (
-        "image of /left/image_rect/compressed: expected the calibration's size 64 x 48, or one of that aspect, got "
-        "48 x 48"
-    )
 
 
 @pytest.mark.parametrize(

@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 import sys
-import threading
-from collections.abc import Iterator
-from functools import partial
 from io import StringIO
 from typing import Any
 
 import pytest
 import yaml
-from examples.play_session import RosbridgeServer
 from helpers.commands import run_command
 from helpers.fake_rclpy import Bus
 from helpers.made_recordings import BEGIN, SECOND
 from helpers.places import bundled_path
 
-from dvrk_cmaes import DvrkCmaesError, prepare
 from dvrk_cmaes.cli import live as cli_live
 from dvrk_cmaes.cli.terminal import note
-from dvrk_cmaes.export.frames import FrameNames
-from dvrk_cmaes.live.follow import ArmSetup, LiveSetup, follow
-from dvrk_cmaes.live.inputs import EyeTopics, InputTopics
-from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 
-BODY = prepare("lnd")
 DEMO = bundled_path("demo")
-READINGS = {"PSM1": ("/PSM1/measured_js",)}
 
 
 def header(k: int) -> dict[str, Any]:
@@ -46,34 +35,6 @@ def camera_info() -> dict[str, Any]:
         "d": document["distortion_coefficients"]["data"],
         "k": document["camera_matrix"]["data"],
     }
-
-
-@pytest.fixture
-def server() -> Iterator[RosbridgeServer]:
-    server = RosbridgeServer()
-    server.start()
-    yield server
-    server.stop()
-
-
-def test_command_without_a_server_says_so(
-    server: RosbridgeServer, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    server.stop()  # a port that is free
-    said = f"no image: rosbridge 127.0.0.1:{server.port}: no connection: is it running there"
-    ran = run_command(capsys, "live", "--image-topic", "/left/image", "--port", server.port, "--seconds", 0.5)
-    setup = LiveSetup(InputTopics({"left": EyeTopics.of("/left/image")}, READINGS), (ArmSetup(FrameNames(), BODY),))
-    with pytest.raises(DvrkCmaesError, match=said):
-        follow(setup, RosbridgeConnection("127.0.0.1", server.port, print), print, threading.Event(), begin_within=0.2)
-    server.start()
-    assert ran.code == 1
-    assert said in ran.err
-    monkeypatch.setattr(cli_live, "shown_state", partial(cli_live.shown_state, lines=0.3))
-    waited = run_command(
-        capsys, "live", "--image-topic", "/left/image", "--port", server.port, "--wait", "--seconds", 2
-    )
-    assert waited.code == 1
-    assert waited.err.count("dvrk-cmaes: 0 images; waiting for the camera\n") > 2
 
 
 def test_state_is_renewed_in_one_line_of_a_terminal_below_other_lines(monkeypatch: pytest.MonkeyPatch) -> None:

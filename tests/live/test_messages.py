@@ -35,13 +35,6 @@ def test_image_is_read_in_colour_or_in_grey(message: object) -> None:
     assert np.abs(grey.astype(int) - cv2.cvtColor(PIXELS, cv2.COLOR_BGR2GRAY)).max() <= 1
 
 
-@pytest.mark.parametrize("message", [compressed, raw])
-def test_grey_image_keeps_its_values(message: object) -> None:
-    fields = message(PIXELS[:, :, 0])  # type: ignore[operator]
-    assert np.array_equal(read_pixels("/mask", fields, grey=True), PIXELS[:, :, 0])
-    assert np.array_equal(read_pixels("/mask", fields), np.repeat(PIXELS[:, :, :1], 3, axis=2))
-
-
 def test_jpeg_is_decoded_as_a_file_is_and_a_damaged_one_refused_without_a_word(
     capfd: pytest.CaptureFixture[str],
 ) -> None:

@@ -149,16 +149,6 @@ def follow(live: Live, time: int, number: int = 0, ros1: bool = False) -> None:
     wait_for(lambda: len(live.tracker.steps) > before)
 
 
-def test_lost_instrument_has_status_and_no_pose(live: Live) -> None:
-    live.tracker.lost = True
-    follow(live, BEGIN)
-    wait_for(lambda: live.received("/diagnostics"))
-    ((status,),) = (one["status"] for one in live.received("/diagnostics"))
-    assert (status["level"], status["name"], status["message"]) == (2, "dvrk_cmaes: PSM1", "lost")
-    assert {"key": "reasons", "value": "no edge can be seen"} in status["values"]
-    assert live.received(f"{FOUND}/camera_from_root") == []
-
-
 def test_only_newest_image_is_followed(live: Live) -> None:
     """Images that arrive during a step are dropped, but for the last."""
     inside, go_on = threading.Event(), threading.Event()

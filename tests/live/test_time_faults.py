@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time as clock
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -114,15 +113,6 @@ def test_time_that_stands_still_is_named_once_and_in_the_status(live: Live) -> N
     assert live.wire.states[-1]["message"] == "ok"
 
 
-def test_step_that_fails_costs_an_image_and_one_line(live: Live) -> None:
-    live.errors += [np.linalg.LinAlgError("Singular matrix")]
-    assert [live.image(k / 10) for k in range(3)] == [False, True, True]
-    (line,) = live.lines
-    assert line.startswith("internal error: LinAlgError at test_time_faults.py:")
-    assert line.endswith("Singular matrix; the image is left out; after 3 in a row following begins anew")
-    assert len(live.trackers) == 1
-
-
 def test_three_steps_in_a_row_that_fail_begin_following_anew(live: Live) -> None:
     live.errors += [MemoryError()] * 3
     assert [live.image(k / 10) for k in range(5)] == [False] * 3 + [True] * 2
@@ -152,20 +142,6 @@ def test_images_late_by_the_network_are_left_out_without_a_restart() -> None:
     assert used == [True] * 4 + [False] + [True] * 3 + [False] + [True]
 
 
-def test_lines_of_a_kind_are_said_once_while_they_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [0.0]
-    monkeypatch.setattr(clock, "monotonic", lambda: now[0])
-    said: list[str] = []
-    lines = RepeatedLines(said.append)
-    for k in range(700):
-        now[0] = k / 10
-        lines(f"a: {k} px")
-    lines("b")
-    now[0] += 11
-    lines("a: 7 px")
-    assert said == ["a: 0 px", "a: 601 px (and 600 like it)", "b", "a: 7 px"]
-
-
 @pytest.fixture
 def connected() -> Iterator[tuple[RosbridgeServer, RosbridgeConnection, list[str]]]:
     server, lines = RosbridgeServer(), list[str]()
@@ -175,19 +151,6 @@ def connected() -> Iterator[tuple[RosbridgeServer, RosbridgeConnection, list[str
     yield server, connection, lines
     connection.close()
     server.stop()
-
-
-@pytest.mark.parametrize("topic", ["close", "ready", "/a b", "", "status"])
-def test_topic_may_have_any_name(connected: tuple[RosbridgeServer, RosbridgeConnection, list[str]], topic: str) -> None:
-    server, connection, lines = connected
-    received: list[Mapping[str, Any]] = []
-    connection.subscribe(topic, "std_msgs/String", received.append)
-    wait_for(lambda: topic in server.subscribed)
-    for k in range(3):
-        server.send(topic, {"data": str(k)})
-    wait_for(lambda: len(received) == 3)
-    assert connection.publish("/tf", {})
-    assert len(lines) == 1  # connected
 
 
 def test_of_messages_that_a_slow_server_does_not_take_the_newest_is_sent(

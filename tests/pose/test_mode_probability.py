@@ -27,20 +27,6 @@ def test_only_mode_of_accurate_pose_is_certain() -> None:
     assert mode_probability([mode(0, 5.0)], 0.3) == pytest.approx(1, abs=1e-3)
 
 
-def test_equal_twin_has_half_of_probability() -> None:
-    assert mode_probability([mode(0, 5.0), mode(180, 5.0)], 0.3) == pytest.approx(0.5, abs=1e-3)
-
-
-def test_probability_falls_with_gap() -> None:
-    gaps = [mode_probability([mode(0, 0.0), mode(180, gap)], 0.3) for gap in (0, 1, 2, 4, 12)]
-    assert gaps == sorted(gaps)
-    assert gaps[-1] > 0.999
-
-
-def test_pose_near_by_is_same_mode() -> None:
-    assert mode_probability([mode(0, 0.0), mode(20, 0.1)], 0.3) > 0.99
-
-
 def test_expected_error_lowers_probability() -> None:
     assert mode_probability([mode(0, 0.0)], 10.0) == pytest.approx(0.5)
 
@@ -51,12 +37,6 @@ def test_covariance_reaches_live_mode_near_by_but_not_twin() -> None:
     twin = pose_covariance([mode(0, 0.0), mode(180, 0.0, shift=0.01)], GOOD)
     assert np.sqrt(near[0, 0]) > 0.005
     np.testing.assert_array_equal(twin, alone)
-
-
-def test_twin_does_not_change_the_share_of_a_mode_near_by() -> None:
-    near, twin = mode(20, 1.0, shift=0.01), mode(180, 0.0)
-    with_twin = pose_covariance([mode(0, 0.0), near, twin], GOOD)
-    np.testing.assert_allclose(with_twin, pose_covariance([mode(0, 0.0), near], GOOD))
 
 
 def test_contour_far_off_at_jaws_widens_covariance() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -70,10 +68,3 @@ def test_prior_and_damping_hold_back() -> None:
 def test_what_nothing_tells_stays_without_damping() -> None:
     blind = Quadratic(np.diag([4.0, 0.0])[None], np.array([[2.0, 0.0]]))
     np.testing.assert_allclose(minimise(blind, ONE, Quadratic.zero(1, 2), None, 1), [[-0.5, 0.0]], atol=1e-8)
-
-
-def test_outlines_of_different_length_are_solved_together() -> None:
-    long, short = profiles(edge(0.3)), profiles(edge(-0.2, 10))
-    both = replace(long, drawn=[*long.drawn, *short.drawn])
-    together = minimise(both, np.ones(2), Quadratic.joined([FREE, FREE]), np.zeros(2), 20)
-    np.testing.assert_allclose(1e3 * together[:, 0], [found(each) for each in (long, short)], atol=1e-3)

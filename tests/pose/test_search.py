@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 from helpers.transforms import lookat_pose
 
-from dvrk_cmaes import Body, Camera, InputError
-from dvrk_cmaes.evidence.gather import gather_evidence
+from dvrk_cmaes import InputError
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.refine.direct import refine_direct
-from dvrk_cmaes.pose.search import METHODS, minimise, minimise_each
-from dvrk_cmaes.pose.search.global_search import search_size
+from dvrk_cmaes.pose.search import METHODS, minimise
 
-CAMERA = Camera(640, 480, 800.0, 800.0, 319.5, 239.5)
 GOAL = np.array([0.7, -0.4, 1.1])
 
 
@@ -81,34 +78,3 @@ def test_direct_refinement_reduces_loss(method: str) -> None:
     best, count = refine_direct(method, cost, start, scale, 500, seed=0)
     assert cost(best[None])[0] < 0.05 * cost(start[None])[0]
     assert count <= 500
-
-
-@pytest.mark.parametrize(("side", "expected"), [(240, (80, 60)), (70, (128, 96)), (8, (160, 120))])
-def test_small_masks_are_searched_in_larger_images(bundled_body: Body, side: int, expected: tuple[int, int]) -> None:
-    mask = np.zeros((480, 640), dtype=np.bool_)
-    mask[100 : 100 + side, 200 : 200 + side] = True
-    evidence = gather_evidence(mask, CAMERA, bundled_body.instrument)
-    assert search_size(evidence, 80) == expected
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_starts_searched_together_find_what_each_finds_alone(method: str) -> None:
-    shifts = np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.4], [-1.0, 0.5, 0.2]])
-    known = bowl(shifts)
-    calls = 0
-
-    def of_starts(start: np.ndarray, candidates: np.ndarray) -> np.ndarray:
-        nonlocal calls
-        calls += 1
-        return bowl(shifts[start] + candidates)
-
-    together = minimise_each(method, of_starts, known.tolist(), 3, 100, seed=4)
-    counted = calls
-    assert len(together) == 3
-    for number, found in enumerate(together):
-        alone = minimise(method, lambda x, by=shifts[number]: bowl(by + x), 3, 100, seed=4 + number)
-        np.testing.assert_array_equal(found.best, alone.best)
-        assert found.loss == pytest.approx(alone.loss)
-    if method == "cmaes":
-        assert counted == (100 - 1) // 16  # populations of 16 of all starts; the starts themselves are known
-    assert minimise_each(method, of_starts, [], 3, 100, seed=4) == []

@@ -16,10 +16,6 @@ def test_it_falls_with_the_expected_error() -> None:
     assert found[-1] == pytest.approx(0, abs=0.01)
 
 
-def test_it_depends_on_the_ratio_of_error_and_distance() -> None:
-    assert tip_probability(0.9, 1.8) == pytest.approx(tip_probability(1.8, 3.6))
-
-
 def test_it_falls_with_the_doubt_of_the_mode() -> None:
     found = [tip_probability(0.3, 1.8, of_mode=mode) for mode in (1.0, 0.99, 0.9, 0.6, 0.3)]
     assert all(a >= b for a, b in pairwise(found))

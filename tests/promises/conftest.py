@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from promises.program import CAMERA, QUICK, Kept
+from promises.program import QUICK, Kept
 
 
 @pytest.fixture(scope="session")
@@ -17,13 +17,6 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Kept:
     base = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "promises"
     base.mkdir(exist_ok=True)
     return Kept(base)
-
-
-@pytest.fixture
-def camera_file(tmp_path: Path) -> Path:
-    """The camera of the small worlds."""
-    (tmp_path / "small.yaml").write_text(CAMERA)
-    return tmp_path / "small.yaml"
 
 
 @pytest.fixture

@@ -89,15 +89,6 @@ def test_lag_of_a_calibrated_session_is_taken_out(imported: Import, tmp_path: Pa
         assert {name: frames[2].readings[name] for name in ARM} == pytest.approx(expected, abs=1e-8)
 
 
-def test_drift_of_the_lag_is_taken_out_too(imported: Import, tmp_path: Path) -> None:
-    session = calibrated(tmp_path / "session.json", drift=0.1, middle=BEGIN / SECOND)
-    imported(write_bag(tmp_path / "bag", KINDS[0], good()), "--session", session)
-    late = round((0.05 + 0.1 * 0.3) * SECOND)  # of the fourth image, 0.3 s after the first
-    expected = dict(zip(ARM, sweep(BEGIN + 3 * SECOND // 10 - late), strict=True))
-    frame = read_session("session").frames[3]
-    assert {name: frame.readings[name] for name in ARM} == pytest.approx(expected, abs=1e-6)
-
-
 def test_lag_that_is_zero_within_its_error_is_not_taken_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,21 +194,6 @@ def renamed(messages: list[Message], topics: dict[str, str]) -> list[Message]:
     return [replace(m, topic=topics.get(m.topic, m.topic)) for m in messages]
 
 
-def test_older_dvrk_names_are_known(imported: Import, tmp_path: Path) -> None:
-    old = {
-        "/PSM1/measured_js": "/dvrk/PSM1/state_joint_current",
-        "/PSM1/jaw/measured_js": "/dvrk/PSM1/state_jaw_current",
-    }
-    messages = [
-        replace(m, fields={**m.fields, "name": [f"outer_{name}" for name in ARM]})
-        if m.topic.endswith("1/measured_js")
-        else m
-        for m in good()
-    ]
-    imported(write_bag(tmp_path / "bag", "ros1", renamed(messages, old)))
-    assert list(read_session("session").frames[2].readings) == [*ARM, "jaw"]
-
-
 def test_recording_times_replace_missing_header_times(imported: Import, tmp_path: Path) -> None:
     messages = [m for m in good() if m.kind != "JointState"] + stamped([m for m in good() if m.kind == "JointState"], 0)
     summary = imported(write_bag(tmp_path / "bag", "ros1", messages))
@@ -226,13 +202,6 @@ def test_recording_times_replace_missing_header_times(imported: Import, tmp_path
         "have none"
     )
     assert note in summary["notes"]
-    assert [one["without"] for one in summary["readings"]] == [0, 0]
-
-
-def test_recording_times_on_request(imported: Import, tmp_path: Path) -> None:
-    late = [replace(m, stamp=m.time - 7 * SECOND) if m.kind == "Image" else m for m in good()]
-    summary = imported(write_bag(tmp_path / "bag", "mcap", late), "--recorded-times")
-    assert rows("images.csv")[0]["time"] == "1795000000.123456789"
     assert [one["without"] for one in summary["readings"]] == [0, 0]
 
 

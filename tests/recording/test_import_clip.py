@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.commands import run_command
 from helpers.files import read_image
-from helpers.made_clips import image_time, jaw_position, kinematic, positions, times, write_camera, write_clip
+from helpers.made_clips import image_time, jaw_position, kinematic, times, write_camera, write_clip
 from helpers.made_recordings import ARM, SECOND, pixels, write_video
 
 from dvrk_cmaes import read_session
@@ -70,19 +70,6 @@ def test_registrations_are_kept(imported: Import, tmp_path: Path) -> None:
     assert summary["notes"][-1].startswith("registrations, kept: hand_eye_calibration/PSM1-registration-dVRK.json")
 
 
-def test_only_patient_side_arm_needs_no_name(imported: Import, tmp_path: Path) -> None:
-    summary = imported(write_clip(tmp_path / "clip", arms=("ECM", "PSM2")))
-    assert "jaw: kinematic/PSM2" in summary["notes"]
-
-
-def test_frame_without_readings_is_counted(imported: Import, tmp_path: Path) -> None:
-    clip = write_clip(tmp_path / "clip", numbers=range(5))
-    (clip / "kinematic/PSM1/4.json").unlink()
-    summary = imported(clip, "--arm", "PSM1")
-    assert [(one["frames"], one["without"]) for one in summary["readings"]] == [(4, 1), (4, 1), (5, 0)]
-    assert set(read_session("session").frames[4].readings) == set(ECM_JOINTS)
-
-
 def test_damaged_readings_of_the_endoscopes_arm_are_named_and_left_out(imported: Import, tmp_path: Path) -> None:
     clip = write_clip(tmp_path / "clip")
     (clip / "kinematic/ECM/1.json").write_text("{}")
@@ -122,15 +109,6 @@ def test_other_forms_of_times_are_read(imported: Import, tmp_path: Path, documen
     session = read_session("session")
     assert session.image_times["000000"] == seconds
     assert session.frames[0].readings["jaw"] == pytest.approx(jaw_position(image_time(0) + 3_000_000))
-
-
-def test_flat_readings_are_read(imported: Import, tmp_path: Path) -> None:
-    clip = write_clip(tmp_path / "clip", numbers=[0])
-    flat = {"measured_js": {"position": positions("PSM1", image_time(0))}, "jaw": {"position": [0.4]}}
-    (clip / "kinematic/PSM1/0.json").write_text(json.dumps(flat))
-    imported(clip, "--arm", "PSM1")
-    readings = {k: v for k, v in read_session("session").frames[0].readings.items() if k not in ECM_JOINTS}
-    assert readings == pytest.approx({**dict(zip(ARM, flat["measured_js"]["position"], strict=True)), "jaw": 0.4})
 
 
 def test_readings_from_file_replace_those_of_clip(imported: Import, tmp_path: Path) -> None:

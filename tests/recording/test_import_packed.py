@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from helpers.commands import run_command
 from helpers.files import read_image
@@ -18,9 +17,7 @@ from helpers.made_clips import RIGHT_LATE, image_time, jaw_position, positions, 
 from helpers.made_packed import COUNT, arm_table, times_table, write_packed, write_table
 from helpers.made_recordings import ARM, pixels, write_video
 
-from dvrk_cmaes import InputError, read_session
-from dvrk_cmaes.recording import parquet_file
-from dvrk_cmaes.recording.parquet_file import read_columns
+from dvrk_cmaes import read_session
 
 Import = Callable[..., dict[str, Any]]
 Refused = Callable[..., str]
@@ -74,14 +71,6 @@ def test_readings_are_interpolated_to_images(imported: Import, arm: str) -> None
         assert frame.readings == pytest.approx(expected, abs=1e-6)
     for k, image in enumerate(images()):
         np.testing.assert_array_equal(image, pixels(k))
-
-
-def test_fields_that_were_taken_and_others_are_named(imported: Import) -> None:
-    notes = imported("--arm", "PSM1")["notes"]
-    assert "images: video_raw/stereo_left.mkv (raw)" in notes
-    assert f"{' '.join(ARM)}: PSM1.parquet, measured_js.position" in notes
-    assert "jaw: PSM1.parquet, jaw.measured_position" in notes
-    assert "not taken: measured_cp.position, setpoint_js.position" in notes
 
 
 def test_right_eye_has_its_own_images_camera_and_times(imported: Import, episode: Path) -> None:
@@ -180,21 +169,3 @@ def test_damaged_table_is_refused_by_name(refused: Refused, episode: Path, table
 def test_wrong_start_is_refused(refused: Refused, episode: Path, wrong: Any) -> None:
     write_file(episode / "episode_meta.json", json.dumps({"master_t0_ns": wrong}).encode())
     assert "episode_meta.json: master_t0_ns: expected a whole number of nanoseconds" in refused()
-
-
-@pytest.mark.parametrize("bound", ["_MOST_ROWS", "_MOST_VALUES", "_LARGEST"])
-def test_table_is_read_up_to_its_bounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bound: str) -> None:
-    path = tmp_path / "a.parquet"
-    write_table(path, {"frame_index": list(range(50)), "state": [[0.1, 0.2]] * 50, "other": ["x" * 100] * 50})
-    with pq.ParquetFile(path) as file:
-        parts = [file.metadata.row_group(0).column(k) for k in (0, 1)]
-    sizes = {
-        "_MOST_ROWS": 50,
-        "_MOST_VALUES": sum(part.num_values for part in parts),
-        "_LARGEST": max(path.stat().st_size, sum(part.total_uncompressed_size for part in parts)),
-    }
-    monkeypatch.setattr(parquet_file, bound, sizes[bound])
-    assert len(read_columns(path, ("frame_index", "state"))["state"]) == 50
-    monkeypatch.setattr(parquet_file, bound, sizes[bound] - 1)
-    with pytest.raises(InputError, match=r"a\.parquet: expected "):
-        read_columns(path, ("frame_index", "state"))

@@ -190,31 +190,6 @@ def test_true_poses_have_no_errors_at_the_labels(run: Run, made: Path, arms: Mad
     assert found["px"]["largest"] < 0.005
 
 
-def test_errors_of_poses_aside_are_those_in_the_image(run: Run, made: Path, arms: MadeArms) -> None:
-    run("import", made, "--arm", "PSM1", "--out", "session")
-    write_truth(Path("golden.json"), arms, "PSM1", aside_px=5.0)
-    ran = run("compare", "golden.json", "--labels", "session")
-    assert "it is not verified which points SurgPose's labels mean" in ran.out
-    rows = {line.split("  ")[1]: line.split() for line in ran.out.splitlines() if line.startswith("  ")}
-    assert float(rows["all"][2]) == pytest.approx(5.0, abs=0.5)
-    assert float(rows["label 2"][3]) == pytest.approx(5.0, abs=0.2)  # at the root's depth
-
-
-def test_table_of_points_can_be_replaced(run: Run, made: Path, arms: MadeArms) -> None:
-    run("import", made, "--arm", "PSM1", "--out", "session")
-    write_truth(Path("golden.json"), arms, "PSM1")
-    table = {str(number): {"link": "roll_link", "position_m": [0, 0, 0]} for number in range(1, 8)}
-    write_json("points.json", {"markers": table})
-    found = run("compare", "golden.json", "--labels", "session", "--points", "points.json", "--json")
-    by_label = found.result["labels"]["sets"][0]["by_label"]
-    assert by_label["2"]["largest"] < 0.005
-    assert by_label["1"]["mean"] > 5
-    del table["5"]
-    write_json("points.json", {"markers": table})
-    refusal = run("compare", "golden.json", "--labels", "session", "--points", "points.json").refusal
-    assert refusal == "points.json: markers: expected the points of all labels in session/markers.csv, got no 5"
-
-
 def test_labels_of_other_frames_are_refused(run: Run, made: Path, arms: MadeArms) -> None:
     run("import", made, "--arm", "PSM1", "--out", "session")
     write_truth(Path("golden.json"), arms, "PSM1")

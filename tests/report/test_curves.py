@@ -7,10 +7,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from dvrk_cmaes.report.curves import Chart, Curve, chart_svg, stacked, ticks
+from dvrk_cmaes.report.curves import Chart, Curve, chart_svg
 
 
 def drawn(*curves: Curve, **more: object) -> ElementTree.Element:
@@ -21,17 +19,6 @@ def line_of(svg: ElementTree.Element) -> str:
     (line,) = (path.get("d") for path in svg.iterfind(".//{*}path") if path.get("stroke-width") == "1.5")
     assert line is not None
     return line
-
-
-@given(low=st.floats(-1e4, 1e4), span=st.floats(1e-3, 1e4), most=st.integers(2, 12))
-def test_ticks_are_round_and_few(low: float, span: float, most: int) -> None:
-    found = ticks(low, low + span, most)
-    assert len(found) <= most + 1
-    assert all(low - 1e-6 * span <= value <= low + span * (1 + 1e-6) for value in found)
-    if len(found) > 1:
-        step = found[1] - found[0]
-        first = f"{step:.6e}"
-        assert first[:8] in ("1.000000", "2.000000", "5.000000")
 
 
 def test_points_are_where_their_values_are_and_lead_to_their_frames() -> None:
@@ -67,27 +54,9 @@ def test_long_curve_keeps_its_extremes_and_gaps() -> None:
     assert line.count("M") >= 2
 
 
-def test_equal_axes_have_one_scale() -> None:
-    turn = np.linspace(0, 2 * np.pi, 50)
-    line = line_of(drawn(Curve("", np.cos(turn), np.sin(turn)), equal=True))
-    points = np.array(re.findall(r"[ML](\S+) (\S+?)(?=[ML]|$)", line)).astype(float)
-    assert np.ptp(points, axis=0)[0] == pytest.approx(np.ptp(points, axis=0)[1], abs=0.5)
-
-
 def test_names_that_have_no_room_are_left_out_and_texts_are_escaped() -> None:
     names = [f"<frame> {k:04d}" for k in range(500)]
     svg = drawn(Curve("&", np.arange(500.0), np.ones(500)), names=names)
     shown = [text.text for text in svg.iterfind(".//{*}text") if (text.text or "").startswith("<frame>")]
     assert 2 < len(shown) < 12
     assert shown[0] == names[0]
-
-
-def test_stacked_drawings_are_one_file() -> None:
-    svg = chart_svg(Chart("t", "x", "y", [Curve("a", np.arange(3.0), np.arange(3.0))]))
-    whole = ElementTree.fromstring(stacked([[svg, svg], [svg]], 700, 330))
-    assert (whole.get("width"), whole.get("height")) == ("1400", "660")
-    assert [(part.get("x"), part.get("y")) for part in whole.findall("{*}svg")] == [
-        ("0", "0"),
-        ("700", "0"),
-        ("0", "330"),
-    ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import sys
 from types import SimpleNamespace
 from typing import Any
@@ -65,19 +64,6 @@ def test_overlay_is_rgb_and_shows_the_outline_alone(result: Result) -> None:
     assert blue.sum() > 300
 
 
-def test_overlay_takes_grey_images_of_another_size(result: Result) -> None:
-    assert result.overlay(np.zeros((240, 320), np.uint8)).shape == (240, 320, 3)
-    for wrong in (np.zeros((2, 2, 4), np.uint8), np.zeros((0, 0, 3), np.uint8), "image.png"):
-        with pytest.raises(InputError, match=r"^image: expected"):
-            result.overlay(wrong)  # type: ignore[arg-type]
-
-
-def test_overlay_of_a_followed_image_has_the_colour_of_its_status(followed: TrackResult) -> None:
-    drawn = followed.overlay(np.zeros((480, 640, 3), np.uint8))
-    colour = {"ok": (86, 180, 233), "doubtful": (240, 200, 60)}[followed.status]
-    assert (drawn == colour).all(axis=2).sum() > 300
-
-
 def test_a_result_from_a_file_needs_a_renderer_for_its_overlay(result: Result, tmp_path: Any) -> None:
     import json
 
@@ -88,13 +74,6 @@ def test_a_result_from_a_file_needs_a_renderer_for_its_overlay(result: Result, t
         read.overlay(image)
     drawn = read.overlay(image, Renderer(prepare("lnd"), CAMERA))
     assert (drawn != result.overlay(image)).mean() < 0.001  # poses in files are rounded
-
-
-def test_a_pickled_result_has_no_meshes(result: Result, followed: TrackResult) -> None:
-    for one in (result, followed):
-        again = pickle.loads(pickle.dumps(one))
-        assert again.renderer is None
-        assert np.array_equal(again.covariance, one.covariance)
 
 
 def test_axes_name_the_rows_of_the_covariance(result: Result, followed: TrackResult) -> None:

@@ -79,28 +79,6 @@ def test_written_result_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(again.std_translation_mm, [0.1, np.sqrt(2) / 10, np.sqrt(3) / 10])
 
 
-def test_minimal_result_is_read(tmp_path: Path) -> None:
-    result = read_result(write(tmp_path / "0026.json", LEAST))
-    assert (result.frame, result.status, result.root_link) == ("0026", "ok", "roll_link")
-    np.testing.assert_array_equal(result.camera_from_root, POSE)
-    assert (result.joints, result.seconds, result.covariance) == (JOINTS, 0.7, None)
-
-
-def test_result_of_another_program_needs_no_seconds(tmp_path: Path) -> None:
-    others = {name: LEAST[name] for name in ("camera_from_root", "joints")}
-    assert read_result(write(tmp_path / "0026.json", others)).seconds == 0
-
-
-def test_file_without_expected_error_is_read(tmp_path: Path) -> None:
-    document = full().to_dict()
-    document["std"] = {name: document["std"][name] for name in ("translation_mm", "rotation_deg", "joints_deg")}
-    for name in ("tips", "tips_px", "mode_probability"):
-        del document[name]
-    result = read_result(write(tmp_path / "0007.json", document))
-    assert (result.expected_error, result.tips, result.mode_probability) == (None, (), None)
-    assert result.covariance is not None
-
-
 def test_wrong_expected_error_is_named(tmp_path: Path) -> None:
     document = full().to_dict()
     document["std"]["tip_90_mm"] = "wide"
@@ -108,21 +86,6 @@ def test_wrong_expected_error_is_named(tmp_path: Path) -> None:
         message(write(tmp_path / "a.json", document))
         == "expected_error.tip_90_mm: expected a finite number, got 'wide'"
     )
-
-
-def test_expected_error_has_that_of_the_tips_together(tmp_path: Path) -> None:
-    document = full().to_dict()
-    document["std"]["tip_mm"] = {"jaw_1": 0.5}
-    expected = "std.tip_mm: expected that of the tips' mean, or of the only tip, got "
-    assert message(write(tmp_path / "a.json", document)).startswith(expected)
-
-
-def test_missing_bend_is_read_as_zero(tmp_path: Path) -> None:
-    document = full().to_dict()
-    del document["quality"]["bend_px"]
-    quality = read_result(write(tmp_path / "0007.json", document)).quality
-    assert quality is not None
-    assert quality.bend_px == 0
 
 
 def test_failed_frame_has_no_pose(tmp_path: Path) -> None:
@@ -181,24 +144,6 @@ def test_other_than_json_object_is_refused(tmp_path: Path) -> None:
     assert message(write(tmp_path / "d.json", "[" * 100_000)).startswith("expected a frame's result (JSON), got no")
     huge = json.dumps(LEAST).replace('"seconds": 0.7', '"seconds": 1' + "0" * 400)
     assert message(write(tmp_path / "e.json", huge)).endswith("(a whole number of 401 digits is too large)")
-
-
-def test_results_are_read_in_order_of_names(tmp_path: Path) -> None:
-    for name in ("b", "a", "10"):
-        write(tmp_path / "frames" / f"{name}.json", {**LEAST, "frame": name})
-    write(tmp_path / "frames" / ".half.json", "{")
-    write(tmp_path / "session.json", {"schema": 1})
-    results = read_results(tmp_path)
-    assert list(results.frames) == ["10", "a", "b"]
-    assert (results.session, results.summary) == ({"schema": 1}, None)
-
-
-def test_folder_of_result_files_is_read(tmp_path: Path) -> None:
-    write(tmp_path / "x.json", LEAST)
-    write(tmp_path / "summary.json", {"frames": 1})
-    results = read_results(tmp_path)
-    assert list(results.frames) == ["x"]
-    assert results.summary == {"frames": 1}
 
 
 def test_two_files_of_one_frame_are_refused(tmp_path: Path) -> None:

@@ -39,21 +39,6 @@ def test_frames_that_agree_are_not_doubted() -> None:
     assert base_doubts(session([0, 1, -1, 2, 0.5, 8]), 10.0) == {}
 
 
-def test_limit_grows_with_scatter_of_session() -> None:
-    assert base_doubts(session([0, 6, -6, 7, -7, 6, -15]), 10.0) == {}
-
-
-def test_few_frames_and_frames_without_base_are_not_compared() -> None:
-    assert base_doubts(session([0, 0, 0, 40]), 10.0) == {}
-    without = {name: replace(one, camera_from_base=None) for name, one in session([0, 1, 2, 3, 4, 40]).items()}
-    assert base_doubts(without, 10.0) == {}
-
-
-def test_frames_solved_together_are_not_compared() -> None:
-    together = {name: replace(one, source="session") for name, one in session([0, 1, 2, 3, 4, 40]).items()}
-    assert base_doubts(together, 10.0) == {}
-
-
 def write_frames(out: Path, turns_deg: list[float]) -> None:
     for k, turn in enumerate(turns_deg):
         base = moved(np.eye(4), np.array([0, 0, 0.1, 0, np.deg2rad(turn), 0]))

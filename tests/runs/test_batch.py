@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -11,13 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 from helpers.batch_sessions import QUICK_CONFIG, comparable, make_session
 
-from dvrk_cmaes import Body, DvrkCmaesError, EstimateConfig, InputError, __version__, read_results, read_session
-from dvrk_cmaes.io.output import output
+from dvrk_cmaes import Body, EstimateConfig, InputError, read_session
 from dvrk_cmaes.runs.batch import BatchSummary, Workers, finish, run_batch
 
 Batch = Callable[..., BatchSummary]
@@ -46,106 +42,6 @@ def refusal(batch: Batch, *arguments: object, **options: object) -> str:
     text = str(caught.value)
     assert "\n" not in text
     return text
-
-
-def written_at(out: Path) -> dict[str, int]:
-    return {path.name: path.stat().st_mtime_ns for path in sorted((out / "frames").iterdir())}
-
-
-@pytest.mark.usefixtures("estimates_shared")
-def test_batch_writes_results_overlays_tables_and_page(batch: Batch, tmp_path: Path) -> None:
-    names = ["0001", "Bild 2 für uns", "名前, 3"]
-    done = batch(make_session(tmp_path / "session", names))
-    out = tmp_path / "out"
-    assert sorted(comparable(out)) == sorted(
-        ["poses.csv", "report.html", "run.json", "summary.json"]
-        + [f"frames/{name}.json" for name in names]
-        + [f"overlays/{name}.jpg" for name in names]
-    )
-    with (out / "poses.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["frame"] for row in rows] == names
-    assert {"camera_from_root_x_mm", "camera_from_root_qw", "wrist_pitch_deg", "jaw_read_deg", "iou"} <= set(rows[0])
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    assert summary == done.document
-    assert (summary["counts"]["frames"], summary["counts"]["missing"], done.ran) == (3, 0, 3)
-    assert list(summary["frames"]) == names
-    assert set(summary["timing"]) == {"frame_seconds", "run"}
-    assert not done.interrupted
-
-
-@pytest.mark.usefixtures("estimates_shared")
-def test_unusable_frames_fail_with_reason(batch: Batch, tmp_path: Path) -> None:
-    session = make_session(tmp_path / "session", ["bad row", "black", "good", "large ignore", "torn", "unmasked"])
-    masks = session / "masks"
-    (masks / "black.png").write_bytes(cv2.imencode(".png", np.zeros((120, 160), np.uint8))[1].tobytes())
-    (masks / "torn.png").write_bytes((masks / "good.png").read_bytes()[:50])
-    (session / "images").mkdir()
-    (masks / "unmasked.png").unlink()
-    (session / "images" / "unmasked.png").write_bytes(
-        cv2.imencode(".png", np.full((120, 160), 128, np.uint8))[1].tobytes()
-    )
-    (session / "ignore").mkdir()
-    (session / "ignore" / "large ignore.png").write_bytes(
-        cv2.imencode(".png", np.zeros((240, 320), np.uint8))[1].tobytes()
-    )
-    rows = (session / "joints.csv").read_text(encoding="utf-8")
-    (session / "joints.csv").write_text(rows.replace("-0.173334", "many", 1), encoding="utf-8")
-    done = batch(session)
-    assert done.counts == {"frames": 6, "ok": 0, "doubtful": 1, "failed": 5, "missing": 0}  # so small, tips are unsure
-    results = read_results(tmp_path / "out").frames
-    assert {name: result.reasons[0] for name, result in results.items() if result.status == "failed"} == {
-        "bad row": "joints.csv: frame bad row: yaw: expected a finite number in rad, got 'many'",
-        "black": "masks/black.png: mask is empty: expected pixels above 127 on the instrument, got none "
-        "(the largest value is 0)",
-        "large ignore": "ignore/large ignore.png: expected the mask's size 160 x 120, got 320 x 240 (width x height)",
-        "torn": "masks/torn.png: expected a mask (PNG or JPEG), got one that is cut off or damaged",
-        "unmasked": "images/unmasked.png: no instrument found in the image; a mask, a box or a point on the instrument "
-        "would help",
-    }
-    failed = results["torn"]
-    assert (failed.camera_from_root, failed.instrument, set(failed.readings)) == (
-        None,
-        "lnd",
-        set(results["good"].readings),
-    )
-    pictures = {path.stem for path in (tmp_path / "out" / "overlays").iterdir()}
-    assert pictures == set(results) - {"torn"}  # every frame has a picture, unless none can be read
-    settings = {json.dumps(result.config, sort_keys=True) for result in results.values()}
-    assert len(settings) == 1
-
-
-def test_resume_estimates_missing_frames_only(batch: Batch, two: Path, tmp_path: Path) -> None:
-    batch(two)
-    out = tmp_path / "out"
-    whole, before = comparable(out), written_at(out)
-    assert batch(two).ran == 0
-    (out / "frames" / "0001.json").unlink()
-    (out / "frames" / f".{'a' * 32}.tmp").write_text("half")
-    assert batch(two).ran == 1
-    (out / "frames" / "0001.json").write_text("{")  # as after a power cut
-    assert batch(two).ran == 1
-    (out / "overlays" / "0001.jpg").unlink()
-    assert batch(two).ran == 1
-    assert comparable(out) == whole
-    assert written_at(out)["0002.json"] == before["0002.json"]
-
-
-def test_resume_with_other_settings_is_refused(
-    batch: Batch, two: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    batch(two)
-    way_out = "choose another --out, or begin anew with --overwrite"
-    otherwise = f"{out}: its results were made otherwise"
-    assert refusal(batch, two, config=replace(QUICK_CONFIG, seed=3)) == f"{otherwise} (config.seed: 0 -> 3): {way_out}"
-    assert refusal(batch, two, arm="si") == f"{otherwise} (arm: classic -> si): {way_out}"
-    camera = (two / "camera.yaml").read_text(encoding="utf-8")
-    (two / "camera.yaml").write_text(camera.replace("image_width: 640", "image_width: 644"), encoding="utf-8")
-    assert refusal(batch, two) == f"{otherwise} (camera.width: 640 -> 644): {way_out}"
-    (two / "camera.yaml").write_text(camera, encoding="utf-8")
-    monkeypatch.setattr("dvrk_cmaes.runs.manifest.__version__", "9.9")
-    assert refusal(batch, two) == f"{otherwise} (version: {__version__} -> 9.9): {way_out}"
 
 
 @pytest.mark.usefixtures("estimates_shared")
@@ -211,31 +107,6 @@ def test_settings_may_change_while_all_frames_have_failed(batch: Batch, two: Pat
 
 
 @pytest.mark.usefixtures("estimates_shared")
-def test_overwrite_keeps_unrelated_files(batch: Batch, two: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    batch(two)
-    (out / "notes.txt").write_text("mine")
-    (two / "masks" / "0001.png").unlink()
-    done = batch(two, resume=False, config=replace(QUICK_CONFIG, seed=5))
-    assert (done.ran, list(done.document["frames"])) == (1, ["0002"])
-    assert (out / "notes.txt").read_text() == "mine"
-    assert sorted(path.name for path in (out / "overlays").iterdir()) == ["0002.jpg"]
-
-
-@pytest.mark.usefixtures("estimates_shared")
-def test_folder_with_other_results_is_refused(batch: Batch, two: Path, tmp_path: Path) -> None:
-    other = tmp_path / "out" / "frames" / "x.json"
-    other.parent.mkdir(parents=True)
-    other.write_text("{}")
-    for resume in (True, False):
-        assert refusal(batch, two, resume=resume) == (
-            f"{tmp_path / 'out'}: expected a new or empty folder, or one of an earlier batch, got one with "
-            "frames; nothing was changed"
-        )
-    assert other.read_text() == "{}"
-
-
-@pytest.mark.usefixtures("estimates_shared")
 @pytest.mark.parametrize("name", ["frames/0001.json", "overlays/0001.jpg", "summary.json", "report.html"])
 def test_folder_in_the_place_of_a_file_is_refused_first(batch: Batch, two: Path, tmp_path: Path, name: str) -> None:
     batch(two, pattern="0002")
@@ -280,26 +151,6 @@ def test_pattern_selects_frames(batch: Batch, two: Path, tmp_path: Path) -> None
     assert refusal(batch, two, pattern="3*") == (
         "--frames: expected a pattern of some of the 2 frames (0001, 0002), got '3*'"
     )
-
-
-@pytest.mark.usefixtures("estimates_shared")
-def test_unwritable_names_and_folders_are_refused_first(batch: Batch, tmp_path: Path, two: Path) -> None:
-    (tmp_path / "file").write_text("")
-    assert refusal(batch, two, "file") == (
-        f"{tmp_path / 'file'}: expected a folder to write to, but {tmp_path / 'file'} is a file"
-    )
-    shutil.copy(two / "masks" / "0001.png", two / "masks" / f"{'x' * 251}.png")
-    assert refusal(batch, two) == ("frame: expected a name of at most 255 bytes with .json, got '" + "x" * 56 + "...")
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.usefixtures("estimates_shared")
-def test_second_batch_in_same_folder_is_refused(batch: Batch, two: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with output(out, "batch"), pytest.raises(DvrkCmaesError) as caught, ThreadPoolExecutor(1) as other:
-        other.submit(batch, two).result()
-    assert str(caught.value) == f"{out}: another command is writing there; wait for it, or choose another --out"
-    assert batch(two).ran == 2
 
 
 @pytest.mark.usefixtures("estimates_shared")

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -60,17 +59,3 @@ def test_interrupt_finishes_running_frames(command: list[str], tmp_path: Path) -
     assert again.stderr.splitlines()[0] == (
         f"dvrk-cmaes: results are there of {there} frames, {8 - there} are to be done"
     )
-
-
-def test_second_interrupt_ends_at_once(command: list[str], tmp_path: Path) -> None:
-    one = [*command, "--workers", "1"]
-    batch = subprocess.Popen(one, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    wait_for_results(batch, 1, tmp_path)
-    batch.send_signal(signal.SIGINT)
-    time.sleep(0.02)
-    batch.send_signal(signal.SIGINT)
-    _, said = batch.communicate(timeout=600)
-    assert batch.returncode == 130
-    first, last = [line for line in said.splitlines() if " a second, " not in line]
-    assert first.startswith("dvrk-cmaes: warning: stopping")
-    assert last.startswith("dvrk-cmaes: interrupted")

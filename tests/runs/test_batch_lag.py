@@ -8,13 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers.batch_sessions import QUICK, QUICK_CONFIG, make_session
+from helpers.batch_sessions import QUICK, make_session
 from helpers.commands import Ran, run_command
 from helpers.files import write_json
 from helpers.page_calibrations import calibration, solved
 
 from dvrk_cmaes import Body, Lag, SessionCalibration, read_session
-from dvrk_cmaes.runs.batch import Workers, run_batch
 
 pytestmark = pytest.mark.usefixtures("tasks_here", "estimates_shared")
 
@@ -52,13 +51,6 @@ def test_no_lag_is_none_also_of_readings_without_times(command: Command) -> None
     assert command("--lag", "0").code in (0, 3)
     assert result("0002")["readings"] == pytest.approx(read_session("session").frames[2].readings)
     assert not [text for text in result("0002")["warnings"] if "before the image" in text]
-
-
-def test_results_with_another_lag_are_not_resumed(command: Command) -> None:
-    command("--lag", "1frame")
-    done = command("--lag", "0.5frames")
-    assert done.code == 2
-    assert "readings" in done.err
 
 
 @pytest.mark.parametrize(
@@ -111,12 +103,3 @@ def test_calibration_with_a_lag_is_used_by_batch_and_estimate(
     assert first.err == (
         "dvrk-cmaes: session/joints.csv: frame 0000: expected readings 1 frames before the image, got none\n"
     )
-
-
-def test_batch_in_python_takes_a_session_with_a_lag(bundled_body: Body, tmp_path: Path) -> None:
-    session = read_session(make_session(tmp_path / "session", NAMES)).with_lag(Lag(1.5))
-    first = replace(session, frames=session.frames[2:3])
-    run_batch(first, tmp_path / "out", bundled_body.instrument, config=QUICK_CONFIG, workers=Workers(1))
-    rows = read_session(tmp_path / "session").frames
-    found = json.loads((tmp_path / "out" / "frames" / "0002.json").read_text())["readings"]
-    assert found["yaw"] == pytest.approx((rows[0].readings["yaw"] + rows[1].readings["yaw"]) / 2)

@@ -83,16 +83,6 @@ def test_result_states_origin_of_mask(found: Found) -> None:
     assert not any("mask found" in warning for warning in given.warnings)
 
 
-def test_seconds_include_all_estimates(found: Found) -> None:
-    assert found[0].result.seconds > found[1].seconds > 0
-
-
-def test_result_equals_estimate_from_found_mask(session: Session, bundled_body: Body, found: Found) -> None:
-    files, frame = session.frames[0], found[0]
-    alone = estimate_frame(files, frame.data, bundled_body, METHOD)
-    assert without_seconds(alone) == without_seconds(frame.result)
-
-
 def test_found_mask_is_written_and_a_repeated_estimate_is_identical(
     session: Session, bundled_body: Body, found: Found, tmp_path: Path
 ) -> None:
@@ -144,18 +134,6 @@ def test_mask_around_a_pose_from_a_guess_is_called_a_guess(
     frame = solve_image(session, session.frames[0], bundled_body)
     assert frame.segmentation.confidence == 0.3
     assert set(why) <= set(frame.result.warnings)
-
-
-def test_unrefined_mask_is_estimated_once(
-    session: Session, bundled_body: Body, found: Found, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    solved: list[object] = []
-    estimate = image_frame.estimate_views
-    monkeypatch.setattr(image_frame, "estimate_views", lambda v, *a, **k: solved.append(v) or estimate(v, *a, **k))
-    monkeypatch.setattr(image_frame, "segment_again", lambda *_, **__: None)
-    result = solve_image(session, session.frames[0], bundled_body).result
-    assert len(solved) == 1
-    assert any("mask found in the image" in warning for warning in result.warnings)
 
 
 def test_image_without_instrument_is_refused(bundled_body: Body, session: Session, tmp_path: Path) -> None:

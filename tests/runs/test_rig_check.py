@@ -35,11 +35,6 @@ def test_right_rigs_are_not_named() -> None:
     assert [rig_doubts(results(np.zeros(3), 12, seed)) for seed in range(50)] == [[]] * 50
 
 
-def test_two_frames_and_one_camera_tell_nothing() -> None:
-    assert rig_doubts(results(np.array([0.5, 0.0, 0.0]), 2)) == []
-    assert rig_doubts([Result("0000", "ok", (), "lnd", "roll_link", np.eye(4), {}, {})] * 5) == []
-
-
 def test_mean_is_weighted_and_widens_with_scatter() -> None:
     precise, rough = 0.01 * np.eye(3), np.eye(3)
     mean, covariance = pooled_rotation([(np.array([0.1, 0, 0]), precise), (np.array([1.0, 0, 0]), rough)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +35,6 @@ from dvrk_cmaes.runs.recorded_keyframes import (
     RecordedFrames,
     RecordedKeyframe,
     begin_keyframes,
-    with_keyframes,
 )
 from dvrk_cmaes.runs.track_clock import TrackClock, series_of
 from dvrk_cmaes.runs.track_frames import TrackSettings
@@ -130,14 +128,6 @@ def test_finished_recording_is_not_followed_again(
     assert (out / "tracks.jsonl").read_bytes() == (tracks / "tracks.jsonl").read_bytes()
 
 
-def test_stopped_run_writes_no_tracks(made: tuple[Path, dict[str, Truth]], tmp_path: Path) -> None:
-    stop = threading.Event()
-    stop.set()
-    done = track_folder(read_session(made[0]), tmp_path, prepare("lnd"), SETTINGS, stop=stop)
-    assert done.interrupted
-    assert not (tmp_path / "tracks.jsonl").exists()
-
-
 def test_damaged_solution_of_keyframes_is_named(
     made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
 ) -> None:
@@ -164,14 +154,6 @@ def test_given_calibration_is_used_instead_of_keyframes(
     assert {row["status"] for row in rows} == {"doubtful", "lost"}
     assert {row["reasons"][0] for row in rows} == {"session: the camera file is contradicted"}
     assert read_calibration(tmp_path / "session.json").status == "doubtful"
-
-
-def test_share_of_a_recording_is_chosen_for_calibration(made: tuple[Path, dict[str, Truth]]) -> None:
-    chosen = with_keyframes(read_session(made[0]), 6)
-    names = [files.name for files in chosen.frames]
-    assert len(names) == 6
-    assert EMPTY not in names
-    assert names == sorted(names)
 
 
 def test_keyframes_start_from_where_the_first_of_them_expect_them(

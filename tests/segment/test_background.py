@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 from helpers.drawn_tools import Drawing, draw_tool
-from helpers.files import read_image, write_image
+from helpers.files import read_image
 
 from dvrk_cmaes import InputError
 from dvrk_cmaes.runs.backgrounds import learned_backgrounds
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.background import learn_background, segment_before, smooth_background
+from dvrk_cmaes.segment.background import learn_background, segment_before
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import GUESS, SegmentSettings
 
@@ -93,12 +93,6 @@ def test_single_image_is_told_from_a_smooth_background() -> None:
         assert found.confidence > 0.7
 
 
-def test_grey_image_is_segmented_as_a_coloured_one() -> None:
-    drawn = drawn_on("paper")[3]
-    grey = np.repeat(drawn.image[..., :1], 3, axis=2)
-    assert drawn.overlap(segment(grey).mask) > 0.93
-
-
 @pytest.mark.parametrize(("gain", "offset", "noise"), [(0.6, 0, 0), (1.4, 0, 0), (1.0, 30, 0), (0.8, 10, 5)])
 def test_other_light_and_noise_change_little(gain: float, offset: float, noise: float) -> None:
     rng = np.random.default_rng(0)
@@ -120,14 +114,6 @@ def test_instrument_on_tissue_is_found_by_colours_as_before() -> None:
     assert drawn.overlap(found.mask) > 0.9
 
 
-def test_prompts_hold_before_a_background() -> None:
-    drawn, background = drawn_on("paper")[3], learned_on("paper")
-    v, u = np.argwhere(drawn.mask)[5000]
-    found = segment(drawn.image, background=background, not_points=[(float(u), float(v))])
-    assert not found.mask[v, u]
-    assert segment(drawn.image, background=background, points=[(float(u), float(v))]).mask[v, u]
-
-
 def test_background_that_moves_or_is_seen_too_seldom_is_not_learned() -> None:
     images = [each.image for each in drawn_on("textured cloth")]
     assert learn_background(images[:7]) is None
@@ -135,27 +121,11 @@ def test_background_that_moves_or_is_seen_too_seldom_is_not_learned() -> None:
     assert learn_background([*images, images[0][:100]]) is None
 
 
-def test_image_without_a_smooth_background_has_none() -> None:
-    rng = np.random.default_rng(0)
-    assert smooth_background(rng.integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)) is None
-
-
 def test_empty_table_has_no_instrument() -> None:
     background = learned_on("paper")
     found = segment_before(background, background, Prompts())
     assert not found.mask.any()
     assert found.confidence == 0
-
-
-def test_backgrounds_are_learned_only_where_colours_do_not_tell(tmp_path: Path) -> None:
-    for name, drawn in (("bench", drawn_on("paper")), ("tissue", [draw_tool(seed=k) for k in range(8)])):
-        for k, each in enumerate(drawn):
-            write_image(tmp_path / name / f"{k}.png", each.image)
-    paths = {name: sorted((tmp_path / name).iterdir()) for name in ("bench", "tissue")}
-    (tmp_path / "bench" / "broken.png").write_bytes(b"no image")
-    paths["bench"].append(tmp_path / "bench" / "broken.png")
-    assert list(learned_backgrounds(SegmentSettings(), paths).backgrounds) == ["bench"]
-    assert not learned_backgrounds(SegmentSettings("sam2"), paths).backgrounds
 
 
 def test_wrong_background_is_refused() -> None:

@@ -11,16 +11,14 @@ from helpers.transforms import transform
 
 from dvrk_cmaes import Camera, Renderer, prepare
 from dvrk_cmaes.geometry import Posed, frame_along, rotation_about_z
-from dvrk_cmaes.segment import Segmentation, by_model, model_masks, segment
+from dvrk_cmaes.segment import Segmentation, model_masks, segment
 from dvrk_cmaes.segment.by_model import find_instruments
 from dvrk_cmaes.segment.model_masks import segment_by_model
 from dvrk_cmaes.segment.segmentation import GUESS, Hints
-from dvrk_cmaes.segment.sizes import resized
 
 CAMERA = Camera(480, 384, 500.0, 500.0, 239.5, 191.5)
 BODY = prepare("lnd")
 LEFT = ((0.9, 0.25, 0.36), (-0.026, 0.0, 0.11), 0.4, (0.3, -0.2, 0.5))
-JOINTS = BODY.instrument.joint_names
 RIGHT = ((-0.75, 0.6, 0.28), (0.030, -0.012, 0.12), 1.9, (-0.4, 0.3, 0.6))
 Pose = tuple[tuple[float, ...], tuple[float, ...], float, tuple[float, ...]]
 
@@ -79,12 +77,6 @@ def test_the_one_that_is_taken_is_named(two: tuple[np.ndarray, list[np.ndarray],
     assert f"two instruments, the {side} one taken (pass --point)" in found.notes
 
 
-def test_readings_do_not_tell_which_of_two_they_are_of(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
-    found = segment(two[0], instrument=BODY, camera=CAMERA, joints=dict(zip(JOINTS, LEFT[3], strict=True)))
-    assert len(found.others) == 1
-    assert GUESS <= found.confidence <= 0.75
-
-
 def test_a_point_chooses(two: tuple[np.ndarray, list[np.ndarray], Segmentation]) -> None:
     image, masks, _ = two
     for mask in masks:
@@ -121,15 +113,6 @@ def test_a_mask_by_other_means_of_both_instruments_is_divided(
     assert len(found.others) == 1
     for mask in masks:
         assert max(overlap(each, mask) for each in (found.mask, found.others[0].mask)) > 0.8
-
-
-def test_the_sides_of_a_mask_by_other_means_are_tried_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    image, masks = drawn(LEFT)
-    outside = np.zeros(image.shape[:2], np.bool_)
-    monkeypatch.setattr(by_model, "find_pairs", lambda *_: [])
-    assert find_instruments(image, outside, BODY, CAMERA) == []
-    (found, *_) = find_instruments(image, outside, BODY, CAMERA, rough=masks[0])
-    assert overlap(found.silhouette, resized(masks[0], found.silhouette.shape[::-1])) > 0.75
 
 
 def behind_a_flap() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -176,14 +159,6 @@ def test_an_unlikely_instrument_is_a_guess_where_nothing_else_is_found(
     if taken:
         assert overlap(found.mask, mask) > 0.9
         assert found.notes[0] == "a guess"
-
-
-def test_instruments_of_the_same_colours_beside_each_other_are_no_surroundings() -> None:
-    image, masks = drawn(LEFT, (RIGHT[0], (0.003, -0.014, 0.115), *RIGHT[2:]), seed=2)
-    found = segment(image, instrument=BODY, camera=CAMERA)
-    both = [found.mask, *(other.mask for other in found.others)]
-    for mask in masks:
-        assert max(overlap(each, mask) for each in both) > 0.9
 
 
 def test_what_lies_before_an_instrument_is_not_in_its_mask() -> None:

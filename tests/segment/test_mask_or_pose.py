@@ -40,19 +40,6 @@ def test_mask_supported_by_image_is_not_named(drawing: Drawing) -> None:
     )
 
 
-def test_undecided_cause_is_stated(drawing: Drawing) -> None:
-    unsure = Segmentation(drawing.mask, None, 0.6)
-    assert attribute_doubt(drawing.image, unsure, drawing.mask) == (
-        "whether mask or pose is to blame cannot be told: they agree, confidence 0.60"
-    )
-    assert attribute_doubt(drawing.image, unsure, without_end(drawing.mask)) == (
-        "whether mask or pose is to blame cannot be told: the image's colours side with neither clearly"
-    )
-    ignored = np.zeros_like(drawing.mask)
-    ignored[:, 188:] = True
-    assert "they agree" in attribute_doubt(drawing.image, unsure, without_end(drawing.mask), ignored)
-
-
 def test_colours_side_with_the_mask_that_is_right(drawing: Drawing) -> None:
     right, lacking = drawing.mask, without_end(drawing.mask)
     for_right, for_lacking = (colours_side_with(drawing.image, *pair) for pair in ((right, lacking), (lacking, right)))

@@ -6,15 +6,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import onnx
 import pytest
-from helpers.sam2_graphs import ALL_IOUS, FAMILIES, REACH, TOOL, decoder, write_export
+from helpers.sam2_graphs import ALL_IOUS, FAMILIES, REACH, TOOL, write_export
 
-from dvrk_cmaes import InputError
 from dvrk_cmaes.segment import Segmentation, segment
 from dvrk_cmaes.segment.sam2 import Sam2
 from dvrk_cmaes.segment.sam2_files import OnnxModel
-from dvrk_cmaes.segment.sam2_images import encoder_input, resize_logits
+from dvrk_cmaes.segment.sam2_images import resize_logits
 
 SIZES = [(480, 640), (1080, 1920), (900, 300), (1024, 1024), (200, 150)]
 
@@ -22,11 +20,6 @@ SIZES = [(480, 640), (1080, 1920), (900, 300), (1024, 1024), (200, 150)]
 @pytest.fixture(scope="module", params=FAMILIES)
 def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Sam2:
     return Sam2(write_export(tmp_path_factory.mktemp("export"), request.param), threads=1)
-
-
-@pytest.fixture
-def one_model(tmp_path: Path) -> Sam2:
-    return Sam2(write_export(tmp_path, "osam"), threads=1)
 
 
 def picture(height: int = 480, width: int = 640) -> tuple[np.ndarray, np.ndarray]:
@@ -76,21 +69,6 @@ def test_point_selects_instrument(model: Sam2, size: tuple[int, int]) -> None:
     assert_alike(model.segment(image, points=[point]), bar & near(point, size))
 
 
-def test_points_and_not_points_are_combined(model: Sam2) -> None:
-    image, bar = picture()
-    on, beside = [(150.0, 200.0), (480.0, 300.0)], [(250.0, 220.0), (560.0, 300.0)]
-    expected = bar & (near(on[0], bar.shape) | near(on[1], bar.shape))
-    expected &= ~near(beside[0], bar.shape) & ~near(beside[1], bar.shape)
-    assert_alike(model.segment(image, points=on, not_points=beside), expected)
-
-
-def test_box_and_points_are_combined(model: Sam2) -> None:
-    image, bar = picture()
-    box, on, beside = (60.0, 100.0, 200.0, 400.0), (450.0, 240.0), (90.0, 140.0)
-    expected = bar & (in_box(box, bar.shape) | near(on, bar.shape)) & ~near(beside, bar.shape)
-    assert_alike(model.segment(image, box=box, points=[on], not_points=[beside]), expected)
-
-
 def told(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch, **prompts: object) -> dict[str, np.ndarray]:
     """Give the input tensors of a family's decoder for prompts in an image of 640 x 480 px."""
     heard: list[dict[str, np.ndarray]] = []
@@ -103,16 +81,6 @@ def told(tmp_path: Path, family: str, monkeypatch: pytest.MonkeyPatch, **prompts
 def test_box_is_clipped_to_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tensors = told(tmp_path, "osam", monkeypatch, box=(-50, -50, 320, 900))
     assert tensors["point_coords"].tolist() == [[[0, 0], [512, 1024]]]
-
-
-def test_binary_masks_of_model_are_used_unchanged(tmp_path: Path) -> None:
-    folder = write_export(tmp_path, "onnxruntime")
-    model = decoder("onnxruntime")
-    last = next(node for node in model.graph.node if node.output[0] == "masks")
-    last.op_type = "Less"
-    onnx.save(model, folder / "second.onnx")
-    image, bar = picture()
-    assert_alike(Sam2(folder, 1).segment(image, box=(0, 0, 639, 479)), ~bar)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -128,31 +96,6 @@ def test_mask_with_highest_predicted_overlap_is_chosen(
     found = model.segment(image, box=(0, 0, 639, 479))
     assert_alike(found, bar if share == "right" else np.ones_like(bar))
     assert found.confidence == pytest.approx(max(ious))
-
-
-def test_image_is_encoded_once_for_several_prompts(one_model: Sam2, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = []
-    monkeypatch.setattr("dvrk_cmaes.segment.sam2.encoder_input", lambda im: seen.append(1) or encoder_input(im))
-    image, bar = picture()
-    one_model.segment(image, points=[(100, 240)])
-    one_model.segment(image.copy(), points=[(500, 240)])
-    assert len(seen) == 1
-    image[:, :320] = 0
-    assert_alike(one_model.segment(image, box=(0, 0, 639, 479)), bar & (np.arange(640) >= 320))
-    assert len(seen) == 2
-    one_model.segment(image.reshape(640, 480, 3), points=[(100, 240)])
-    assert len(seen) == 3
-
-
-def test_prompt_is_required(one_model: Sam2) -> None:
-    image, _ = picture()
-    message = "^prompt: Segment Anything 2 needs a box or a point on the instrument, got neither$"
-    with pytest.raises(InputError, match=message):
-        one_model.segment(image)
-    with pytest.raises(InputError, match=message):
-        one_model.segment(image, not_points=[(3, 3)])
-    with pytest.raises(InputError, match=r"^point: expected a pixel of the 640 x 480 image, got 700,3$"):
-        one_model.segment(image, points=[(700, 3)])
 
 
 def test_classic_segmentation_gives_default_box_and_point(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,11 +7,9 @@ import random
 from pathlib import Path
 
 import numpy as np
-import onnx
-import onnx.parser
 import pytest
 from helpers.places import SCRIPTS
-from helpers.sam2_graphs import FAMILIES, decoder, encoder, write_export
+from helpers.sam2_graphs import FAMILIES, write_export
 
 from dvrk_cmaes import DvrkCmaesError, InputError
 from dvrk_cmaes.segment.sam2 import Sam2
@@ -58,12 +56,6 @@ def test_incomplete_export_is_refused(tmp_path: Path, kept: str, there: str) -> 
     )
 
 
-def test_too_many_models_are_refused_unopened(tmp_path: Path) -> None:
-    for k in range(9):
-        (tmp_path / f"{k}.onnx").write_bytes(b"")
-    assert refusal(tmp_path) == f"{tmp_path}: expected one encoder and one decoder, got 9 models; keep one pair"
-
-
 @pytest.mark.parametrize("content", [b"", b"not a model", None], ids=["empty", "something else", "cut off"])
 def test_damaged_model_is_named(tmp_path: Path, content: bytes | None) -> None:
     write_export(tmp_path, "samexporter")
@@ -96,34 +88,6 @@ def test_models_with_damaged_bytes_are_refused_in_one_line_or_run(
     assert 20 < len(messages) < 100
     assert [message for message in messages if len(message.splitlines()) != 1] == []
     assert capfd.readouterr() == ("", "")  # neither onnxruntime's own lines nor those of its retries
-
-
-def test_missing_weights_file_is_named(tmp_path: Path) -> None:
-    write_export(tmp_path, "onnx-community")
-    onnx.save(
-        encoder("onnx-community"),
-        tmp_path / "first.onnx",
-        save_as_external_data=True,
-        location="first.onnx_data",
-        size_threshold=0,
-    )
-    assert open_export(tmp_path, threads=1).encoder.file == tmp_path / "first.onnx"
-    (tmp_path / "first.onnx_data").unlink()
-    assert refusal(tmp_path) == (
-        f"{tmp_path}: expected one encoder and one decoder of an export, got second.onnx (decoder of onnx-community), "
-        f"first.onnx: expected a model (ONNX); its weights are missing: expected first.onnx_data beside it; {INSTEAD}"
-    )
-
-
-def test_failing_model_is_named(tmp_path: Path) -> None:
-    write_export(tmp_path, "samexporter")
-    model = decoder("samexporter")
-    model.graph.input[0].type.tensor_type.shape.dim[1].dim_value = 31
-    onnx.save(model, tmp_path / "second.onnx")
-    with pytest.raises(DvrkCmaesError) as error:
-        Sam2(tmp_path, threads=1).segment(IMAGE, points=[(3, 3)])
-    assert str(error.value).startswith(f"{tmp_path}/second.onnx: the model failed: [ONNXRuntimeError]")
-    assert "\n" not in str(error.value)
 
 
 def test_missing_onnxruntime_is_reported_with_install_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

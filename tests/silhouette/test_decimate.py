@@ -31,17 +31,3 @@ def test_vertices_move_at_most_by_stated_error(cell: float) -> None:
     assert np.abs(radius - 0.01).max() <= error + 1e-12
     assert all(len(set(face)) == 3 for face in faces.tolist())
     assert len(faces) < len(ball.faces) if cell > 3e-4 else len(faces) == len(ball.faces)
-
-
-@pytest.mark.parametrize(("radius", "cell"), [(0.01, 5e-4), (5.0, 1e-6)])
-def test_vertices_are_in_the_order_of_their_cells(radius: float, cell: float) -> None:
-    # 10^7 cells along each axis: a number for each of them does not fit into 64 bits
-    coarse, _ = decimate(rigid_instrument(trimesh.creation.icosphere(subdivisions=3, radius=radius)), cell)
-    cells = np.floor(coarse.links[0].vertices / cell).astype(np.int64)
-    assert len(np.unique(cells, axis=0)) == len(cells)
-    assert np.array_equal(np.lexsort(cells.T[::-1]), np.arange(len(cells)))
-
-
-def test_errors_of_repeated_decimation_add_up(bundled_body: Body) -> None:
-    coarse = bundled_body.decimated(5e-4)
-    assert coarse.decimated(1e-3).error_m > coarse.error_m > bundled_body.error_m == 0

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage, worked
+from dvrk_cmaes.silhouette.sliced_call import SlicedCall, worked
 
 
 def drawing(times: int, done: list[int]) -> int:
@@ -26,25 +26,6 @@ def test_call_is_done_in_slices_that_only_its_work_decides() -> None:
         counts.append(len(done))
     assert counts == [2, 5]  # the third drawing of each slice waits for the next one
     assert call.value() == 7
-
-
-def test_work_that_draws_nothing_begins_with_a_slice_of_its_own_and_is_named() -> None:
-    def both() -> None:
-        stage("segmenting")
-        stage("segmenting")
-        worked(900)
-
-    call = SlicedCall(both)
-    stages = []
-    while not call.advance(10_000):
-        stages.append(call.stage)
-    assert stages == ["segmenting", "segmenting"]
-    assert call.stage == ""
-
-
-def test_stages_outside_of_a_call_in_slices_change_nothing() -> None:
-    stage("segmenting")
-    worked(10**9)
 
 
 def test_error_is_raised_where_the_value_is_asked_for() -> None:
@@ -69,7 +50,3 @@ def test_call_that_is_not_wanted_any_more_ends_its_thread() -> None:
         if thread is not threading.current_thread() and thread.name.endswith("(_run)"):
             thread.join(10)
     assert threading.active_count() == before
-
-
-def test_work_outside_of_a_call_does_not_wait() -> None:
-    worked(10**9)

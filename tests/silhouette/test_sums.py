@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.transforms import exp_rotation, moved, transform
 
-from dvrk_cmaes import Body, Camera, Renderer, load_instrument
+from dvrk_cmaes import Body, Camera, Renderer
 from dvrk_cmaes.silhouette import PixelSums
 
 PINHOLE = Camera(160, 120, 220.7, 220.7, 110.9, 47.2)
@@ -61,17 +61,6 @@ def test_smooth_sums_agree_with_coverage(bundled_body: Body, camera: Camera, lin
     assert coverage.max() <= 1 + 1e-6
     found = renderer.sums(*population(20), PixelSums.of(images, weight), lines_per_pixel=lines)
     np.testing.assert_allclose(found, np.einsum("chw,khw->ck", coverage, images * weight), rtol=1e-5, atol=1e-2)
-
-
-@pytest.mark.parametrize("camera", [PINHOLE, LENS])
-@pytest.mark.parametrize("lines", [2, 4])
-def test_outlines_are_as_long_on_more_lines(bundled_body: Body, camera: Camera, lines: int) -> None:
-    renderer = Renderer(bundled_body, camera, threads=1)
-    of_lines = (renderer.outlines(*population(20), lines_per_pixel=each) for each in (lines, 1))
-    for more, fewer in zip(*of_lines, strict=True):
-        lengths = [np.linalg.norm(one.normals, axis=1).sum() for one in (more, fewer)]
-        assert lengths[0] == pytest.approx(lengths[1], rel=0.05, abs=6)
-        assert np.all(np.diff(more.link) >= 0)
 
 
 @pytest.mark.parametrize("lines", [1, 2, 4])
@@ -128,14 +117,6 @@ def test_smooth_sums_follow_small_steps(bundled_body: Body, camera: Camera, axis
     assert np.abs(np.diff(fine)).max() < 1.0
 
 
-def test_smooth_sums_are_constant_for_tiny_steps(bundled_body: Body) -> None:
-    renderer = Renderer(bundled_body, PINHOLE)
-    pose = transform(exp_rotation([0.5, 0.4, 0.3]), [-0.005, 0.004, 0.11])
-    poses = moved(pose, np.arange(32)[:, None] * [1e-8, 1e-8, 1e-8, 0, 0, 0])
-    sums = renderer.sums(poses, np.tile([0.3, -0.4, 0.7], (32, 1)), PixelSums.of(image_stack()[0]))
-    assert np.abs(np.diff(sums, axis=0)).max() < 0.05
-
-
 # Threads and groups
 
 
@@ -154,29 +135,6 @@ def test_results_do_not_depend_on_threads(bundled_body: Body, camera: Camera) ->
             np.testing.assert_array_equal(one, other)
 
 
-def test_split_at_groups_gives_same_sums(bundled_body: Body) -> None:
-    renderer = Renderer(bundled_body, PINHOLE, threads=1)
-    poses, joints = population(43)
-    table = PixelSums.of(*image_stack())
-    whole = renderer.sums(poses, joints, table)
-    for cut in (16, 20, 32):
-        parts = [renderer.sums(poses[s], joints[s], table) for s in (slice(cut), slice(cut, None))]
-        # what is cut off the shaft depends on the other poses of a batch, and changes roundings only
-        np.testing.assert_allclose(np.concatenate(parts), whole, rtol=1e-5, atol=1e-3)
-
-
-def test_position_in_population_does_not_matter(bundled_body: Body) -> None:
-    renderer = Renderer(bundled_body, PINHOLE, threads=1)
-    poses, joints = population(20)
-    images, weight = image_stack()
-    whole = renderer.masks(poses, joints)
-    alone = np.concatenate([renderer.masks(poses[i : i + 1], joints[i : i + 1]) for i in range(20)])
-    assert (whole != alone).sum() <= 1
-    table = PixelSums.of(images, weight)
-    singles = [renderer.sums(poses[i : i + 1], joints[i : i + 1], table)[0] for i in range(20)]
-    np.testing.assert_allclose(renderer.sums(poses, joints, table), singles, atol=0.05)
-
-
 def test_renderer_is_thread_safe(bundled_body: Body) -> None:
     renderer = Renderer(bundled_body, PINHOLE, threads=2)
     table = PixelSums.of(*image_stack())
@@ -189,28 +147,6 @@ def test_renderer_is_thread_safe(bundled_body: Body) -> None:
         np.testing.assert_array_equal(sums, sums_alone)
         np.testing.assert_array_equal(masks, masks_alone)
     assert renderer.poses == 2 * poses
-
-
-def test_first_use_of_body_is_thread_safe() -> None:
-    """Embree commits a scene at its first query without a lock, so it has to be committed beforehand."""
-    body = Body.prepare(load_instrument("lnd"))
-    eyes_inside = [transform(np.eye(3), [0.0, 0.0, 0.05 + 0.001 * i])[None] for i in range(8)]
-    joints = np.zeros((1, 3))
-    with ThreadPoolExecutor(8) as pool:
-        masks = list(pool.map(lambda pose: Renderer(body, PINHOLE, threads=1).masks(pose, joints), eyes_inside))
-    assert all(mask.all() for mask in masks)
-
-
-@pytest.mark.parametrize("camera", [PINHOLE, LENS])
-def test_empty_population(bundled_body: Body, camera: Camera) -> None:
-    renderer = Renderer(bundled_body, camera)
-    none = np.empty((0, 4, 4)), np.empty((0, 3))
-    table = PixelSums.of(image_stack()[0])
-    assert renderer.sums(*none, table).shape == (0, 4)
-    assert renderer.sums(*none, table, to_pixel=True, lines_per_pixel=2).shape == (0, 4)
-    assert renderer.coverage(*none).shape == (0, 120, 160)
-    assert renderer.masks(*none).shape == renderer.trace(*none).shape == (0, 120, 160)
-    assert (renderer.poses, renderer.rays) == (0, 0)
 
 
 def test_invisible_pose_has_zero_sums(bundled_body: Body) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.commands import main
 from helpers.moving_worlds import SMALL
 
 from dvrk_cmaes import Body, read_session
@@ -44,12 +43,6 @@ def test_truth_states_what_can_be_seen(recording: Path) -> None:
     assert all(0.9 <= frame["visible"] <= 1 for frame in golden["frames"].values())
 
 
-def test_same_seed_gives_same_recording(bundled_body: Body, recording: Path, tmp_path: Path) -> None:
-    write_recording(tmp_path / "again", plan(bundled_body, "easy"))
-    for path in sorted(recording.rglob("*.*")):
-        assert (tmp_path / "again" / path.relative_to(recording)).read_bytes() == path.read_bytes(), path
-
-
 def test_motion_is_smooth_and_in_view(bundled_body: Body) -> None:
     base, truths, _ = moving_arm(bundled_body, SMALL, np.random.default_rng(0), 90, MOTION_LEVELS["easy"])
     places = np.array([truth.camera_from_root[:3, 3] for truth in truths])
@@ -80,22 +73,6 @@ def test_arm_of_hard_level_leaves_the_view_and_comes_back(bundled_body: Body) ->
     assert not all(inside)
 
 
-def test_command_writes_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "made"
-    assert main(["synth", str(out), "--motion", "video", "--level", "clean", "--frames", "2", "--no-images"]) == 0
-    assert capsys.readouterr().out == f"2 frames, level clean, motion video, seed 0; written: {out}\n"
-    assert sorted(path.name for path in (out / "masks").iterdir()) == ["0000.png", "0001.png"]
-
-
-def test_command_makes_images_late(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["--motion", "video", "--level", "clean", "--frames", "2", "--no-images"]
-    assert main(["synth", str(tmp_path / "made"), *line, "--lag", "0.1"]) == 0
-    assert json.loads((tmp_path / "made" / "synth.json").read_text())["motion_level"]["lag"] == pytest.approx(3.0)
-    assert main(["synth", str(tmp_path / "not"), "--lag", "0.1"]) == 2
-    assert "--lag: expected it with --motion video only, got --motion rcm" in capsys.readouterr().err
-    assert not (tmp_path / "not").exists()
-
-
 def test_joints_follow_their_readings_by_the_cables_of_a_real_arm(bundled_body: Body) -> None:
     level, names = replace(MOTION_LEVELS["medium"], lag=0.0), cable_joints(bundled_body)
     rng = np.random.default_rng(5)
@@ -106,13 +83,3 @@ def test_joints_follow_their_readings_by_the_cables_of_a_real_arm(bundled_body: 
     assert np.degrees(np.std(errors["wrist_pitch"])) > 2
     assert np.degrees(np.std(errors["roll"])) < np.degrees(np.std(errors["wrist_pitch"]))
     assert np.degrees(np.std(errors["yaw"])) < 0.2
-
-
-def test_levels_medium_and_hard_have_measured_cables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["--motion", "video", "--level", "medium", "--frames", "2", "--no-images"]
-    assert main(["synth", str(tmp_path / "made"), *line]) == 0
-    assert main(["synth", str(tmp_path / "other"), *line, "--cables", "independent"]) == 0
-    cables = [json.loads((tmp_path / name / "synth.json").read_text())["cables"] for name in ("made", "other")]
-    assert cables == ["measured", "independent"]
-    assert main(["synth", str(tmp_path / "not"), "--cables", "measured"]) == 2
-    assert "--cables: expected it with --motion video only, got --motion rcm" in capsys.readouterr().err

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from helpers.moving_worlds import SMALL, MovingWorld, moving_world
@@ -44,14 +42,3 @@ def test_coverage_is_that_of_the_silhouette(world: MovingWorld, frame: int) -> N
     partial = (drawn > 0) & (drawn < 1)
     assert np.abs(coverage - drawn)[partial].mean() < 0.03
     assert ((coverage > 0.5) != (drawn > 0.5)).sum() < 0.001 * (drawn > 0.5).sum()
-
-
-def test_the_nearer_tool_hides_the_farther(world: MovingWorld) -> None:
-    near = world.truths[0]
-    shift = np.eye(4)
-    shift[:3, 3] = 0.002, 0.0, 0.02
-    far = replace(near, camera_from_root=shift @ near.camera_from_root)
-    together, alone = see(SMALL, [far, near]).coverage, [see(SMALL, [own]).coverage[0] for own in (far, near)]
-    assert np.allclose(together[1], alone[1])
-    assert together[0].sum() < 0.5 * alone[0].sum()
-    assert (together.sum(axis=0) <= 1 + 1e-6).all()

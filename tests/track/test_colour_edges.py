@@ -7,20 +7,18 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from helpers.moving_worlds import SMALL, moving_world
+from helpers.moving_worlds import moving_world
 
-from dvrk_cmaes import InputError, Rig, prepare
+from dvrk_cmaes import Rig
 from dvrk_cmaes.config import TrackConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.joints.prior import LIMIT_SIGMA
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.synth.images import draw_image
-from dvrk_cmaes.track.clearance import MOST_CLEARANCE, clearance_of
 from dvrk_cmaes.track.colour_edges import ColourEdges, EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
 from dvrk_cmaes.track.drawn_outline import DrawnOutline
-from dvrk_cmaes.track.histogram_ratio import REACH, ColourModel, EdgeModel, bins_of, changes_along
+from dvrk_cmaes.track.histogram_ratio import ColourModel, EdgeModel
 from dvrk_cmaes.track.outline_model import OutlineModel
-from dvrk_cmaes.track.view_segmenter import ViewSegmenter
 
 TOOL, TISSUE, UNKNOWN = (90, 88, 86), (60, 70, 170), (200, 40, 20)  # BGR
 HEIGHT, WIDTH = 80, 160
@@ -75,37 +73,12 @@ def test_edges_within_the_instrument_do_not_count() -> None:
     assert np.median(found.distance[:60]) == pytest.approx(-3, abs=0.2)
 
 
-def test_colours_that_were_never_seen_tell_nothing() -> None:
-    image, outline = bar(60, 100, of=UNKNOWN), outline_of(60, 100)
-    assert not ImageEvidence(image, model_of()).distances(outline.pixels, outline, 12.0).found.any()
-
-
-def test_tissue_alone_has_no_edges() -> None:
-    image, outline = bar(-50, -40), outline_of(60, 100)
-    assert not ImageEvidence(image, model_of()).distances(outline.pixels, outline, 12.0).found.any()
-
-
-def test_ignored_pixels_have_no_edges() -> None:
-    image, outline, ignore = bar(60, 100), outline_of(60, 100), np.zeros((HEIGHT, WIDTH), np.bool_)
-    ignore[:, 80:120] = True
-    found = ImageEvidence(image, model_of(), ignore).distances(outline.pixels, outline, 12.0).found
-    assert found[:60].all()
-    assert not found[60:].any()
-
-
 def test_instrument_that_goes_on_beside_its_outline_is_unexplained() -> None:
     image, outline = bar(60, 100), outline_of(60, 80)
     evidence = ImageEvidence(image, model_of())
     assert evidence.unexplained(outline.pixels, outline) == pytest.approx(0.5, abs=0.02)
     whole = outline_of(60, 100)
     assert evidence.unexplained(whole.pixels, whole) == 0.0
-
-
-def test_lines_end_where_they_cross_the_outline_again() -> None:
-    outline = outline_of(60, 66)
-    within, beside = clearance_of(outline.pixels, outline.normals)
-    assert np.allclose(within, 6)
-    assert (beside >= MOST_CLEARANCE).all()
 
 
 SHADOW = (20, 23, 57)  # of the tissue
@@ -126,27 +99,7 @@ def test_edge_to_a_shadow_of_a_colour_that_the_instrument_has_too_is_told_by_the
     assert without.found[60:].mean() < 0.1
 
 
-def test_change_of_a_shadow_is_another_one_than_that_to_the_instrument() -> None:
-    row = np.array([[TISSUE] * 4 + [SHADOW] * 4, [TISSUE] * 4 + [TOOL] * 4], np.uint8)
-    brighter = np.clip(row.astype(int) * 3 // 2, 0, 255).astype(np.uint8)
-    place = 4 - REACH
-    to_shadow, to_tool = changes_along(row)[:, place]
-    assert to_shadow != to_tool
-    assert changes_along(brighter)[1, place] == to_tool
-
-
 # the models of colours and changes
-
-
-def test_mixing_changes_the_model_slowly() -> None:
-    pixels = np.array([TOOL], np.uint8)
-    (bin_,) = bins_of(pixels)
-    outline = outline_of(60, 100)
-    other = learned(bar(60, 100, of=UNKNOWN), outline.pixels, outline)
-    model = model_of()
-    mixed = model.mixed(other, 0.15)
-    odds = [one.colours.log_odds[0, bin_] for one in (other, mixed, model)]
-    assert odds[0] <= 0 < odds[1] <= odds[2]
 
 
 def test_colours_are_restored_from_their_document() -> None:
@@ -158,11 +111,6 @@ def test_colours_are_restored_from_their_document() -> None:
 def test_damaged_colours_are_refused() -> None:
     with pytest.raises(ValueError, match="expected"):
         ColourModel.restored(model_of().colours.as_text() | {"inside": "AAAA"})
-
-
-def test_unknown_evidence_is_refused() -> None:
-    with pytest.raises(InputError, match=r"evidence: expected one of .*images.*got 'image'"):
-        ViewSegmenter(Rig.of(SMALL), prepare("lnd"), TrackConfig(), "image", None)  # type: ignore[arg-type]
 
 
 # the term, of a real outline
@@ -237,14 +185,6 @@ def test_pose_that_is_too_far_away_is_not_supported(
     across = shown[2].pose[:3, :3].T @ [60 * depth / 513, 0, 0]
     found = fitted(shown, np.array([*across, 0, 0, 0, 0, 0, 0]), far=False)
     assert found.doubts
-
-
-def test_pose_without_any_edge_has_no_residual(shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed]) -> None:
-    """The residual of a lost image is written to tracks.jsonl, which has no infinite numbers."""
-    depth = float(shown[2].pose[2, 3])
-    across = shown[2].pose[:3, :3].T @ [90 * depth / 513, 0, 0]
-    found = fitted(shown, np.array([*across, 0, 0, 0, 0, 0, 0]), far=False)
-    assert (found.holds, found.supported, found.sigma) == (False, 0, None)
 
 
 def test_jaws_do_not_pass_each_other(shown: tuple[OutlineModel, dict[int, ImageEvidence], Posed]) -> None:

@@ -66,11 +66,3 @@ def test_without_evidence_the_prediction_and_its_prior_remain() -> None:
     assert found[0] == pytest.approx(np.zeros((3, SIZE)))
     assert found[1] == pytest.approx(prior, rel=1e-6)
     assert found[2] == pytest.approx(jacobian)
-
-
-def test_a_single_frame_is_weighed_with_its_prior() -> None:
-    deviations, covariances, _ = smoothed_deviations(
-        np.zeros(1), np.eye(2)[None], np.eye(2)[None], np.array([[2.0, 0.0]]), np.zeros((1, 2, 1)), np.zeros((1, 2, 0))
-    )
-    assert deviations[0] == pytest.approx([1.0, 0.0])
-    assert covariances[0] == pytest.approx(0.5 * np.eye(2))

@@ -70,33 +70,6 @@ def test_tissue_before_the_instrument_is_not_in_the_mask(
     assert iou(found.mask & ~hidden, world.masks[0] & ~hidden) > 0.9
 
 
-def test_image_without_the_instrument_has_no_mask(
-    world: MovingWorld, images: list[np.ndarray], colours: ColourModel
-) -> None:
-    tissue = images[0][~world.masks[0]].reshape(-1, 3)
-    rng = np.random.default_rng(0)
-    alone = tissue[rng.integers(0, len(tissue), images[0].shape[:2])]
-    found = mask_around(alone, world.masks[0], colours)
-    assert found is None or found.mask.sum() < 0.1 * world.masks[0].sum() or found.unsupported > 0.3
-
-
-def test_pixels_outside_the_view_are_not_in_the_mask(
-    world: MovingWorld, images: list[np.ndarray], colours: ColourModel
-) -> None:
-    outside = np.zeros_like(world.masks[0])
-    outside[: outside.shape[0] // 2] = True
-    found = mask_around(images[0], world.masks[0], colours, outside)
-    assert found is not None
-    assert not (found.mask & outside).any()
-
-
-def test_empty_and_full_silhouettes_tell_nothing(images: list[np.ndarray], colours: ColourModel) -> None:
-    for shown in (False, True):
-        flat = np.full(images[0].shape[:2], shown)
-        assert learned_colours(images[0], flat, None) is None
-        assert mask_around(images[0], flat, colours) is None
-
-
 def test_colours_are_the_same_after_they_are_written(colours: ColourModel) -> None:
     again = read_colours(colours_document({"left": colours}))
     assert np.array_equal(again["left"].log_odds, colours.log_odds)

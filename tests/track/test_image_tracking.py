@@ -80,14 +80,6 @@ def test_first_mask_is_found_in_the_image(world: MovingWorld, images: list[np.nd
     assert world.error_mm(5, followed[-1]) < 2.5
 
 
-def test_same_images_give_same_answer(
-    world: MovingWorld, first: Result, images: list[np.ndarray], results: list[TrackResult]
-) -> None:
-    again = follow(world, started(world, first, images[0]), range(1, 5), images)
-    for one, same in zip(again, results[:4], strict=True):
-        assert one.to_dict("a") | {"seconds": 0} == same.to_dict("a") | {"seconds": 0}
-
-
 def test_keyframes_have_masks_that_are_found_in_images(
     world: MovingWorld, first: Result, images: list[np.ndarray]
 ) -> None:
@@ -127,16 +119,3 @@ def test_masks_and_images_may_alternate(world: MovingWorld, first: Result, image
         tracker.add_readings(world.time(k), world.readings[k])
         results.append(tracker.step(world.time(k), mask=world.masks[k] if k % 2 else None, image=images[k]))
     assert errors_mm(world, results).max() < 2
-
-
-def test_images_do_not_count_where_only_masks_are_asked_for(
-    world: MovingWorld, first: Result, images: list[np.ndarray]
-) -> None:
-    one, other = (started(world, first, images[0], evidence="masks") for _ in range(2))
-    for k in range(1, 4):
-        one.add_readings(world.time(k), world.readings[k])
-        other.add_readings(world.time(k), world.readings[k])
-        with_image = one.step(world.time(k), world.masks[k], image=images[k])
-        without = other.step(world.time(k), world.masks[k])
-        assert with_image.to_dict("a") | {"seconds": 0} == without.to_dict("a") | {"seconds": 0}
-    assert one.step(world.time(4), image=images[4]).reasons[0].startswith("no mask")

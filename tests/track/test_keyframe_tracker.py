@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.moving_worlds import SMALL, MovingWorld, followed, moving_world
-from helpers.transforms import moved
+from helpers.moving_worlds import MovingWorld, moving_world
 
-from dvrk_cmaes import EstimateConfig, KeyframeProblem, Rig, SessionCalibration, Solution, Tracker, TrackResult
-from dvrk_cmaes.calibration.prediction import WRIST_ERROR, Prediction, lag_of
+from dvrk_cmaes import EstimateConfig, SessionCalibration, Solution, Tracker, TrackResult
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.track.confirmed_image import confirmed_by
-from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT
-from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES
-from dvrk_cmaes.track.known_base import CalibratedFollower
-from dvrk_cmaes.track.reading_buffer import ReadingBuffer
 
 CONFIG = EstimateConfig(trust=TrustConfig(tip_mm=3.0))
 """Settings for small images, which tell less about the depth."""
@@ -104,66 +96,6 @@ def solved(world: MovingWorld) -> tuple[Tracker, dict[int, Solution], list[Track
     return tracker, solutions, results
 
 
-def test_images_are_not_followed_by_few_keyframes_that_do_not_tell_the_lag(
-    world: MovingWorld, solved: tuple[Tracker, dict[int, Solution], list[TrackResult]]
-) -> None:
-    _, solutions, results = solved
-    lags = {count: lag_of(one.calibration, 0.1) for count, one in solutions.items() if one.calibration is not None}
-    told = {count: lag.std for count, lag in lags.items() if lag is not None}
-    assert list(solutions) == [4, 8, 12]
-    assert told[8] > 0.055 > told[12]
-    # but from 8 keyframes on, an image that these expect where it was followed to is ok, with the margin of the masks
-    by_eight = [result for result in results if result.base is not None and result.base.solved == 8]
-    assert {result.status for result in by_eight} == {"ok"}
-    assert all(result.base is not None and not result.base.used for result in results)
-    before = [result for result in results if result.base is not None and result.base.solved < 8]
-    assert all(result.status != "ok" for result in before)
-
-
-def test_image_is_not_confirmed_where_the_keyframes_expect_another_place(
-    world: MovingWorld, solved: tuple[Tracker, dict[int, Solution], list[TrackResult]]
-) -> None:
-    _, solutions, results = solved
-    calibration, result = solutions[8].calibration, results[-1]
-    assert calibration is not None
-    assert result.camera_from_root is not None
-    assert result.covariance is not None
-    readings = ReadingBuffer(world.body.instrument.joint_names, 0.2, 1.0)
-    for k in range(len(results)):
-        readings.add(world.time(k), world.readings[k])
-    at = readings.at(result.time)
-    for pitch, expected in ((0.0, True), (0.9, False)):
-        turned = moved(result.camera_from_root, np.array([0.0, 0.0, 0.0, pitch, 0.0, 0.0]))
-        other = replace(result, camera_from_root=turned)
-        confirmed = confirmed_by(calibration, other, at, 0.08, followed(world, CONFIG))
-        assert (confirmed is not None) == expected
-    strict = replace(CONFIG, trust=TrustConfig(tip_mm=0.9 * (result.tip_std_mm or 0)))
-    doubtful = confirmed_by(calibration, result, at, 0.08, followed(world, strict))
-    assert doubtful is not None
-    assert doubtful.status == "doubtful"
-    assert doubtful.reasons[0].startswith("tips not accurate")
-
-
-def test_calibration_expects_larger_errors_of_the_wrist_in_later_images(
-    world: MovingWorld, solved: tuple[Tracker, dict[int, Solution], list[TrackResult]]
-) -> None:
-    calibration, instrument = solved[1][12].calibration, world.body.instrument
-    assert calibration is not None
-    readings = ReadingBuffer(instrument.joint_names, 0.2, 1.0)
-    for k in range(len(solved[2])):
-        readings.add(world.time(k), world.readings[k])
-    at = readings.at(world.time(20))
-    model, own = calibration.model(at.outer[None], at.joints[None], instrument.joint_names)
-    std = np.sqrt(np.diag(model.covariance(own)[0]))
-    readings_at = (calibration, at.outer[None], at.joints[None], instrument.joint_names)
-    expected = np.sqrt(np.diag(Prediction.of(*readings_at, wrist=WRIST_ERROR).prior[0]))
-    assert expected[:5] == pytest.approx(std[:5])
-    assert expected[5:] == pytest.approx(2 * std[5:])
-    late = np.sqrt(np.diag(Prediction.of(*readings_at, late=0.1 * at.rates[None], wrist=WRIST_ERROR).prior[0]))
-    assert (late >= expected).all()
-    assert late[:3].max() > 2 * expected[:3].max()
-
-
 def test_solution_is_followed_within_the_error_that_it_states(
     world: MovingWorld, solved: tuple[Tracker, dict[int, Solution], list[TrackResult]]
 ) -> None:
@@ -208,24 +140,6 @@ def test_earlier_calibration_is_given_up_where_the_camera_was_moved(calibration:
     assert "base not known yet" in tracker.base_state
 
 
-def test_images_that_show_little_of_the_instrument_do_not_tell_against_a_calibration(
-    world: MovingWorld, calibration: SessionCalibration
-) -> None:
-    tracker = Tracker(world.camera, world.body, calibration, CONFIG)
-    world.follow(tracker, frames=range(12))
-
-    def sliver(k: int) -> np.ndarray:
-        mask, rows = world.masks[k].copy(), np.flatnonzero(world.masks[k].any(axis=1))
-        mask[rows[0] + 6 :] = False
-        return mask
-
-    hidden = world.follow(tracker, frames=range(12, 25), mask=sliver)
-    assert sum(result.status == "lost" for result in hidden) > 10
-    assert tracker.base_state.startswith("calibration given")
-    again = world.follow(tracker, frames=range(25, 30))
-    assert {result.status for result in again} == {"ok"}
-
-
 def test_poses_by_a_doubtful_calibration_are_doubtful_for_its_reason(
     world: MovingWorld, calibration: SessionCalibration
 ) -> None:
@@ -251,50 +165,3 @@ def test_instrument_whose_readings_are_missing_is_followed_without_the_calibrati
     results = world.follow(tracker, frames=range(4), readings=lambda k: wrist[k])
     assert all(result.camera_from_root is not None for result in results)
     assert {result.reasons[-1] for result in results} == {"no readings of the outer joints so far"}
-
-
-def keep(known: CalibratedFollower, count: int) -> None:
-    """Keep further images as keyframes, each farther from the one before than all others are from each other."""
-    mask = np.zeros((SMALL.height, SMALL.width), np.bool_)
-    mask[80:160, 100:200] = True
-    for _ in range(count):
-        k = known.store.taken
-        readings = dict.fromkeys(OUTER_JOINTS, 0.0) | {"yaw": 0.02 * k**2}
-        assert known.store.offer(0.1 * k, dict.fromkeys(Rig.of(SMALL).names, mask), {}, readings, {})
-
-
-def failed(known: CalibratedFollower) -> Solution:
-    """Return a solution without a calibration of all keyframes."""
-    return Solution(None, "no calibration", len(known.problem().keyframes), {})
-
-
-def test_keyframes_are_solved_at_some_numbers_and_when_a_third_of_the_most_are_new(world: MovingWorld) -> None:
-    known = CalibratedFollower(followed(world, CONFIG), None)
-    solved_at = []
-    for number in range(1, MOST_KEYFRAMES + 2 * NEW_AT_MOST + 1):
-        keep(known, 1)
-        if known.due:
-            solved_at.append(number)
-            known.use(failed(known))
-            assert not known.due
-    assert solved_at == [*SOLVED_AT, MOST_KEYFRAMES + NEW_AT_MOST, MOST_KEYFRAMES + 2 * NEW_AT_MOST]
-
-
-def test_solutions_have_at_most_twice_the_keyframes_of_those_before_and_the_last_ones_test_the_camera(
-    world: MovingWorld,
-) -> None:
-    """Images came faster than keyframes were solved; the first few are then those that are farthest apart."""
-    known, problems = (
-        CalibratedFollower(followed(world, CONFIG), None),
-        list[KeyframeProblem](),
-    )
-    keep(known, MOST_KEYFRAMES)
-    first = [task.keyframe.name for task in known.unsolved[:4]]
-    while known.due:
-        problems.append(known.problem())
-        known.use(Solution(None, "no calibration", len(problems[-1].keyframes), {}))
-    names = [[one.name for one in problem.keyframes] for problem in problems]
-    assert [len(each) for each in names] == [4, 8, 16, 32, MOST_KEYFRAMES]
-    assert all(set(few) < set(more) for few, more in itertools.pairwise(names))
-    assert set(first) == set(names[0]) >= {names[-1][0], names[-1][-1]}
-    assert [problem.config.session.test_camera for problem in [*problems, known.problem()]] == [False] * 5 + [True]

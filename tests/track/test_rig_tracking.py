@@ -76,12 +76,6 @@ def test_rig_of_one_view_answers_as_its_camera(world: StereoWorld) -> None:
         assert one.to_dict("a") | {"seconds": 0} == other.to_dict("a") | {"seconds": 0}
 
 
-def test_masks_in_the_order_of_the_views_are_those_by_name(world: StereoWorld) -> None:
-    by_name, in_order = world.follow()[:3], world.follow(lambda k: [world.left.masks[k], world.right[k]])[:3]
-    for one, other in zip(by_name, in_order, strict=True):
-        assert one.to_dict("a") | {"seconds": 0} == other.to_dict("a") | {"seconds": 0}
-
-
 def test_right_eye_alone_follows_in_the_left_camera(world: StereoWorld) -> None:
     errors = world.errors_mm(world.follow(lambda k: {"right": world.right[k]}))
     assert np.median(errors) < 0.5
@@ -101,24 +95,6 @@ def test_instrument_out_of_one_view_is_followed_by_the_other(world: StereoWorld)
     empty = np.zeros_like(world.left.masks[0])
     results = world.follow(lambda k: {**world.masks(k), "left": empty})
     assert "lost" not in {result.status for result in results}
-
-
-def test_pixels_that_hide_the_instrument_in_one_view_do_not_count(world: StereoWorld) -> None:
-    tracker = world.tracker()
-    results = []
-    for k in range(1, FRAMES):
-        hidden = np.zeros_like(world.left.masks[k])
-        hidden[:, 150:] = True
-        tracker.add_readings(world.left.time(k), world.left.readings[k])
-        masks = {**world.masks(k), "left": world.left.masks[k] & ~hidden}
-        results.append(tracker.step(world.left.time(k), masks, ignore={"left": hidden}))
-    assert world.errors_mm(results).max() < 1.0
-
-
-def test_no_mask_in_any_view_is_predicted(world: StereoWorld) -> None:
-    results = world.follow(lambda k: {"left": None, "right": None} if k == 8 else world.masks(k))
-    assert results[7].status == "doubtful"
-    assert results[7].reasons[0].startswith("no mask")
 
 
 def test_frozen_eye_is_left_out(world: StereoWorld) -> None:

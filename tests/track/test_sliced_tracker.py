@@ -11,7 +11,6 @@ from helpers.moving_worlds import MovingWorld, moving_world
 
 from dvrk_cmaes import InputError, Tracker, TrackResult
 from dvrk_cmaes.silhouette import sliced_call
-from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.track.unknown_base import STEP_OF_SEARCH
 
 
@@ -44,12 +43,6 @@ def test_first_pose_is_followed_to_the_image_that_is_present(world: MovingWorld,
     assert max(errors) < 1.5
 
 
-def test_same_images_give_same_results(world: MovingWorld, results: list[TrackResult]) -> None:
-    assert [result.to_dict("") | {"seconds": 0} for result in followed(world)] == [
-        result.to_dict("") | {"seconds": 0} for result in results
-    ]
-
-
 def test_no_step_of_a_search_draws_much_more_than_a_slice(world: MovingWorld, monkeypatch: pytest.MonkeyPatch) -> None:
     tracker, largest = Tracker(world.camera, world.body, sliced=True, lag=0.0), []
     counted = 0
@@ -67,23 +60,6 @@ def test_no_step_of_a_search_draws_much_more_than_a_slice(world: MovingWorld, mo
         largest.append(counted - before)
     assert 0 < max(largest) < 20000
     assert counted > 3 * 6000
-
-
-def test_first_image_without_a_mask_is_segmented_in_slices_that_say_so(world: MovingWorld) -> None:
-    """The mask is found in several steps before the pose is searched."""
-    image = draw_image(world.camera, world.truths[0], np.random.default_rng(5))
-    tracker = Tracker(world.camera, world.body, sliced=True, lag=0.0, evidence="images")
-    tracker.add_readings(world.time(0), world.readings[0])
-    said = []
-    for k in range(60):
-        result = tracker.step(world.time(k), image=image)
-        if result.camera_from_root is not None:
-            break
-        said.append(result.reasons[0].split(":")[0])
-    assert result.camera_from_root is not None
-    assert said.count("segmenting") >= 5
-    assert "segmenting" not in said[said.index("searching") :]
-    assert world.error_mm(0, result) < 3.0
 
 
 def test_step_of_a_lost_instrument_does_bounded_work(world: MovingWorld) -> None:

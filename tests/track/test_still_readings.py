@@ -32,11 +32,6 @@ def test_an_arm_at_rest_is_not_frozen() -> None:
     assert not frozen_frames(np.zeros((FRAMES, 4)), np.full((FRAMES, 2), 200.0), 640).any()
 
 
-def test_missing_readings_and_masks_are_not_frozen() -> None:
-    assert not frozen_frames(np.full((FRAMES, 4), np.nan), centres(), 640).any()
-    assert not frozen_frames(np.zeros((FRAMES, 4)), np.full((FRAMES, 2), np.nan), 640).any()
-
-
 def test_reason_names_the_frame_since_which_readings_are_frozen() -> None:
     frozen = frozen_since(np.array([False, True, True, False, True]), ["a", "b", "c", "d", "e"])
     since = [text.split(":")[0] for name in frozen if (text := readings_frozen(name)) is not None]
