@@ -130,7 +130,7 @@ class FollowedArm(ExitStack):
             arm=own.kinematics,
             lag=self._setup.lag,
             earlier=earlier is not None,
-            sliced=True,
+            background=True,
         )
         if self._solutions is not None:
             self._solutions.tracker = tracker

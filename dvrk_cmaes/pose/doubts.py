@@ -385,14 +385,9 @@ NOT_FOUND: Final = "not found: the first image could not be solved"
 """The reason of an image by which no search is running, and none found the instrument."""
 
 
-def search_running(stage: str, time: float) -> str:
-    """Say that the image of a time, s, is searched; ``stage`` says what is done."""
-    return f"{stage}: the image of {time:.3f} s"
-
-
-def search_followed(waiting: int) -> str:
-    """Say that images between the one that was searched and this one are still followed."""
-    return f"searching: {waiting} images are followed to this one"
+def search_running(time: float) -> str:
+    """Say that the image of a time, s, is searched."""
+    return f"searching: the image of {time:.3f} s"
 
 
 def image_black(brightest: int, black_level: int) -> str | None:

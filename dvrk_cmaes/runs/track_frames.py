@@ -73,7 +73,6 @@ class TrackSettings:
             lag=self.lag,
             evidence=self.evidence,
             hints=self.hints,
-            sliced=self.causal,
         )
 
 

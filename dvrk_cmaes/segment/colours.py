@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import Bool, Float32
 from dvrk_cmaes.segment.regions import distance_to
-from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
 
 _GREY = np.ones(3, np.float32) / np.sqrt(np.float32(3))
 _RAYS = 3  # number of rays of the background
@@ -63,7 +62,6 @@ class Colours:
 
 def measure_colours(image: NDArray[np.uint8]) -> Colours:
     """Denoise an image (H, W, 3) uint8 BGR and compute its colour features."""
-    stage(SEGMENTING)
     noise = max(_noise(image), 1.0)
     smooth = np.asarray(cv2.bilateralFilter(image, 7, 30, 3), np.float32) + 1
     brightness = smooth.max(axis=2)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32
-from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
 
 _BAND = (2.5, 14.0)  # px, distances from the outline between which the means are taken
 _NEARBY = 8.0  # px, standard deviation of the Gaussian weights of the means
@@ -59,7 +58,6 @@ def _local_mean(parts: Float32, where: Bool) -> Float32:
 
     It is smooth, and computed at a reduced size.
     """
-    stage(SEGMENTING)
     height, width = where.shape
     size = max(width // _COARSER, 1), max(height // _COARSER, 1)
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import Bool, Float32
-from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
 
 LARGEST = 5.0  # bound of the log-odds
 _RANGE = 80  # levels of the log-odds' channel; few, so that its edges contribute little to the smoothness term
@@ -48,7 +47,6 @@ def cut(
     (H, W) bool
         True on the instrument.
     """
-    stage(SEGMENTING)
     picture = np.zeros((*log_odds.shape, 3), np.uint8)
     picture[..., 0] = np.round((np.clip(log_odds, -LARGEST, LARGEST) / LARGEST + 1) * _RANGE / 2)
     for k in range(2):

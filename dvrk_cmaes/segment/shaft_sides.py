@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.shaft_edges import find_contour, find_shaft_edges
 from dvrk_cmaes.geometry import Bool, Float32
-from dvrk_cmaes.silhouette.sliced_call import SEGMENTING, stage
 
 _FOCAL = 1.2  # assumed focal length, in longer sides of the image; its exact value matters little to find the sides
 _RADIUS = 0.004  # m, assumed radius of the shaft, likewise
@@ -26,7 +25,6 @@ def shaft_log_odds(mask: Bool) -> Float32 | None:
 
     They are 0 distally of the more proximal of the two sides' distal ends, where the wrist begins.
     """
-    stage(SEGMENTING)
     height, width = mask.shape
     focal = _FOCAL * max(height, width)
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)

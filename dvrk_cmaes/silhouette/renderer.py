@@ -24,7 +24,6 @@ from dvrk_cmaes.io.arguments import check_type, checked_array, described
 from dvrk_cmaes.silhouette.decimate import decimate
 from dvrk_cmaes.silhouette.outline import OutlinePoints
 from dvrk_cmaes.silhouette.scenes import NEAR, LinkScenes
-from dvrk_cmaes.silhouette.sliced_call import worked
 
 T = TypeVar("T")
 S = TypeVar("S", bound=np.generic)
@@ -319,7 +318,6 @@ class Renderer:
                 self.threads,
                 self._trace,
             )
-            worked(len(links[part]) * self.camera.height)
         self._count(poses=len(links))
         return found
 
@@ -345,7 +343,6 @@ class Renderer:
         links = np.ascontiguousarray(body.camera_from_links(moved.pose, moved.joints))
         camera = kernel_camera(self.camera)
         body.mesh.difference(camera, list(compared), links, steps, lines_per_pixel, self.threads, self._trace)
-        worked(len(links) * self.camera.height)
         self._count(poses=len(links))
 
     def contours(
@@ -382,7 +379,6 @@ class Renderer:
             self.threads,
             self._trace,
         )
-        worked(len(links) * self.camera.height)
         self._count(poses=len(links))
         return found
 
@@ -453,7 +449,6 @@ class Renderer:
         for begin in range(0, max(len(links), 1), most):
             batch = links[begin : begin + most]
             drawn.append(draw(batch))
-            worked(len(batch) * self.camera.height)
         self._count(poses=len(links))
         return drawn
 

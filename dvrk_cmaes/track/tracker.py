@@ -84,10 +84,10 @@ class Tracker:
     earlier
         The calibration is of an earlier run, since which the camera may have been moved: no pose by it is ok before
         five images that differ agree with it, and it is given up if images contradict it.
-    sliced
-        No step waits for the search of an image: it goes on in the steps after it, a slice in each, and what it finds
-        is followed to the image that is present then. Until the first pose, steps say ``searching``, or ``segmenting``
-        while a mask is found in an image. The search is done in a thread, but only while a step waits for it.
+    background
+        No step waits for the search of an image: it is done in a thread while the next steps go on, and what it finds
+        is followed to the image that is present then. Until the first pose, steps say ``searching``. Otherwise the
+        step of an image that is searched returns what that finds.
 
     Raises
     ------
@@ -107,7 +107,7 @@ class Tracker:
         evidence: EvidenceKind | None = None,
         hints: Hints | None = None,
         earlier: bool = False,
-        sliced: bool = False,
+        background: bool = False,
     ) -> None:
         settings = EstimateConfig() if config is None else config
         check_config(settings)
@@ -128,7 +128,8 @@ class Tracker:
         self._readings = ReadingBuffer(self._names, track.reading_gap, track.still_seconds)
         self._segmenter = ViewSegmenter(rig, self._body, track, evidence, hints)
         given = Followed(rig, self._body, used_arm, settings, self._segmenter)
-        self._known, self._unknown = CalibratedFollower(given, calibration, earlier=earlier), UnknownBase(given, sliced)
+        self._known = CalibratedFollower(given, calibration, earlier=earlier)
+        self._unknown = UnknownBase(given, background)
         self._renderer = Renderer(self._body, rig.views[0].camera)
         self._time: float | None = None
         self._lock = threading.RLock()
@@ -165,7 +166,7 @@ class Tracker:
 
     @property
     def searching(self) -> bool:
-        """Whether the search of an image goes on in the next steps."""
+        """Whether the search of an image goes on in the background."""
         return self._unknown.searching
 
     @_one_at_a_time

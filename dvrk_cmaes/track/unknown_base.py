@@ -8,10 +8,11 @@ followed in a window of its own until one remains. No pose is ok, since nothing 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
+from threading import Thread
 from typing import Final
 
 import numpy as np
@@ -32,23 +33,18 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.estimation import estimate
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.pose.doubts import NOT_FOUND, search_followed, search_running
+from dvrk_cmaes.pose.doubts import NOT_FOUND, search_running
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result, modes_of
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.segment.segmentation import Box
-from dvrk_cmaes.silhouette.sliced_call import SlicedCall, stage
 from dvrk_cmaes.track.followed import Followed
 from dvrk_cmaes.track.following import Following, has_moved
 from dvrk_cmaes.track.images import Mask
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Seen
 
-STEP_OF_SEARCH: Final = 6000.0
-"""Pixel rows of silhouettes, or other work that takes as long, that a step does for a search; some 25 ms."""
-
-_MOST_IMAGES = 90  # that come during a search, after which it is given up
-_AT_ONCE = 4  # images that wait, at most, that are followed in one step
+_MOST_IMAGES: Final = 90  # that come during a search, after which it is given up
 _FIRST_WAIT, _MORE_WAIT = 3, 30  # images without support until the first search, and most between two of them
 _LEAST_GAP = 6.0  # of the negative log-likelihood, from which on a mode is dropped
 _CLEARLY = 3.0  # of the same, from which on another mode is believed
@@ -100,16 +96,11 @@ class _Image:
 
 @dataclass(eq=False)
 class _Search:
-    """The search of an image, in slices, and that image with all that have come since."""
+    """The search of an image, its result once it is there, and that image with all that have come since."""
 
-    call: SlicedCall[Result | None]
+    found: Future[Result | None]
     images: list[_Image]
     first: bool
-
-    @property
-    def stage(self) -> str:
-        """What is done."""
-        return self.call.stage or "searching"
 
 
 @dataclass(eq=False)
@@ -131,31 +122,30 @@ class _Mode:
 class UnknownBase:
     """Searches for an instrument, and follows it while no calibration is known.
 
-    ``sliced`` tells whether a search goes on in the steps after its image.
+    ``background`` tells whether a search is done in a thread, beside the steps after its image.
     """
 
     given: Followed
-    sliced: bool
+    background: bool
     _modes: list[_Mode] = field(default_factory=list)
     _search: _Search | None = None
-    _late: deque[_Image] = field(default_factory=deque)
     _followed: int = 0
     _unsupported: int = 0
     _wait: int = _FIRST_WAIT
 
     @property
     def searching(self) -> bool:
-        """Whether work goes on in the next steps: an image is being searched, or images wait."""
-        return self._search is not None or bool(self._late)
+        """Whether an image is being searched."""
+        return self._search is not None
 
     @property
     def following(self) -> Following | None:
-        """The window of the best mode, at the last image; None without one, or while images wait."""
-        return self._modes[0].following if self._modes and not self._late else None
+        """The window of the best mode, at the last image; None without one."""
+        return self._modes[0].following if self._modes else None
 
     def forget(self) -> None:
         """Forget what was followed; the next image is searched."""
-        self._modes, self._search, self._late = [], None, deque()
+        self._modes, self._search = [], None
 
     def start(self, time: float, result: Result, seen: Seen | None = None, *, widened: float = 1.0) -> None:
         """Follow the modes of a single frame's result from its time, s, on; colours are learned where it is seen.
@@ -184,54 +174,45 @@ class UnknownBase:
 
         A ``calibration`` that cannot be used for want of colours tells where an image is searched.
         """
-        image = _Image(time, reading, seen.copied() if self._search or self._late else seen)
-        if self._modes:
-            self._late.append(image)
-        elif self._search is None:
+        image = _Image(time, reading, seen)
+        if not self._modes and self._search is None:
             if seen.problem is not None:
                 return without_pose(time, seen.problem)
             self._begin_search(image, calibration, first=True)
-        went_on = self._search
-        if went_on is not None:
-            self._go_on(went_on, image)
-        result: TrackResult | None = None
-        searched = went_on is not None or len(self._late) > 1
-        for _ in range(_AT_ONCE if self.sliced else len(self._late)):
-            if self._late:
-                result = self._follow(self._late.popleft(), calibration)
-        if not self._modes:
-            search = self._search
-            found = NOT_FOUND if search is None else search_running(search.stage, search.images[0].time)
+        search, images = self._search, [image]
+        if search is not None:
+            images = self._go_on(search, image)
+        results = [self._follow(each, calibration) for each in images]
+        if not results:
+            found = NOT_FOUND if self._search is None else search_running(self._search.images[0].time)
             return without_pose(time, found, searched=True)
-        if result is None or self._late:
-            return without_pose(time, search_followed(len(self._late)), searched=True)
-        return replace(result, searched=searched)
+        return replace(results[-1], searched=search is not None)
 
     def _begin_search(self, image: _Image, calibration: SessionCalibration | None, *, first: bool) -> None:
         """Begin to search an image."""
-        kept = replace(image, seen=image.seen.copied())
-        given = self.given
-        if self.sliced:
+        kept, given = replace(image, seen=image.seen.copied()), self.given
+        if self.background:
             given = replace(given, config=replace(given.config, threads=1))
         around = {} if calibration is None else self._around(image.reading, calibration)
-        # nothing of this object, so that the thread of the call ends with it
         search = partial(_solved, kept, given, around, calibration, first=first)
-        self._search = _Search(SlicedCall(search), [kept], first)
+        self._search = _Search(_called(search, background=self.background), [kept], first)
 
-    def _go_on(self, search: _Search, image: _Image) -> None:
-        """Go on with a search, and with the image that has come; follow what it finds from there on."""
+    def _go_on(self, search: _Search, image: _Image) -> list[_Image]:
+        """Follow what a search has found from its image on; returns the images that are followed in this step."""
+        images = [image] if self._modes else []
         if image.time > search.images[0].time:
-            search.images.append(image)
-        if not search.call.advance(STEP_OF_SEARCH if self.sliced else math.inf):
+            search.images.append(replace(image, seen=image.seen.copied()))
+        if not search.found.done():
             if len(search.images) > _MOST_IMAGES:
                 self._search = None
-            return
-        self._search, found, began = None, search.call.value(), search.images[0]
+            return images
+        self._search, found, began = None, search.found.result(), search.images[0]
         if found is None or found.camera_from_root is None or found.covariance is None:
-            return
+            return images
         if search.first or _explains(found, self.given.config.trust, self.given.rig.views[0].camera.pixel_scale):
             self.start(began.time, found, began.seen, widened=_OWN_ERROR)
-            self._late = deque(search.images)
+            return search.images
+        return images
 
     def _around(self, reading: ReadingAt, calibration: SessionCalibration) -> dict[int, Box]:
         """Return boxes, by view, around the instrument where readings and calibration make expect it."""
@@ -290,6 +271,23 @@ class UnknownBase:
         return replace(result, camera_from_base=None, offsets=offsets)
 
 
+def _called(function: Callable[[], Result | None], *, background: bool) -> Future[Result | None]:
+    """Call a function, in a thread if that is to be done in the background; returns its future value."""
+    future = Future[Result | None]()
+
+    def call() -> None:
+        try:
+            future.set_result(function())
+        except BaseException as error:
+            future.set_exception(error)
+
+    if background:
+        Thread(target=call).start()  # not a daemon: the program ends after it
+    else:
+        call()
+    return future
+
+
 def _solved(
     image: _Image,
     given: Followed,
@@ -305,7 +303,6 @@ def _solved(
     masks: Mapping[str, Mask] = given.segmenter.first_masks(image.seen, hinted=first, around=around)
     if not masks:
         return None
-    stage("")  # what is drawn for the search is not done in the step that found the masks
     try:
         ignored = given.segmenter.ignored(image.seen)
         return estimate(

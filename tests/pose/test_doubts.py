@@ -176,8 +176,7 @@ FIXED = (
     NO_OUTER_READINGS,
     NOT_FOUND,
     doubts.base_not_known(3, ""),
-    *(doubts.search_running(stage, 1.0) for stage in ("searching", "segmenting")),
-    doubts.search_followed(4),
+    doubts.search_running(1.0),
     "tips in doubt",
 )
 OF_SESSIONS = (

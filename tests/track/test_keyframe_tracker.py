@@ -133,7 +133,7 @@ def test_earlier_calibration_is_ok_only_after_images_that_differ_agree(
 
 def test_earlier_calibration_is_given_up_where_the_camera_was_moved(calibration: SessionCalibration) -> None:
     elsewhere = moving_world(right=0.012)
-    tracker = Tracker(elsewhere.camera, elsewhere.body, calibration, CONFIG, earlier=True, sliced=True)
+    tracker = Tracker(elsewhere.camera, elsewhere.body, calibration, CONFIG, earlier=True)
     results = elsewhere.follow(tracker, frames=range(12))
     assert all(result.status != "ok" for result in results)
     assert tracker.base_state.startswith("calibrating: ")
