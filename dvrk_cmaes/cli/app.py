@@ -61,23 +61,35 @@ _LIMITS: Final = {
     errno.ENOMEM: "memory: fewer --workers, or a smaller image",
 }
 _TOOL: Final = "columns, packages, root_link or tool of [[tool]] in session.toml"
-_OF_TRACK: Final = {
-    **dict.fromkeys(("--columns", "--package-path", "--root-link", "--tool"), _TOOL),
+_SETTINGS: Final = {
+    "--search": "search.method in the settings file (--config)",
+    "--refine": "refine.method in the settings file (--config)",
+    "--preset": "refine.derivatives in the settings file (--config)",
+    "--seed": "seed in the settings file (--config)",
+    "--threads": "threads in the settings file (--config)",
+}
+_OF_SESSION: Final = _SETTINGS | {
+    **dict.fromkeys(("--package-path", "--root-link", "--tool"), _TOOL),
     **dict.fromkeys(("--camera-right", "--crop", "--stretch"), "right, crop or stretch of [camera] in session.toml"),
+    "--shaft-radius": "the radius of the URDF's mesh",
+}
+_OF_TRACK: Final = _OF_SESSION | {
+    "--columns": _TOOL,
     **dict.fromkeys(("--layout", "--video-start"), "`dvrk-cmaes import`"),
     **dict.fromkeys(("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),
     "--not-point": "--box, or boxes.csv in the session",
-    "--search": "search.method in the settings file (--config)",
-    "--refine": "refine.method in the settings file (--config)",
-    "--seed": "seed in the settings file (--config)",
-    "--threads": "threads in the settings file (--config)",
-    "--shaft-radius": "the radius of the URDF's mesh",
 }
 _LINKS: Final = {"--follow-links": "copies of the files in the folder"}
 _REMOVED: Final = {
-    "batch": dict.fromkeys(("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
-    "calibrate": {"--instrument-candidates": "a calibration with each --instrument, and compare their leave-one-out"},
-    "live": {"--rehearse": "`dvrk-cmaes track --causal`"},
+    "batch": _SETTINGS
+    | dict.fromkeys(("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
+    "calibrate": _OF_SESSION
+    | {
+        "--every": "--keyframes, or --frames with a pattern",
+        "--instrument-candidates": "a calibration with each --instrument, and compare their leave-one-out",
+    },
+    "live": _SETTINGS
+    | {"--rehearse": "`dvrk-cmaes track --causal`", "--shaft-radius": "the radius of the URDF's mesh"},
     "export": {
         "--to tracker": "--to csv, of which `dvrk-cmaes help problems` says how the tracker's start is made",
         "--to joint-correction": "the offsets in session.json (`dvrk-cmaes help problems`)",

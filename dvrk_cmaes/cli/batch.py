@@ -15,7 +15,6 @@ from dvrk_cmaes.cli.options import (
     DEFAULT_CALIBRATION,
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
-    DEFAULT_METHOD,
     DEFAULT_PROMPTS,
     DEFAULT_READING,
     DEFAULT_SEGMENT,
@@ -24,6 +23,7 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     CalibrationOptions,
     CameraOptions,
+    ConfigOption,
     Flag,
     InstrumentOptions,
     MethodOptions,
@@ -188,7 +188,7 @@ def batch(
     reading: ReadingOptions = DEFAULT_READING,
     camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
-    method: MethodOptions = DEFAULT_METHOD,
+    config: ConfigOption = None,
     segment: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -230,8 +230,9 @@ def batch(
         Camera to use instead of the session's own.
     instrument
         The instrument.
-    method
-        The method. Each worker uses one thread unless --threads is given.
+    config
+        Settings file (TOML) with the keys of a result's `config`; `dvrk-cmaes help settings` lists them. Each worker
+        uses one thread unless the file says otherwise.
     segment
         Segmentation of the images of frames without a mask.
     prompts
@@ -244,7 +245,7 @@ def batch(
     from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
 
     wanted.check(calibrated.calibration)
-    settings = replace(method.resolve(), threads=method.threads or 1)
+    settings = MethodOptions(config=config).resolve()
     tools = session_tools(session, instrument, wanted.only)
     with output_folder(wanted.out, session, "results", "batch") as results:
         given = calibrated.calibration

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,16 +14,18 @@ from cyclopts import Parameter
 from dvrk_cmaes.cli.options import (
     AUTO,
     DEFAULT_GUESSED_CAMERA,
-    DEFAULT_INSTRUMENT,
-    DEFAULT_METHOD,
+    DEFAULT_INSTRUMENT_NAME,
     DEFAULT_READING,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
     OUTPUT,
     WORKERS,
+    CameraOptions,
+    ConfigOption,
     Flag,
     GuessedCameraOptions,
+    InstrumentNameOptions,
     InstrumentOptions,
     MethodOptions,
     ReadingOptions,
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.endoscope import Place
     from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.exchanged_tools import ArmInSession
 
@@ -46,24 +49,90 @@ _LEAST_KEYFRAMES = 3
 _FIRST_FRAMES = 30  # at most, from which a camera without a file is found first
 
 
+@Parameter(name="*", group=FOLDER)
+@dataclass(frozen=True, kw_only=True)
+class CalibrateOptions:
+    """What is solved together, and where results go.
+
+    Parameters
+    ----------
+    results
+        Folder of the results of `batch` for this session. By default `batch` is run first, with the results in
+        OUT/alone.
+    out
+        Folder for session.json, the frames' results and the HTML report; SESSION/calibration by default.
+    joints
+        File of readings to use instead of the session's own. May be given several times.
+    only
+        Arm of a session.toml with several tools: calibrate this one only; by default all of them, each in OUT/ARM, and
+        the poses of their bases relative to the first one's in OUT/arms.json. May be given several times.
+    frames
+        Calibrate only the frames whose names match this shell pattern, e.g. "00*", as of batch; all by default.
+    keyframes
+        Calibrate at most N frames of a recording: those well in view, far from each other in time and pose.
+    lag
+        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames; 0 for none. By default it
+        is estimated in recordings: readings with times, or that move smoothly from row to row. With auto also in
+        others.
+    refine_camera
+        Estimate the focal length and the principal point together with the base. They are written to OUT/camera.yaml;
+        of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at least 6 frames and 5 mm of
+        insertion.
+    workers
+        Number of processes that work at a time; by default the number of cores. Few frames are done by one.
+    """
+
+    results: Path | None = None
+    out: Path | None = None
+    joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
+    only: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
+    frames: str | None = None
+    keyframes: int | None = None
+    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    refine_camera: Flag = False
+    workers: Annotated[int | None, Parameter(group=WORKERS)] = None
+
+    def check(self, place: Path) -> None:
+        """Raise an InputError for values that are not valid; ``place`` is the folder that is written."""
+        check_range("--workers", self.workers, 1, MOST_WORKERS)
+        check_range("--keyframes", self.keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
+        if self.results is not None and self.results.resolve() == place.resolve():
+            expected = "expected another folder than --results, whose frames stay as they are"
+            raise InputError(f"--out: {expected}, got {place}")
+
+    def share(self, arm: ArmInSession) -> ArmInSession:
+        """Return an arm with the frames of its session that match the pattern, and of these the keyframes."""
+        from dvrk_cmaes.runs.recorded_keyframes import with_keyframes
+        from dvrk_cmaes.runs.worklist import chosen_frames
+
+        chosen = replace(arm.session, frames=chosen_frames(arm.session.frames, self.frames))
+        return replace(arm, session=chosen if self.keyframes is None else with_keyframes(chosen, self.keyframes))
+
+    def asked(self, config: Path | None) -> _Asked:
+        """Return how sessions are solved."""
+        from dvrk_cmaes.joints.lag import Lag
+        from dvrk_cmaes.track.keyframes import solved_with
+
+        settings = MethodOptions(config=config).resolve()
+        lag: Lag | Literal["auto"] | None = "auto" if self.lag == AUTO else None
+        if self.lag is not None and lag is None:
+            lag = Lag.parse("--lag", self.lag)
+        settings = settings if self.keyframes is None else solved_with(settings)
+        return _Asked(settings, self.workers, self.refine_camera, lag)
+
+
+DEFAULT_CALIBRATE = CalibrateOptions()
+
+
 def calibrate(
     session: Annotated[Path, Parameter(group=FOLDER)],
     /,
     *,
-    results: Annotated[Path | None, Parameter(group=FOLDER)] = None,
-    out: Annotated[Path | None, Parameter(group=FOLDER)] = None,
-    joints: Annotated[tuple[Path, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    only: Annotated[tuple[str, ...], Parameter(group=FOLDER, negative=(), show_default=False)] = (),
-    frames: Annotated[str | None, Parameter(group=FOLDER)] = None,
-    every: Annotated[int, Parameter(group=FOLDER)] = 1,
-    keyframes: Annotated[int | None, Parameter(group=FOLDER)] = None,
-    lag: Annotated[str | None, Parameter(group=FOLDER, allow_leading_hyphen=True)] = None,
-    refine_camera: Annotated[Flag, Parameter(group=FOLDER)] = False,
-    workers: Annotated[int | None, Parameter(group=WORKERS)] = None,
+    wanted: CalibrateOptions = DEFAULT_CALIBRATE,
     reading: ReadingOptions = DEFAULT_READING,
     camera: GuessedCameraOptions = DEFAULT_GUESSED_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
-    method: MethodOptions = DEFAULT_METHOD,
+    instrument: InstrumentNameOptions = DEFAULT_INSTRUMENT_NAME,
+    config: ConfigOption = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Calibrate a session: estimate the pose of the arm's base in the camera and the offset of each joint's readings.
@@ -87,130 +156,99 @@ def calibrate(
     ----------
     session
         Session folder, as for `batch`; the readings must include the outer joints yaw, pitch, insertion and roll.
-    results
-        Folder of the results of `batch` for this session. By default `batch` is run first, with the results in
-        OUT/alone.
-    out
-        Folder for session.json, the frames' results and the HTML report; SESSION/calibration by default.
-    joints
-        File of readings to use instead of the session's own. May be given several times.
-    only
-        Arm of a session.toml with several tools: calibrate this one only; by default all of them, each in OUT/ARM, and
-        the poses of their bases relative to the first one's in OUT/arms.json. May be given several times.
-    frames
-        Calibrate only the frames whose names match this shell pattern, e.g. "00*", as of batch; all by default.
-    every
-        Calibrate only every N-th of these frames of a recording; the lag is found with all rows of readings.
-    keyframes
-        Calibrate at most N frames of a recording: those well in view, far from each other in time and pose.
-    lag
-        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames; 0 for none. By default it
-        is looked for in recordings: readings with times, or that move smoothly from row to row. With auto also in
-        others.
-    refine_camera
-        Estimate the focal length and the principal point beside the base, and solve the session with them. They are
-        written to OUT/camera.yaml; of two eyes, which are changed alike, to OUT/left.yaml and OUT/right.yaml. Needs at
-        least 6 frames and 5 mm of insertion.
-    workers
-        Number of processes that work at a time; by default the number of cores. Few frames are done by one.
+    wanted
+        What is solved together, and where results go.
     reading
         How files of readings are read.
     camera
         Camera to use instead of the session's own. Without any, it is found as by --refine-camera.
     instrument
         The instrument, and the arm that carries it.
-    method
-        The method for frames that are not estimated yet; [session] of the settings file is used by this command.
+    config
+        Settings file (TOML) with the keys of a result's `config`; `dvrk-cmaes help settings` lists them.
     json
         Print only session.json, on stdout.
     """
-    check_range("--workers", workers, 1, MOST_WORKERS)
-    check_range("--every", every, 1, MOST_SKIPPED)
-    check_range("--keyframes", keyframes, _LEAST_KEYFRAMES, MOST_SKIPPED)
-    if keyframes is not None and every > 1:
-        raise InputError("--keyframes: expected either this or --every, got both")
     from dvrk_cmaes.calibration.together import Begun, solved_together
-    from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools, write_bases
+    from dvrk_cmaes.cli.session_tools import output_folder, session_tools
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE
-    from dvrk_cmaes.runs.arms import write_arms
-    from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
     from dvrk_cmaes.runs.manifest import check_same_session
 
-    place = session / "calibration" if out is None else out
-    if results is not None and results.resolve() == place.resolve():
-        raise InputError(f"--out: expected another folder than --results, whose frames stay as they are, got {place}")
-    with output_folder(out, session, "calibration", "calibrate") as target:
-        settings = method.resolve()
-        if keyframes is not None:
-            from dvrk_cmaes.track.keyframes import solved_with
-
-            settings = solved_with(settings)
-        setup = read_setup_joints(session / SETUP)
-        asked = _Asked(settings, workers, refine_camera, _lag(lag))
+    wanted.check(session / "calibration" if wanted.out is None else wanted.out)
+    with output_folder(wanted.out, session, "calibration", "calibrate") as target:
+        asked, setup = wanted.asked(config), read_setup_joints(session / SETUP)
+        named = InstrumentOptions(instrument=instrument.instrument, arm=instrument.arm)
+        cameras = CameraOptions(camera=camera.camera, rectified=camera.rectified, side=camera.side)
         arms: dict[str, ArmInSession] = {}
-        for name, tool in session_tools(session, instrument, only).items():
-            arms[name] = _share(tool.read(session, camera, joints=joints, reading=reading), frames, every, keyframes)
+        for name, tool in session_tools(session, named, wanted.only).items():
+            arm = tool.read(session, cameras, guess=camera.guess, joints=wanted.joints, reading=reading)
+            arms[name] = wanted.share(arm)
             with output(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,)):
                 check_same_session(target / name, arms[name].session)
 
         def begin(name: str, places: Sequence[Place]) -> Begun[SolvedSession | None]:
-            arm = arms[name]
-            found_camera = arm if results is not None else _with_found_camera(arm, asked)
+            found_camera = arms[name] if wanted.results is not None else _with_found_camera(arms[name], asked)
             if found_camera is None:
                 return Begun.of(None)
-            own = None if results is None else results / name
+            own = None if wanted.results is None else wanted.results / name
             return _begin_arm(found_camera, target / name, asked, own, places)
 
         found = solved_together({name: partial(begin, name) for name in arms})
         solved = {name: solution for name, solution in found.items() if solution is not None}
         if len(solved) < len(arms):
             return INTERRUPTED
-        for name, solution in solved.items():
-            for text in solution.calibration.remarks if not json else solution.calibration.warnings:
-                warn(text, name)
-        documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
-        lines = {name: _lines(solution, target / name) for name, solution in solved.items()}
-        answer_by_arm(documents, lines, json=json)
-        agree, exchanged = True, list[str]()
-        if len(solved) > 1:
-            calibrations = {name: solution.calibration for name, solution in solved.items()}
-            exchanged = exchanged_arms(
-                {
-                    name: {
-                        frame: replace(FoundFrame.of(result), ok=frame not in solution.calibration.left_out)
-                        for frame, result in solution.results.items()
-                    }
-                    for name, solution in solved.items()
-                }
-            )
-            for text in exchanged:
-                warn(text)
-            agree = write_bases(calibrations, setup, target, quiet=json)
-            write_arms(target, arms)
-            if not json:
-                show([Line(f"all arms: {target / 'overlays'}")])
-        return DOUBTFUL if exchanged or not agree or any(map(_is_doubtful, solved.values())) else 0
+        _report(solved, target, json=json)
+        alike = len(solved) == 1 or _compared(setup, arms, solved, target, json=json)
+    return DOUBTFUL if not alike or any(map(_is_doubtful, solved.values())) else 0
 
 
-def _share(arm: ArmInSession, frames: str | None, every: int, keyframes: int | None) -> ArmInSession:
-    """Return an arm with the frames of its session that match a pattern, of these every N-th, or some keyframes."""
-    from dvrk_cmaes.runs.worklist import chosen_frames
+def _report(solved: Mapping[str, SolvedSession], target: Path, *, json: bool) -> None:
+    """Print what was found of each arm."""
+    from dvrk_cmaes.cli.session_tools import answer_by_arm
 
-    arm = replace(arm, session=replace(arm.session, frames=chosen_frames(arm.session.frames, frames)))
-    if keyframes is not None:
-        from dvrk_cmaes.runs.recorded_keyframes import with_keyframes
+    for name, solution in solved.items():
+        for text in solution.calibration.remarks if not json else solution.calibration.warnings:
+            warn(text, name)
+    documents = {name: solution.calibration.to_dict() for name, solution in solved.items()}
+    lines = {name: _lines(solution, target / name) for name, solution in solved.items()}
+    answer_by_arm(documents, lines, json=json)
 
-        return replace(arm, session=with_keyframes(arm.session, keyframes))
-    return arm if every == 1 else replace(arm, session=replace(arm.session, frames=arm.session.frames[::every]))
 
+def _compared(
+    setup: Mapping[str, Float64],
+    arms: Mapping[str, ArmInSession],
+    solved: Mapping[str, SolvedSession],
+    target: Path,
+    *,
+    json: bool,
+) -> bool:
+    """Write what several arms have in common; returns whether their bases and readings agree.
 
-def _lag(text: str | None) -> Lag | Literal["auto"] | None:
-    """Return the lag that an option gives."""
-    from dvrk_cmaes.joints.lag import Lag
+    ``setup`` are the poses of the arms by the set-up joints.
+    """
+    from dvrk_cmaes.cli.session_tools import write_bases
+    from dvrk_cmaes.runs.arms import write_arms
+    from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
 
-    return "auto" if text == AUTO else None if text is None else Lag.parse("--lag", text)
+    exchanged = exchanged_arms(
+        {
+            name: {
+                frame: replace(FoundFrame.of(result), ok=frame not in solution.calibration.left_out)
+                for frame, result in solution.results.items()
+            }
+            for name, solution in solved.items()
+        }
+    )
+    for text in exchanged:
+        warn(text)
+    calibrations = {name: solution.calibration for name, solution in solved.items()}
+    agree = write_bases(calibrations, setup, target, quiet=json)
+    write_arms(target, arms)
+    if not json:
+        show([Line(f"all arms: {target / 'overlays'}")])
+    return agree and not exchanged
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,10 @@ from dvrk_cmaes.cli.options import (
     CAMERA,
     DEFAULT_CALIBRATION,
     DEFAULT_INSTRUMENT,
-    DEFAULT_METHOD,
     METHOD,
     OUTPUT,
     CalibrationOptions,
+    ConfigOption,
     Flag,
     InstrumentOptions,
     MethodOptions,
@@ -235,7 +235,7 @@ def live(
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
     lag: Annotated[float | None, Parameter(group=METHOD)] = None,
-    method: MethodOptions = DEFAULT_METHOD,
+    config: ConfigOption = None,
     output: LiveOutput = DEFAULT_OUTPUT,
 ) -> int:
     """Follow the instruments of a running robot: images and readings from ROS topics, poses to ROS topics.
@@ -265,8 +265,8 @@ def live(
         A calibration that is used: base, offsets and lag.
     lag
         Lag of the images behind the readings, s; by default the calibration's, or found while following.
-    method
-        The method.
+    config
+        Settings file (TOML); `dvrk-cmaes help settings` lists its keys.
     output
         What is written and published, and for how long.
     """
@@ -278,7 +278,7 @@ def live(
 
     connection = server.connection(RepeatedLines(note))  # of the connection; follow has its own
     with ExitStack() as stack:
-        setup = _described(topics, camera, instrument, calibrated, lag, method, output, stack)
+        setup = _described(topics, camera, instrument, calibrated, lag, config, output, stack)
         prepare_long_run()
         stop = stack.enter_context(_stopped(output.seconds))
         shown = stack.enter_context(shown_state())
@@ -298,7 +298,7 @@ def _described(
     instrument: InstrumentOptions,
     calibrated: CalibrationOptions,
     lag: float | None,
-    method: MethodOptions,
+    config: Path | None,
     output: LiveOutput,
     stack: ExitStack,
 ) -> LiveSetup:
@@ -335,7 +335,7 @@ def _described(
     return LiveSetup(
         inputs,
         tuple(arms),
-        method.resolve(),
+        MethodOptions(config=config).resolve(),
         lag,
         rig,
         camera.rectified,

@@ -44,6 +44,7 @@ LATEST = 1e11  # s, of times since any clock's start
 
 LayoutOption = Literal["mono", "side-by-side", "top-bottom"] | None
 Flag = Annotated[bool, Parameter(negative=())]
+ConfigOption = Annotated[Path | None, Parameter(name="--config", group=METHOD)]
 SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)]
 DoubtfulSessionOption = Annotated[bool, Parameter(name="--doubtful-session", negative=(), group=METHOD)]
 
@@ -104,11 +105,6 @@ class CameraOptions(CameraFileOptions):
 
         return PictureFit(None if self.crop is None else parse_crop("--crop", self.crop), self.stretch)
 
-    @property
-    def guess(self) -> CameraGuess | None:
-        """The camera to use where there is no file; None where a file is needed."""
-        return None
-
     def read(self, frame: FrameFiles | None = None) -> CameraFile:
         """Read the camera file for a ``frame``, which has its size where the file does not state it."""
         from dvrk_cmaes.camera.files import read_camera_file
@@ -133,7 +129,7 @@ class CameraOptions(CameraFileOptions):
 
 @Parameter(name="*", group=CAMERA)
 @dataclass(frozen=True, kw_only=True)
-class GuessedCameraOptions(CameraOptions):
+class GuessedCameraOptions(CameraFileOptions):
     """Options of a camera that may be without a file.
 
     Parameters

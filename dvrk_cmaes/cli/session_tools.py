@@ -15,6 +15,7 @@ from dvrk_cmaes.io.short_text import no_folder
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
+    from dvrk_cmaes.camera.guess import CameraGuess
     from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
     from dvrk_cmaes.frames.session_video import SessionVideo
@@ -56,6 +57,7 @@ class SessionTool:
         folder: Path,
         camera: CameraOptions,
         *,
+        guess: CameraGuess | None = None,
         joints: Sequence[Path] | None = (),
         reading: ReadingOptions = DEFAULT_READING,
         video: SessionVideo | None = None,
@@ -64,7 +66,8 @@ class SessionTool:
     ) -> ArmInSession:
         """Load the instrument, and read the session with the masks and readings of the tool.
 
-        What session.toml says counts where the command line says nothing. ``joints`` and ``video`` are as in
+        What session.toml says counts where the command line says nothing. ``guess`` is the camera where there is no
+        file; without it a file is needed. ``joints`` and ``video`` are as in
         `frames.session_folder`; ``reading`` tells how readings are read. Masks of labels, as those of a session that is
         ``labelled``, may be in the folder labels. With ``ahead``, all images tell what lies over them.
         """
@@ -90,7 +93,7 @@ class SessionTool:
             fit=camera.fit if camera.crop or camera.stretch else said.fit,
             masks=tool.masks or (labels if labels.is_dir() and not (folder / "masks").exists() else None),
             video=video,
-            guess=camera.guess,
+            guess=guess,
         )
         if entries is not None and entries.tools:
             session = frames_of_tool(session, entries, tool.arm)

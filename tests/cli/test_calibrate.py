@@ -213,9 +213,10 @@ def test_both_eyes_are_calibrated_and_drawn_beside_each_other(
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (["--every", "0"], "--every: expected a whole number of at least 1, got 0"),
+        (["--every", "4"], "--every: no longer an option; use --keyframes, or --frames with a pattern"),
+        (["--seed", "3"], "--seed: no longer an option; use seed in the settings file (--config)"),
+        (["--crop=1,2,3,4"], "--crop: no longer an option; use right, crop or stretch of [camera] in session.toml"),
         (["--keyframes", "2"], "--keyframes: expected a whole number of at least 3, got 2"),
-        (["--keyframes", "9", "--every", "2"], "--keyframes: expected either this or --every, got both"),
     ],
 )
 def test_wrong_shares_of_a_recording_are_refused(

@@ -127,7 +127,7 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "import": (["import", "nothere.bag", "--out", "out"], r"nothere\.bag: no such file; expected a ROS recording"),
     "synth": (["synth", "out", "--frames", "0"], r"--frames: .*1 to 100000|.*frames.*0"),
     "track": (["track", DEMO, "--out", "out", "--lag", "soon"], r"--lag: .*'?soon"),
-    "calibrate": (["calibrate", DEMO, "--out", "out", "--every", "0"], r"--every.*0"),
+    "calibrate": (["calibrate", DEMO, "--out", "out", "--keyframes", "0"], r"--keyframes.*0"),
     "live": (["live", "--seconds", "-1"], r".*seconds.*-1"),
     "help": (["help", "cooking"], r".*cooking"),
     "compare": (["compare", "nothere", DEMO / "golden.json"], r"nothere: no such"),
