@@ -13,9 +13,9 @@ from functools import partial
 
 import numpy as np
 
+from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.cables import estimate_cables
 from dvrk_cmaes.calibration.consensus import Consensus, choose_modes, find_consensus_at_any_roll
-from dvrk_cmaes.calibration.constants import few_of
 from dvrk_cmaes.calibration.endoscope import Pieces
 from dvrk_cmaes.calibration.endoscope_search import describe_pieces, with_pieces, without_pieces
 from dvrk_cmaes.calibration.faults import check_arm, check_motion
@@ -23,8 +23,9 @@ from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.frame_task import fit_task, gather_task
 from dvrk_cmaes.calibration.imaging import with_camera, with_margins
 from dvrk_cmaes.calibration.lasting_estimate import estimate_lasting
+from dvrk_cmaes.calibration.linearise import few_of
 from dvrk_cmaes.calibration.masks_again import with_masks
-from dvrk_cmaes.calibration.model import Calibration, Deviations
+from dvrk_cmaes.calibration.model import Deviations
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, camera_undetermined
 from dvrk_cmaes.calibration.session_lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_masks import margins_of
@@ -43,8 +44,7 @@ _NEAR = 1.0  # standard deviations per parameter, by which fits move to where th
 
 def with_lag_of_modes(state: SessionState) -> SessionState:
     """Find the lag from the frames' own modes, without correcting the readings."""
-    problem = state.problem
-    return replace(state, lag=state.lag.searched(state.model, state.modes, problem.offset_std, problem.prior))
+    return replace(state, lag=state.lag.searched(state.model, state.modes))
 
 
 def initialised(state: SessionState) -> SessionState:
@@ -62,7 +62,7 @@ def initialised(state: SessionState) -> SessionState:
     if state.imaging.change is not None and (reason := camera_undetermined(state.model)):
         raise _camera_refused(state, reason)
     state, consensus = _on_one_base(_less_lag(state))
-    solution = solve_with_modes(state.model, state.modes, consensus.calibration, state.problem.prior)
+    solution = solve_with_modes(state.model, state.modes, consensus.calibration)
     return replace(state, found=solution)
 
 
@@ -94,19 +94,19 @@ def _on_one_base(state: SessionState) -> tuple[SessionState, Consensus]:
     Pieces in which the lag was found are looked for again with the lag taken out: with it, a moving arm seems to have
     another base.
     """
-    offset_std, lost = state.problem.offset_std, isinstance(state.model.endoscope, Pieces)
+    lost = isinstance(state.model.endoscope, Pieces)
     if lost:
         state = without_pieces(state)
-    consensus = find_consensus_at_any_roll(state.model, state.modes, offset_std)
+    consensus = find_consensus_at_any_roll(state.model, state.modes)
     if not lost:
-        check_arm(state.model, state.modes, offset_std, consensus)
+        check_arm(state.model, state.modes, consensus)
     cut = with_pieces(state, consensus) if state.model.endoscope is None else None
     if cut is not None:
-        state, consensus = cut, find_consensus_at_any_roll(cut.model, cut.modes, offset_std)
+        state, consensus = cut, find_consensus_at_any_roll(cut.model, cut.modes)
         assert isinstance(cut.model.endoscope, Pieces)
         state = cut.noted(remarks=[describe_pieces(cut.model.endoscope, cut.frames)])
     if lost:
-        check_arm(state.model, state.modes, offset_std, consensus)
+        check_arm(state.model, state.modes, consensus)
     return state, consensus
 
 
@@ -187,7 +187,7 @@ def _begun_with_few(state: SessionState, scales: Sequence[float]) -> tuple[Sessi
 def _with_modes(state: SessionState, calibration: Calibration) -> SessionState:
     """Return the state with a calibration as its solution, and with what the frames' own modes tell of it."""
     modes = FrameFits.of_modes(choose_modes(state.model, state.modes, calibration))
-    return replace(state, found=solution_at(state.model, modes, calibration, state.problem.prior))
+    return replace(state, found=solution_at(state.model, modes, calibration))
 
 
 def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bool) -> tuple[SessionState, Posed]:
@@ -201,14 +201,14 @@ def _solved_round(state: SessionState, calibration: Calibration, *, keep_all: bo
     state = _with_calibration(state, fits, calibration)
     if not keep_all and problem.config.session.cables:
         usual = Deviations.of(problem.config.session, state.model.names)
-        std = problem.offset_std[1:]
+        std = state.model.offset_std[1:]
         cables, alone = estimate_cables(state.model, fits, state.solution, state.lag, usual, std)
         own = cables.deviations(state.model.deviations)
         model = replace(state.model, correction=cables.correction, deviations=own)
         state = replace(state, cables=(cables, alone), model=model)
         if cables.parts:
             state = _with_calibration(state, fits, state.solution.calibration)
-    lag = state.lag.refined(state.model, fits, state.solution.calibration, problem.prior)
+    lag = state.lag.refined(state.model, fits, state.solution.calibration)
     return replace(state, lag=lag, model=lag.corrected(state.model)), fits.at
 
 
@@ -218,19 +218,19 @@ def _with_calibration(state: SessionState, fits: FrameFits, start: Calibration) 
     initial = Deviations.of(session, state.model.names)
     if state.cables is not None:
         initial = state.cables[0].deviations(initial)
-    model, solution = solve_with_variances(state.model, fits, start, state.problem.prior, session, initial)
+    model, solution = solve_with_variances(state.model, fits, start, session, initial)
     return replace(state, model=model, found=solution)
 
 
 def _finished(state: SessionState) -> SessionState:
     """Solve once more with all that was found from the fits of the last round, and the size of lasting errors."""
-    prior, calibration = state.problem.prior, state.solution.calibration
-    state = replace(state, found=solve(state.model, state.outlines(), calibration, prior))
-    lasting = estimate_lasting(state.model, state.fits, state.solution, prior, state.times)
+    calibration = state.solution.calibration
+    state = replace(state, found=solve(state.model, state.outlines(), calibration))
+    lasting = estimate_lasting(state.model, state.fits, state.solution, state.times)
     imaging = replace(state.imaging, lasting=lasting)
     state = replace(state, imaging=imaging, fits=tuple(fit.with_size(lasting.size) for fit in state.fits))
     fits = state.outlines()
-    solution = solve(state.model, fits, state.solution.calibration, prior)
+    solution = solve(state.model, fits, state.solution.calibration)
     pairs = zip(state.fits, state.model.priors(solution.calibration), strict=True)
     near = tuple(fit.moved_to(own) if fit.step_to(own) < _NEAR else fit for fit, own in pairs)
     return replace(state, found=solution, fits=near)
@@ -241,7 +241,7 @@ def with_lag_of_fits(state: SessionState) -> tuple[SessionState, float | None]:
 
     Where the fits tell that there is none, what is not known of the lag does not widen the solution any more.
     """
-    lag, to_try = state.lag.told_by_fits(state.model, state.outlines(), state.solution.calibration, state.problem.prior)
+    lag, to_try = state.lag.told_by_fits(state.model, state.outlines(), state.solution.calibration)
     state = replace(state, lag=lag)
     return (state if lag.lag is None else _finished(state)), to_try
 

@@ -214,6 +214,7 @@ def _stated(
         camera=check.camera,
         endoscope=endoscope,
         shaft=check.shaft,
+        blocks=dict(check.blocks),
         masks=state.imaging.masks,
         masks_again=(state.again or FoundMasks()).compared,
         rig=state.imaging.rig,

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.blocks import Calibration
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed, adjoint, inverse
 from dvrk_cmaes.results.result import Result, modes_of
 
@@ -78,7 +79,6 @@ def evenly_spaced(count: int, most: int) -> Indices:
 def find_consensus(
     model: SessionModel,
     modes: Sequence[Sequence[Mode]],
-    offset_std: Float64,
     *,
     hypothesis_frames: int = _MAX_HYPOTHESIS_FRAMES,
     test_frames: int = _MAX_TEST_FRAMES,
@@ -92,8 +92,6 @@ def find_consensus(
         The model of N frames.
     modes
         The modes of each frame, at least one, the most likely first.
-    offset_std : (2 + J,)
-        Standard deviations of the offsets about zero, m and rad.
     hypothesis_frames, test_frames
         Largest numbers of frames whose modes are used as hypotheses, and on which each hypothesis is scored.
     roll
@@ -101,21 +99,19 @@ def find_consensus(
     """
     proposing = evenly_spaced(len(modes), hypothesis_frames).tolist()
     tested = evenly_spaced(len(modes), test_frames)
-    hypotheses = _Hypotheses(model, modes, offset_std, roll)
+    hypotheses = _Hypotheses(model, modes, roll)
     candidates = np.array([(frame, k) for frame in proposing for k in range(len(modes[frame]))])
     best = int(np.argmin(hypotheses.costs(candidates, tested)))
     return hypotheses.consensus(candidates[best], np.arange(len(modes)))
 
 
-def agreement(
-    model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, calibration: Calibration
-) -> Consensus:
+def agreement(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> Consensus:
     """Return what N frames say of a calibration, whose errors are not counted; arguments as in `find_consensus`."""
-    known = _Hypotheses(model, modes, offset_std, float(calibration.offsets[1]))
+    known = _Hypotheses(model, modes, float(calibration.offsets[1]))
     return known.against(calibration, np.arange(len(modes)))
 
 
-def find_consensus_at_any_roll(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> Consensus:
+def find_consensus_at_any_roll(model: SessionModel, modes: Sequence[Sequence[Mode]]) -> Consensus:
     """Find the calibration on which most frames agree, at the usual offset of roll or at any.
 
     A tool that was not homed, or readings of another roll joint, turn all frames about their shafts. Where fewer than
@@ -124,18 +120,21 @@ def find_consensus_at_any_roll(model: SessionModel, modes: Sequence[Sequence[Mod
 
     Parameters
     ----------
-    model, modes, offset_std
+    model, modes
         As in `find_consensus`.
     """
-    usual = find_consensus(model, modes, offset_std)
+    usual = find_consensus(model, modes)
     if usual.agree.mean() >= _ENOUGH:
         return usual
-    wide = offset_std.copy()
+    wide = model.offset_std.copy()
     wide[1] = _ROLL_STEP
+    loose = replace(model, offset_std=wide)
     few = {"hypothesis_frames": _MAX_ROLLED_FRAMES, "test_frames": _MAX_ROLLED_FRAMES}
-    tried = [find_consensus(model, modes, wide, roll=roll, **few) for roll in _ROLLS]
+    tried = [find_consensus(loose, modes, roll=roll, **few) for roll in _ROLLS]
     best = min(tried, key=lambda one: float(one.cost.sum()))
-    return best if best.agree.sum() > usual.agree.sum() else usual
+    if best.agree.sum() <= usual.agree.sum():
+        return usual
+    return replace(best, calibration=model.calibration(best.calibration.camera_from_base, best.calibration.offsets))
 
 
 def choose_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], calibration: Calibration) -> list[Mode]:
@@ -180,23 +179,20 @@ def _distances(changes: Float64, covariance: Float64) -> tuple[Float64, Float64]
 
 
 class _Hypotheses:
-    """Calibrations that are made from single modes, and what other frames say of them.
+    """Calibrations that are made from single modes, and what other frames say of them."""
 
-    ``offset_std`` (2 + J,) are the standard deviations of the offsets about zero, m and rad.
-    """
-
-    def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, roll: float) -> None:
+    def __init__(self, model: SessionModel, modes: Sequence[Sequence[Mode]], roll: float) -> None:
         self._model = model
         self._at, self._covariance = _stacked(modes)
         # All hypotheses have the same offsets of insertion and roll, so the kinematics and their errors are the same.
-        self._offsets = np.zeros(len(offset_std))
+        self._offsets = np.zeros(len(model.offset_std))
         self._offsets[1] = roll
-        same = Calibration(np.eye(4), self._offsets)
+        same = Calibration.of(np.eye(4), self._offsets)
         self._read = model.predict(same)  # as seen from the base
-        self._relative = model.camera_from_base(replace(same, endoscope=model.start))
+        self._relative = model.camera_from_base(model.calibration(np.eye(4), self._offsets))
         self._root_from_base = inverse(self._read.pose)
         self._of_readings = model.covariance(same)
-        self._of_readings[:, 5, 5] += offset_std[1] ** 2
+        self._of_readings[:, 5, 5] += model.offset_std[1] ** 2
 
     def _calibrations(self, sources: Indices) -> tuple[Float64, Float64]:
         """Return the bases (H, 4, 4) and offsets (H, 2 + J) of the calibrations that predict modes of frames.
@@ -219,7 +215,7 @@ class _Hypotheses:
     def consensus(self, source: Indices, test_frames: Indices) -> Consensus:
         """Return what test frames (V,) say of the calibration that is made from a frame and one of its modes (2,)."""
         ((base,), (offsets,)), tested = self._calibrations(source[None]), self._tested(source[None], test_frames)
-        return Consensus(Calibration(base, offsets, endoscope=self._model.start), *(one[0] for one in tested))
+        return Consensus(self._model.calibration(base, offsets), *(one[0] for one in tested))
 
     def _tested(self, sources: Indices, test_frames: Indices) -> tuple[Float64, Float64]:
         """Test the calibrations from ``sources`` (H, 2) on test frames (V,): misfit and cost, (H, V) each."""
@@ -248,7 +244,7 @@ class _Hypotheses:
 
     def against(self, calibration: Calibration, test_frames: Indices) -> Consensus:
         """Test a calibration that is known on test frames (V,)."""
-        expected = self._model.predict(replace(calibration, endoscope=self._model.start))
+        expected = self._model.predict(self._model.calibration(calibration.camera_from_base, calibration.offsets))
         changes = self._at[test_frames].minus(_for_each_mode(expected)[test_frames])
         return Consensus(calibration, *self._judged(self._of_readings[test_frames], changes, test_frames))
 

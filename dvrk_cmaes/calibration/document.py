@@ -10,14 +10,11 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
-from dvrk_cmaes.calibration.constants import TOLD
+from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS, Calibration, FoundBlock
 from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.lag_search import LagCurve
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
-    BASE_AXES,
-    OUTER_OFFSETS,
-    Calibration,
     Correction,
     Deviations,
     SessionModel,
@@ -109,6 +106,7 @@ class SessionCalibration:
     cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera : change of the camera that the frames fit; None if it was not tested.
     shaft : the radius of the shaft that the frames fit; None if it was not tested.
+    blocks : what was found of further unknowns that all frames share, by block; the solution leaves them at zero.
     masks : the margin and the other errors that all masks share; None if they were not estimated.
     masks_again : what changed as masks were found again around the expected silhouettes; None where they were not.
     rig : what the further views differ in from the rig's file, of those that were tested.
@@ -139,6 +137,7 @@ class SessionCalibration:
     cables: SessionCables | None = None
     camera: SessionCamera | None = None
     shaft: SessionShaft | None = None
+    blocks: dict[str, FoundBlock] = field(default_factory=dict)
     masks: SessionMasks | None = None
     masks_again: MasksAgain | None = None
     rig: tuple[ViewRotation, ...] = ()
@@ -218,6 +217,7 @@ class SessionCalibration:
             yield f"lag: {self.lag.describe()}; {done}"
         if self.camera is not None:
             yield f"camera, against its file: {self.camera.describe()}"
+        yield from (block.text for block in self.blocks.values())
         yield from (view.describe() for view in self.rig)
         yield from (each.describe() for each in (self.masks, self.masks_again) if each is not None)
 
@@ -242,7 +242,9 @@ class SessionCalibration:
             "leave_one_out": _predictions(self.leave_one_out),
             "leave_one_out_of_views": {view: _predictions(own) for view, own in self.leave_one_out_of_views.items()},
             "quality": encoded_fields(self, "iou", "contour_px_95"),
-            **encoded_fields(self, "lag", "lag_curve", "cables", "camera", "shaft", "masks", "masks_again", "rig"),
+            **encoded_fields(self, "lag", "lag_curve", "cables", "camera", "shaft"),
+            "blocks": {name: block.to_dict() for name, block in self.blocks.items()},
+            **encoded_fields(self, "masks", "masks_again", "rig"),
             **encoded_fields(self, "views", "endoscope", "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
@@ -381,7 +383,8 @@ class SessionCalibration:
             correction=correction,
             endoscope=None if endoscope is None else endoscope[0],
         )
-        return model, Calibration(self.camera_from_base, offsets, endoscope=None if endoscope is None else endoscope[1])
+        found = model.calibration(self.camera_from_base, offsets)
+        return model, found if endoscope is None else found.beside(endoscope=endoscope[1])
 
     def _elsewhere(self, joints: Float64, joint_names: Sequence[str], std: Float64) -> Float64:
         """Return the factors (N, 1 + J) on the standard deviations ``std`` (J,), rad, of roll and joints (N, J).
@@ -445,7 +448,7 @@ def _undetermined(std: Float64, names: tuple[str, ...], config: EstimateConfig) 
             "its rotation cannot be told from the offset of roll"
         )
     for name, deviation, before in zip(names, std[6:], offset_deviations(config, names[2:]), strict=True):
-        if deviation > TOLD * before:
+        if deviation > OBSERVABLE * before:
             amount = f"{deviation * 1e3:.2f} mm" if name == "insertion" else f"{np.degrees(deviation):.1f} deg"
             texts.append(f"offset of {name}: standard deviation {amount}, as wide as expected beforehand")
     return texts

@@ -12,15 +12,19 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration, PredictedBlock
 from dvrk_cmaes.geometry import adjoint, change_between, exp_rotation, inverse, moved, rotation_about_z, transform
 from dvrk_cmaes.instrument.endoscope import STRAIGHT, ecm_from_tip_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.refine.elimination import times
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.model import SessionModel
 
 Float64 = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -115,11 +119,22 @@ class Endoscope(ABC):
     start: EndoscopeValues
     loose: Float64
     """Standard deviations (M,) of the values from which an estimation starts."""
+    known: Float64 | None
+    """Information matrix (M, M) of the prior, where it is not that of the start."""
+
+    @property
+    def block(self) -> EndoscopeBlock:
+        """The block of the M unknowns."""
+        return EndoscopeBlock(self.start, self.axes, self.start.information if self.known is None else self.known)
 
     @property
     @abstractmethod
     def place(self) -> Indices:
         """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
+
+    def with_prior(self, information: Float64) -> Self:
+        """Return the endoscope with another information matrix (M, M) of the prior."""
+        return replace(self, known=information)  # type: ignore[type-var]  # of a dataclass
 
     @abstractmethod
     def relative(self, values: EndoscopeValues) -> Float64:
@@ -141,6 +156,36 @@ class Endoscope(ABC):
     def axes(self) -> tuple[str, ...]:
         """Names of the M unknowns."""
         return tuple(f"endoscope_{number}" for number in range(len(self.start.std)))
+
+
+class EndoscopeBlock(PredictedBlock):
+    """The unknowns of an endoscope that moves; ``information`` (M, M) is that of their prior."""
+
+    def __init__(self, start: EndoscopeValues, axes: Sequence[str], information: Float64) -> None:
+        super().__init__(ENDOSCOPE, start.std, axes)
+        self._information = information
+
+    @property
+    def information(self) -> Float64:
+        """Information matrix (M, M) of the prior."""
+        return self._information
+
+    def deviation(self, value: Any) -> Float64:
+        """Return the differences from what is expected beforehand."""
+        return np.asarray(value.deviation)
+
+    def changed(self, value: Any, step: Float64) -> Any:
+        """Return the values after a step."""
+        return value.changed(step)
+
+    def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes of the roots' poses by that of the camera."""
+        assert model.endoscope is not None
+        assert calibration.endoscope is not None
+        moves = model.endoscope.jacobian(calibration.endoscope, calibration.camera_from_base)
+        out = np.zeros((len(model.outer), 6 + len(model.names), len(self.std)))
+        out[:, :6] = adjoint(inverse(model.base_from_root(calibration.offsets))) @ moves
+        return out
 
 
 InFrames = tuple[Endoscope, EndoscopeValues]
@@ -182,6 +227,7 @@ class Steered(Endoscope):
     places: tuple[Place, ...]
     start: EndoscopeValues
     loose: Float64
+    known: Float64 | None = None
     _known: _Tips | None = None
 
     @classmethod
@@ -233,7 +279,7 @@ class Steered(Endoscope):
 
     def at(self, read: Float64) -> Steered:
         """Return the endoscope with other readings (N, 4) of the frames; a frame without has those of its neighbour."""
-        return Steered(filled(read), self.places, self.start, self.loose)
+        return Steered(filled(read), self.places, self.start, self.loose, self.known)
 
     def _joints(self, values: EndoscopeValues) -> Float64:
         """Return the joints (N, 4) of the ECM in each frame."""
@@ -338,6 +384,7 @@ class Pieces(Endoscope):
     piece: Indices
     start: EndoscopeValues
     loose: Float64
+    known: Float64 | None = None
 
     @classmethod
     def of(cls, piece: Indices, cameras: Float64) -> Pieces:

@@ -9,11 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
-from dvrk_cmaes.calibration.endoscope import Endoscope, Pieces, Place, Steered
+from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.lasting_errors import frames_alike
-from dvrk_cmaes.calibration.model import Calibration, SessionModel, ecm_readings
+from dvrk_cmaes.calibration.model import SessionModel, ecm_readings
 from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
 from dvrk_cmaes.geometry import inverse
@@ -42,9 +43,8 @@ def with_readings(state: SessionState, places: Sequence[Place] = ()) -> SessionS
     if steered is None:
         return state
     state.problem.progress("finding the camera in the endoscope", len(state.frames))
-    found = find_hand_eye(state.model, state.modes, state.problem.offset_std, state.problem.prior, steered)
-    problem = replace(state.problem, endoscope_prior=found.start.information)
-    return replace(state, model=replace(state.model, endoscope=found), problem=problem)
+    found = find_hand_eye(state.model, state.modes, steered)
+    return replace(state, model=replace(state.model, endoscope=found))
 
 
 def with_pieces(state: SessionState, consensus: Consensus | None = None) -> SessionState | None:
@@ -56,40 +56,24 @@ def with_pieces(state: SessionState, consensus: Consensus | None = None) -> Sess
     if not problem.may_cut:
         return None
     if consensus is None:
-        consensus = find_consensus(state.model, state.modes, problem.offset_std)
+        consensus = find_consensus(state.model, state.modes)
     alike = float(np.median(frames_alike(state.times, problem.config.session.alike_seconds)))
-    found = find_pieces(state.model, state.modes, problem.offset_std, problem.prior, consensus, alike=alike)
-    if found is None:
-        return None
-    pieces, _ = found
-    return replace(
-        state,
-        model=replace(state.model, endoscope=pieces),
-        problem=replace(problem, endoscope_prior=pieces.start.information),
-    )
+    found = find_pieces(state.model, state.modes, consensus, alike=alike)
+    return None if found is None else replace(state, model=replace(state.model, endoscope=found[0]))
 
 
 def without_pieces(state: SessionState) -> SessionState:
     """Return a session that was cut into pieces in one again."""
-    problem = replace(state.problem, endoscope_prior=np.zeros((0, 0)))
-    return replace(state, model=replace(state.model, endoscope=None), problem=problem)
+    return replace(state, model=replace(state.model, endoscope=None))
 
 
-def find_hand_eye(
-    model: SessionModel,
-    modes: Sequence[Sequence[Mode]],
-    offset_std: Float64,
-    prior: Float64,
-    steered: Steered,
-) -> Steered:
+def find_hand_eye(model: SessionModel, modes: Sequence[Sequence[Mode]], steered: Steered) -> Steered:
     """Find the camera in the endoscope's tip by which the frames' modes agree best, at any turn about the axis.
 
     Parameters
     ----------
-    model, modes, offset_std
+    model, modes
         As in `find_consensus`.
-    prior
-        As in `solve`, without the endoscope.
     steered
         The endoscope in all frames, whose camera is not known yet.
     """
@@ -99,36 +83,24 @@ def find_hand_eye(
     tried: list[tuple[float, Steered, Consensus]] = []
     for offered in steered.hand_eyes():
         of_few = replace(model, endoscope=offered.subset(few))
-        consensus = find_consensus(of_few, modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES)
+        consensus = find_consensus(of_few, modes, hypothesis_frames=_HYPOTHESIS_FRAMES)
         tried.append((consensus.mean_misfit, offered, consensus))
-    prior = with_prior_of(steered, prior)
     refined: list[tuple[float, Steered]] = []
     for _, offered, consensus in sorted(tried, key=lambda one: one[0])[:_TRIED]:
         of_few = replace(model, endoscope=offered.subset(few))
-        solution = solve_with_modes(of_few, modes, consensus.calibration, prior)
+        solution = solve_with_modes(of_few, modes, consensus.calibration)
         values = solution.calibration.endoscope
         assert values is not None
         there = offered.with_start(values, _FOUND * offered.loose)
-        again = find_consensus(
-            replace(model, endoscope=there.subset(few)), modes, offset_std, hypothesis_frames=_HYPOTHESIS_FRAMES
-        )
+        of_few = replace(model, endoscope=there.subset(few))
+        again = find_consensus(of_few, modes, hypothesis_frames=_HYPOTHESIS_FRAMES)
         refined.append((float(again.cost.mean()), there))
     return min(refined, key=lambda one: one[0])[1]
-
-
-def with_prior_of(endoscope: Endoscope, prior: Float64) -> Float64:
-    """Return a prior's information (K, K) with that of the M unknowns of an endoscope, (K + M, K + M)."""
-    count = len(prior)
-    out = np.pad(prior, (0, len(endoscope.start.information)))
-    out[count:, count:] = endoscope.start.information
-    return out
 
 
 def find_pieces(
     model: SessionModel,
     modes: Sequence[Sequence[Mode]],
-    offset_std: Float64,
-    prior: Float64,
     consensus: Consensus,
     *,
     alike: float = 1.0,
@@ -141,10 +113,8 @@ def find_pieces(
 
     Parameters
     ----------
-    model, modes, offset_std
+    model, modes
         As in `find_consensus`, of N frames in the order they were taken.
-    prior
-        As in `solve`.
     consensus
         The consensus of all frames.
     alike
@@ -158,29 +128,27 @@ def find_pieces(
     """
     if not _disagree_together(consensus.agree):
         return None
-    bases, cut = _bases_of_runs(model, modes, offset_std, prior, float(consensus.calibration.offsets[1])), None
+    bases, cut = _bases_of_runs(model, modes, float(consensus.calibration.offsets[1])), None
     for _ in range(_MOST_SEARCHES):
         if not bases:
             return None
-        costs = np.array([agreement(model, modes, offset_std, base).cost for base in bases]) / alike
-        before, cut = cut, _Cut.of(model, modes, prior, bases, _fewest_changes(costs))
+        costs = np.array([agreement(model, modes, base).cost for base in bases]) / alike
+        before, cut = cut, _Cut.of(model, modes, bases, _fewest_changes(costs))
         if before is not None and _same_pieces(before, cut):
             break
         bases = cut.bases
     return None if cut is None or cut.pieces is None else (cut.pieces, np.flatnonzero(cut.agree))
 
 
-def _bases_of_runs(
-    model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, prior: Float64, roll: float
-) -> list[Calibration]:
+def _bases_of_runs(model: SessionModel, modes: Sequence[Sequence[Mode]], roll: float) -> list[Calibration]:
     """Return the bases of short runs of consecutive frames that agree on one; arguments as in `find_pieces`."""
     count, found = len(modes), list[Calibration]()
     length = max(_LEAST_WINDOW, -(-count // _MOST_WINDOWS))
     for first in range(0, max(count - length, 0) + 1, max(length // 2, 1)):
         index = list(range(first, min(first + length, count)))
         own, own_modes = model.subset(index), [modes[i] for i in index]
-        start = find_consensus(own, own_modes, offset_std, roll=roll).calibration
-        solution = solve_with_modes(own, own_modes, start, prior)
+        start = find_consensus(own, own_modes, roll=roll).calibration
+        solution = solve_with_modes(own, own_modes, start)
         agree = solution.misfit < INLIER_MISFIT * (4 + len(solution.calibration.offsets))
         if agree.sum() >= max(LEAST_PIECE, _AGREE * len(agree)):
             found.append(solution.calibration)
@@ -206,7 +174,6 @@ class _Cut:
         cls,
         model: SessionModel,
         modes: Sequence[Sequence[Mode]],
-        prior: Float64,
         bases: Sequence[Calibration],
         place: Indices,
     ) -> _Cut:
@@ -217,17 +184,16 @@ class _Cut:
         if len(held) > 1:
             cameras = [bases[k].camera_from_base @ inverse(start.camera_from_base) for k in held[order[1:]]]
             pieces = Pieces.of(np.argsort(order)[number], np.array(cameras))
-            start, prior = replace(start, endoscope=pieces.start), with_prior_of(pieces, prior)
-        solution = solve_with_modes(replace(model, endoscope=pieces), modes, start, prior)
+            start = start.beside(pieces.block, endoscope=pieces.start)
+        solution = solve_with_modes(replace(model, endoscope=pieces), modes, start)
         return cls(pieces, solution)
 
     @property
     def bases(self) -> list[Calibration]:
         """The base of each piece, with the shared offsets."""
-        found = replace(self.solution.calibration, endoscope=None)
-        values = self.solution.calibration.endoscope
+        found, values = self.solution.calibration.without(ENDOSCOPE), self.solution.calibration.endoscope
         moves = [] if values is None else list(values.poses)
-        return [found, *(replace(found, camera_from_base=move @ found.camera_from_base) for move in moves)]
+        return [found, *(found.beside(base=move @ found.camera_from_base) for move in moves)]
 
     @property
     def agree(self) -> NDArray[np.bool_]:

@@ -14,7 +14,6 @@ import numpy as np
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, ROLL_OFFSET, ROLL_OFFSET_LONG
 
 _STILL_RAD, _STILL_M = np.deg2rad(0.05), 2e-4  # standard deviation below which readings are constant
@@ -37,12 +36,12 @@ def check_motion(model: SessionModel) -> None:
         )
 
 
-def check_arm(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, consensus: Consensus) -> None:
+def check_arm(model: SessionModel, modes: Sequence[Sequence[Mode]], consensus: Consensus) -> None:
     """Refuse readings that only fit with the length of another arm or tool.
 
     Parameters
     ----------
-    model, modes, offset_std
+    model, modes
         As in `find_consensus`.
     consensus
         The consensus of all frames.
@@ -59,7 +58,7 @@ def check_arm(model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: 
     for difference in differences:
         outer = model.outer.copy()
         outer[:, 2] += difference
-        other = find_consensus(replace(model, outer=outer), modes, offset_std)
+        other = find_consensus(replace(model, outer=outer), modes)
         if other.mean_misfit < IMPROVEMENT * misfit:
             than = "longer" if difference > 0 else "shorter"
             raise InputError(

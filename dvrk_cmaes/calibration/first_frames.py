@@ -65,6 +65,6 @@ def predict_from_first(
     if isinstance(endoscope, Steered):
         endoscope = endoscope.at(ecm_readings([readings[name] for name in names]))
     read = [readings[name] for name in names]
-    model = SessionModel.of(read, problem.instrument, problem.config.session, problem.arm, endoscope)
+    model = SessionModel.of(read, problem.instrument, problem.config, problem.arm, endoscope)
     predicted = model.predict(state.solution.calibration)
     return {name: predicted[i] for i, name in enumerate(names)}

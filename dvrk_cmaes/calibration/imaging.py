@@ -8,15 +8,17 @@ calibration, and the poses (N) with them, None if nothing changed.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.constants import FramesAt, SessionOutlines
+from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
 from dvrk_cmaes.calibration.frame_task import gather_task, with_changed_cameras
+from dvrk_cmaes.calibration.linearise import FramesAt, SessionOutlines
 from dvrk_cmaes.calibration.mask_growth import MaskGrowth
-from dvrk_cmaes.calibration.model import Calibration
 from dvrk_cmaes.calibration.session_camera import (
     CameraChange,
     CameraCheck,
@@ -27,16 +29,20 @@ from dvrk_cmaes.calibration.session_camera import (
 from dvrk_cmaes.calibration.session_masks import MaskMargin, estimate_margin
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.session_state import SessionState
+from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
 
 Changed = tuple[SessionState, Calibration, Posed | None]
+
+TESTED: Final[tuple[Callable[[SessionConfig], SeenBlock], ...]] = ()
+"""What makes the further blocks that every session is tested for, each of which states itself."""
 
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
 
 
 def with_camera(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
     """Estimate the change of the camera, and use it where it is plausible; else the session has no covariance of it."""
-    frames, config = FramesAt(state.model, calibration, state.problem.prior, at), state.problem.config.session
+    frames, config = FramesAt(state.model, calibration, at), state.problem.config.session
     estimate = estimate_camera(frames, config, _outlines(state), passes=_CAMERA_PASSES)
     if not estimate.plausible:
         return replace(state, imaging=replace(state.imaging, of_change=None)), calibration, None
@@ -47,7 +53,7 @@ def with_camera(state: SessionState, calibration: Calibration, at: Posed) -> Cha
 def with_margins(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
     """Estimate the margin of each view's masks, and take it off if it is clear."""
     names = list(dict.fromkeys(view.name for stored in state.stored for view in stored.views))
-    of_all = FramesAt(state.model, calibration, state.problem.prior, at)
+    of_all = FramesAt(state.model, calibration, at)
     found = [estimate_margin(of_all, _outlines(state, name, file_tells=True)) for name in names]
     margins = tuple((name, margin) for name, (margin, _, _) in zip(names, found, strict=True))
     state = replace(state, imaging=replace(state.imaging, margins=margins))
@@ -63,13 +69,14 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     problem, change = state.problem, state.imaging.change
     problem.progress("checking the camera", len(state.frames))
     at, config = Posed.stacked(fit.at for fit in state.fits), problem.config.session
-    of_all = FramesAt(state.model, state.solution.calibration, problem.prior, at)
+    of_all = FramesAt(state.model, state.solution.calibration, at)
     outlines = _outlines(state)
     masks = state.imaging.masks
     offsets = [fit.side_offsets for fit in state.fits if fit.explains_mask and fit.side_offsets is not None]
     outwards = max(0.0, *np.mean(offsets, axis=0).tolist()) if offsets else 0.0
     growth = MaskGrowth(outwards, 0.0 if masks is None else masks.taken_off)
-    outlines = replace(outlines, constants=(*outlines.constants, growth, InstrumentSizes(problem.instrument)))
+    tested = growth, InstrumentSizes(problem.instrument), *(make(config) for make in TESTED)
+    outlines = replace(outlines, blocks=(*outlines.blocks, *tested))
     check = check_camera(of_all, config, outlines, applied=change)
     if check.growth is not None:
         moves = check.growth.of_calibration
@@ -113,12 +120,12 @@ def _outlines(state: SessionState, view: str | None = None, *, file_tells: bool 
 
 
 def _camera(state: SessionState, *, file_tells: bool) -> CameraChange:
-    """Return the change of the camera as a constant that starts where it is."""
+    """Return the change of the camera as a block that starts where it is."""
     return CameraChange(file_deviations(state.problem.config.session) if file_tells else None, state.imaging.change)
 
 
 def _margin(state: SessionState, view: str | None) -> MaskMargin:
-    """Return the margin of a view's masks, by default the first one's, as a constant that starts where it is."""
+    """Return the margin of a view's masks, by default the first one's, as a block that starts where it is."""
     masks = state.imaging.masks
     if masks is None:
         return MaskMargin()

@@ -12,10 +12,11 @@ from typing import Final
 
 import numpy as np
 
+from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.clock import FARTHEST, RANGE, Clock
 from dvrk_cmaes.calibration.consensus import Consensus, Mode, find_consensus
 from dvrk_cmaes.calibration.faults import IMPROVEMENT
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
@@ -147,7 +148,7 @@ class SearchedLag:
     nowhere: bool = False
 
 
-def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64) -> SearchedLag:
+def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SearchedLag:
     """Find the lag at which the frames' modes agree best, and the calibration on which they agree there.
 
     Where they agree at no lag of the usual range, the far range is searched too. The lag is not determined by too few
@@ -167,7 +168,7 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
 
     def searched(low: float, high: float, step: float) -> tuple[Float64, list[Consensus | None], Float64]:
         lags = np.asarray(step * np.arange(round(low / step), round(high / step) + 1), np.float64)
-        agreed = [_consensus_at(clock, model, modes, offset_std, np.array([lag, 0.0])) for lag in lags]
+        agreed = [_consensus_at(clock, model, modes, np.array([lag, 0.0])) for lag in lags]
         return lags, agreed, np.array([np.inf if each is None else each.mean_misfit for each in agreed])
 
     unit, ends = clock.series.unit, tuple[float, ...]()
@@ -210,9 +211,7 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
     return SearchedLag(float(lags[best]), consensus.calibration, curve)
 
 
-def _consensus_at(
-    clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, lag: Float64
-) -> Consensus | None:
+def _consensus_at(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]], lag: Float64) -> Consensus | None:
     """Return the consensus of the frames' modes at a lag; None if too few frames have readings there."""
     has = np.flatnonzero(clock.has_readings(lag))
     if len(has) < max(LEAST_AT_LAG, _LEAST_SHARE * len(modes)):
@@ -220,7 +219,6 @@ def _consensus_at(
     return find_consensus(
         clock.model_to_compare(model, lag).subset(has),
         [modes[int(i)] for i in has],
-        offset_std,
         hypothesis_frames=_HYPOTHESIS_FRAMES,
         test_frames=_TEST_FRAMES,
     )

@@ -8,14 +8,15 @@ recordings; few frames hardly tell more.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.constants import weak
+from dvrk_cmaes.calibration.blocks import Block
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, LastingSize
+from dvrk_cmaes.calibration.linearise import weak
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, Solved, marginalise
 from dvrk_cmaes.geometry import Float64, Posed
@@ -43,7 +44,7 @@ class LastingEstimate:
 
 
 def estimate_lasting(
-    model: SessionModel, fits: Sequence[FrameFit], solution: Solved, prior: Float64, times: Float64
+    model: SessionModel, fits: Sequence[FrameFit], solution: Solved, times: Float64
 ) -> LastingEstimate:
     """Estimate the size of the errors that last.
 
@@ -52,8 +53,6 @@ def estimate_lasting(
     model, fits, solution
         The session's model, the fits of its N frames and the solution of these. Fits that do not explain their masks do
         not count.
-    prior : (K, K)
-        Information matrix of the calibration's prior, as in `solve`.
     times : (N,)
         Times of the frames, s; NaN where unknown.
     """
@@ -68,19 +67,16 @@ def estimate_lasting(
         return LastingEstimate(USUAL_SIZE, _SCALE_STD, _SECONDS_STD, timed, rms)
     errors = {"lasting": np.zeros(count)}
     with_errors = FrameFits(Posed.stacked(fit.at for fit in fits), stacked, errors)
-    frames = marginalise(model, with_errors, replace(solution.calibration, constants=errors))
+    frames = marginalise(model, with_errors, solution.calibration.beside(Block("lasting", np.ones(count)), **errors))
     jacobian = model.jacobian(solution.calibration)
     order = used[np.argsort(times[used], kind="stable")]
     blocks = [
         _Block.of(frames.left, jacobian, solution.weights, times, part)
         for part in np.array_split(order, -(-len(order) // _BLOCK))
     ]
-    base = weak(len(prior))
+    known = solution.calibration.information + weak(len(solution.information))
     log = np.array(
-        [
-            [_log_likelihood(blocks, prior + base, LastingSize(scale, seconds)) for seconds in _SECONDS]
-            for scale in _SCALES
-        ]
+        [[_log_likelihood(blocks, known, LastingSize(scale, seconds)) for seconds in _SECONDS] for scale in _SCALES]
     )
     log -= 0.5 * (np.log(_SCALES / USUAL_SIZE.scale)[:, None] / _SCALE_STD) ** 2
     log -= 0.5 * (np.log(_SECONDS / USUAL_SIZE.seconds) / _SECONDS_STD) ** 2

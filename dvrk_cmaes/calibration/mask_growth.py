@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvrk_cmaes.calibration.constants import Constant, Linearised, OutlineOfView, ViewAsSeen
+from dvrk_cmaes.calibration.blocks import OutlineOfView, SeenBlock
+from dvrk_cmaes.calibration.linearise import Linearised
 from dvrk_cmaes.calibration.session_masks import MARGIN, SessionMasks
 from dvrk_cmaes.calibration.solve import marginalise
 from dvrk_cmaes.camera import Camera
@@ -22,7 +23,7 @@ from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.pose.terms.shared_errors import DIRECTIONS, LASTING, MEAN_ERRORS, image_axis
 
 GROWTH = "growth"
-"""Name of the constant."""
+"""Name of the block."""
 
 _STD = 2.0  # px, with which the outlines are linearised
 _LEAST, _OF_MARGIN = 0.1, 0.5
@@ -41,7 +42,7 @@ the six in which that was most.
 _MARGIN_PX = 0.08  # of all masks, beyond what the keyframes tell: rounded corners, a segmenter's threshold
 
 
-class MaskGrowth(Constant):
+class MaskGrowth(SeenBlock):
     """The errors (6,), px: of both sides of the shaft, and of what faces right, left, down and up in the image.
 
     Parameters
@@ -60,10 +61,6 @@ class MaskGrowth(Constant):
         self.margin_px = margin_px
         self.usual_px = float(np.clip(size, _SIZES[0], _SIZES[-1]))
 
-    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
-        """Return the view as it is: the outlines are linearised at the masks as they are."""
-        return by
-
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of an outline's points by the errors."""
         return outline.view.mean_errors(outline.points, outline.at)[:, 1:]
@@ -75,7 +72,7 @@ class GrowthEstimate:
 
     ``px`` (6,) are their means, and ``std_px`` (6,) what is known of them beforehand: their usual size, and next to
     nothing where they would be negative. ``values`` (K + E,) and ``covariance`` (K + E, K + E) are those of the
-    calibration, as changes, and all constants with errors of this size. ``squares`` (7, 7) are the mean squares, px^2,
+    calibration, as changes, and all blocks with errors of this size. ``squares`` (7, 7) are the mean squares, px^2,
     of the margin that is left on the masks and of what of these errors may be the masks'. ``of_calibration`` (K, 7) and
     ``of_frames`` (N, D, 7) are the errors of the calibration and of the frames' poses that each of them causes, per px.
     """
@@ -89,26 +86,22 @@ class GrowthEstimate:
     of_frames: Float64
 
 
-def estimate_growth(
-    there: Linearised, count: int, growth: MaskGrowth, beside: Mapping[str, Float64 | float]
-) -> GrowthEstimate:
+def estimate_growth(there: Linearised, growth: MaskGrowth, beside: Mapping[str, Float64 | float]) -> GrowthEstimate:
     """Tell the size of the errors on some sides, and what they do, from outlines that were linearised in them.
 
     Parameters
     ----------
     there
-        The session with the constant among its constants.
-    count
-        Number of the calibration's own unknowns, K.
+        The session with the block among its blocks.
     growth
-        The constant.
+        The block.
     beside
-        Standard deviations beforehand of other constants, by name, with which ``squares`` is told: a camera's file.
+        Standard deviations beforehand of other blocks, by name, with which ``squares`` is told: a camera's file.
     """
-    calibration = there.solution.calibration
+    calibration, count = there.solution.calibration, there.solution.calibration.own
     place = calibration.place(GROWTH)
     of_outlines = np.linalg.inv(there.covariance[place, place])
-    seen = calibration.constants[GROWTH]
+    seen = there.value(GROWTH)
     std = np.full(
         len(seen), _likely_size(of_outlines - np.eye(len(seen)) / _STD**2, of_outlines @ seen, growth.usual_px)
     )

@@ -13,22 +13,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.endoscope import Endoscope, EndoscopeValues
+from dvrk_cmaes.calibration.blocks import Calibration, Offsets
+from dvrk_cmaes.calibration.endoscope import Endoscope
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
-from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse, moved
+from dvrk_cmaes.geometry import Bool, Float64, Posed, adjoint, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root_and_jacobian
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.terms.expected import Expected
-
-Constants = Mapping[str, Float64]
-"""Values of further unknowns that all frames share, by the name of their block, as of `calibration.constants`."""
-
-BASE_AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
-"""Components of a small change of camera_from_base, along and about the base's axes, m and rad."""
-
-OUTER_OFFSETS = ("insertion", "roll")
-"""Outer joints that have an offset; constant offsets of yaw and pitch are equivalent to a rotation of the base."""
 
 _UNREAD_STD = np.pi  # rad, standard deviation of a joint that has no reading
 
@@ -63,50 +55,6 @@ def offset_deviations(config: EstimateConfig, joint_names: Sequence[str]) -> Flo
     """Return the standard deviations (2 + J,) of the offsets about zero before the session, m and rad."""
     angles = np.deg2rad([config.session.roll_offset_deg, *(config.readings.of(name) for name in joint_names)])
     return np.array([config.session.insertion_offset_mm * 1e-3, *angles])
-
-
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """Constants of a session: ``camera_from_base`` (4, 4), m, ``offsets`` (2 + J,), m and rad, and E further ones.
-
-    The offsets are those of insertion, roll and the instrument's joints. The further ``constants``, as those of the
-    camera, change the outlines and not what is predicted; most often there are none. ``endoscope`` are the values of M
-    unknowns of an endoscope that moves; the base is then that in the reference camera. None of one that stands still.
-    """
-
-    camera_from_base: Float64
-    offsets: Float64
-    constants: Constants = field(default_factory=dict)
-    endoscope: EndoscopeValues | None = None
-
-    @property
-    def values(self) -> Float64:
-        """Differences (8 + J + M + E,) from what is expected beforehand, in the order of a step; zero of the base."""
-        moves = np.zeros(0) if self.endoscope is None else self.endoscope.deviation
-        return np.concatenate([np.zeros(6), self.offsets, moves, self.further])
-
-    @property
-    def own(self) -> int:
-        """Number 8 + J + M of unknowns that change what is predicted."""
-        return len(self.values) - len(self.further)
-
-    @property
-    def further(self) -> Float64:
-        """Values (E,) of the further constants, block after block."""
-        return np.concatenate([np.zeros(0), *self.constants.values()])
-
-    def place(self, name: str) -> slice:
-        """Return where a block of the further constants is among the components of a step."""
-        before = list(self.constants).index(name)
-        start = self.own + sum(len(block) for block in list(self.constants.values())[:before])
-        return slice(start, start + len(self.constants[name]))
-
-    def changed(self, step: Float64) -> Calibration:
-        """Return the calibration after a step (8 + J + M + E,) in the order of `SessionModel.axes`, then the others."""
-        count = 6 + len(self.offsets)
-        constants = {name: block + step[self.place(name)] for name, block in self.constants.items()}
-        moves = None if self.endoscope is None else self.endoscope.changed(step[count : self.own])
-        return Calibration(moved(self.camera_from_base, step[:6]), self.offsets + step[6:count], constants, moves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +99,8 @@ class SessionModel:
         What the cables are known to add to the readings of roll and of the instrument's joints; by default nothing.
     endoscope
         Where an endoscope that moves is in each frame; None for one that stands still.
+    offset_std : (2 + J,)
+        Standard deviations of the offsets about zero beforehand, m and rad; by default nothing is known of them.
     """
 
     outer: Float64
@@ -162,6 +112,7 @@ class SessionModel:
     inflation: Float64 = field(default_factory=lambda: np.ones((0, 0)))
     correction: Correction = field(default_factory=lambda: Correction.none(0, 0))
     endoscope: Endoscope | None = None
+    offset_std: Float64 = field(default_factory=lambda: np.zeros(0))
     _last: dict[bytes, tuple[Float64, Float64]] = field(default_factory=dict, init=False)
 
     @classmethod
@@ -169,30 +120,36 @@ class SessionModel:
         cls,
         readings: Sequence[Mapping[str, float]],
         instrument: Instrument,
-        config: SessionConfig,
+        config: EstimateConfig,
         arm: Arm,
         endoscope: Endoscope | None = None,
     ) -> SessionModel:
         """Return the model of frames, given the readings of each by joint name, rad and m."""
         names = instrument.joint_names
-        outer, joints, usual = outer_readings(readings), _columns(readings, names), Deviations.of(config, names)
-        return cls(outer, joints, names, usual, arm=arm, roll_offset=instrument.roll_offset, endoscope=endoscope)
+        return cls(
+            outer_readings(readings),
+            _columns(readings, names),
+            names,
+            Deviations.of(config.session, names),
+            arm=arm,
+            roll_offset=instrument.roll_offset,
+            endoscope=endoscope,
+            offset_std=offset_deviations(config, names),
+        )
 
     def __post_init__(self) -> None:
         if not self.inflation.size:
             object.__setattr__(self, "inflation", np.ones((len(self.outer), 1 + len(self.names))))
         if not self.correction.values.size:
             object.__setattr__(self, "correction", Correction.none(*self.joints.shape))
+        if not self.offset_std.size:
+            object.__setattr__(self, "offset_std", np.full(2 + len(self.names), np.inf))
 
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of the 8 + J + M components of a step of the calibration."""
-        return (*BASE_AXES, *OUTER_OFFSETS, *self.names, *(self.endoscope.axes if self.endoscope else ()))
-
-    @property
-    def start(self) -> EndoscopeValues | None:
-        """The values from which an estimation of the endoscope starts; None for one that stands still."""
-        return None if self.endoscope is None else self.endoscope.start
+    def calibration(self, camera_from_base: Float64, offsets: Float64) -> Calibration:
+        """Return that of a base (4, 4), m, and offsets (2 + J,); an endoscope has the values of its start."""
+        found = Calibration.of(camera_from_base, offsets)
+        found = found.beside(Offsets(self.offset_std, self.names))
+        return found if self.endoscope is None else found.beside(self.endoscope.block, endoscope=self.endoscope.start)
 
     def camera_from_base(self, calibration: Calibration) -> Float64:
         """Compute the base (N, 4, 4) in each frame's camera."""
@@ -232,20 +189,16 @@ class SessionModel:
         return Posed(np.asarray(poses), read + calibration.offsets[2:] + self.correction.values[:, 1:])
 
     def jacobian(self, calibration: Calibration) -> Float64:
-        """Compute the Jacobian (N, 6 + J + E, 8 + J + M + E) of the predictions by a step of the calibration.
+        """Compute the Jacobian (N, 6 + J + E, K) of the predictions by a step of the calibration.
 
-        Changes of the predictions are in each root's axes, m and rad, followed by those of the further constants.
+        Changes of the predictions are in each root's axes, m and rad, followed by those of the E unknowns that change
+        what is seen.
         """
-        count, further, own = len(self.names), len(calibration.further), calibration.own
-        out = np.zeros((len(self.outer), 6 + count + further, own + further))
-        out[:, :6, :6] = to_root = adjoint(inverse(self.base_from_root(calibration.offsets)))
-        out[:, 2, 6] = 1.0  # insertion translates the root along its z axis, roll rotates it about this axis
-        out[:, 5, 7] = 1.0
-        out[:, 6 : 6 + count, 8 : 8 + count] = np.eye(count)
-        if self.endoscope is not None and calibration.endoscope is not None:
-            moves = self.endoscope.jacobian(calibration.endoscope, calibration.camera_from_base)
-            out[:, :6, 8 + count : own] = to_root @ moves
-        out[:, 6 + count :, own:] = np.eye(further)
+        count, further, own = 6 + len(self.names), len(calibration.further), calibration.own
+        out = np.zeros((len(self.outer), count + further, own + further))
+        for block in calibration.predicted:
+            out[:, :count, calibration.place(block.name)] = block.derivative(self, calibration)
+        out[:, count:, own:] = np.eye(further)
         return out
 
     def outer_loadings(self, calibration: Calibration) -> Float64:

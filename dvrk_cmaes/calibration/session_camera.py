@@ -8,28 +8,27 @@ the distances between the remote centre of motion and the wrists, and thereby th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
+from dvrk_cmaes.calibration.blocks import Calibration, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.consensus import evenly_spaced
-from dvrk_cmaes.calibration.constants import (
+from dvrk_cmaes.calibration.lasting_errors import CommonErrors, frames_alike
+from dvrk_cmaes.calibration.linearise import (
     NAMED,
     PASSES,
     SHARED_ERRORS,
-    Constant,
     FramesAt,
     Linearised,
-    OutlineOfView,
     SessionOutlines,
-    ViewAsSeen,
     inverse_information,
     linearise,
 )
-from dvrk_cmaes.calibration.lasting_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthEstimate, MaskGrowth, estimate_growth
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_shaft import SIZES, SessionShaft
 from dvrk_cmaes.calibration.solve import cost_at, solve
 from dvrk_cmaes.calibration.stored_frame import changed
@@ -44,7 +43,7 @@ from dvrk_cmaes.io.typed_document import Count, Number
 from dvrk_cmaes.pose.terms.coverage import of_camera
 
 CAMERA = "camera"
-"""Name of the constant."""
+"""Name of the block."""
 
 HINT = "the camera file may be wrong"
 """What the remark begins with where the frames fit another camera better, without being sure of it."""
@@ -78,8 +77,8 @@ _CAUSES = (
 )
 
 
-class CameraChange(Constant):
-    """The change (3,) of all cameras: by default, nothing is known of it beforehand; arguments as of `Constant`."""
+class CameraChange(SeenBlock):
+    """The change (3,) of all cameras: by default, nothing is known of it beforehand; arguments as of `SeenBlock`."""
 
     def __init__(self, std: Float64 | None = None, start: Float64 | None = None) -> None:
         super().__init__(CAMERA, _WEAK_STD if std is None else std, start)
@@ -289,7 +288,8 @@ class CameraCheck:
     ``camera`` is None where the session does not test it, and ``undetermined`` then says why. ``covariance`` (K, K) is
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
     ``growth`` and ``shaft`` are what the outlines tell of errors of the masks on some sides, beside the camera, and of
-    the radius of the shaft, with the camera of the file; None where the camera cannot be changed. ``hint`` is as of
+    the radius of the shaft, with the camera of the file; None where the camera cannot be changed. ``blocks`` are what
+    is found of those that state themselves (`SeenBlock.stated`). ``hint`` is as of
     `CameraEstimate.hint`, empty where the file is contradicted or not used.
     """
 
@@ -298,6 +298,7 @@ class CameraCheck:
     covariance: Float64
     growth: GrowthEstimate | None = None
     shaft: SessionShaft | None = None
+    blocks: Mapping[str, FoundBlock] = field(default_factory=dict)
     hint: str = ""
 
 
@@ -310,7 +311,8 @@ class CameraEstimate:
     frames with the changed camera. ``plausible`` is as in `Linearised`. ``first_change`` (3,) and ``first_covariance``
     (3, 3) are what the first linearisation told, at the start, and ``gain`` is by how much less its sum of squares is
     with any camera than with one that the file expects. ``growth`` and ``shaft`` are what the last one told of errors
-    of the masks on some sides, and of the shaft's radius; None if they are not among the constants.
+    of the masks on some sides, and of the shaft's radius; None if they are not among the blocks. ``blocks`` are those
+    that state themselves, ``of_blocks`` (K, K) the mean square of the calibration's errors that their errors cause.
     """
 
     change: Float64
@@ -324,6 +326,8 @@ class CameraEstimate:
     gain: float = np.inf
     growth: GrowthEstimate | None = None
     shaft: SessionShaft | None = None
+    blocks: Mapping[str, FoundBlock] = field(default_factory=dict)
+    of_blocks: Float64 | float = 0.0
 
     def hint(self, width: int, common: CommonErrors) -> str:
         """Say that the frames fit another camera better, without being sure of it; empty if they do not.
@@ -357,36 +361,58 @@ def estimate_camera(
     """Estimate the change of the camera beside the calibration.
 
     Arguments are as in `linearise`; the ``outlines`` are those of the reference camera, with the change among their
-    constants. ``config`` has the settings of the variance components, which are estimated again with the change.
+    blocks. ``config`` has the settings of the variance components, which are estimated again with the change.
     """
     solver = partial(solve_with_variances, config=config, steps=_STEPS)
     there = linearise(frames, outlines, solver, [CAMERA], passes=passes)
     first, own = there.first or there, there.solution.calibration.place(CAMERA)
-    count, information = len(frames.prior), there.information
+    count, information = frames.calibration.alone().own, there.information
     told = [(one.value(CAMERA), one.covariance[own, own]) for one in (there, first)]
-    growth, shaft, constants = None, None, there.solution.calibration.constants
-    of_masks = next((one for one in outlines.constants if isinstance(one, MaskGrowth)), None)
+    growth, shaft = None, None
+    of_masks = next((one for one in outlines.blocks if isinstance(one, MaskGrowth)), None)
     if of_masks is not None:
-        changed_camera = any(one.name == CAMERA and one.start.any() for one in outlines.constants)
+        changed_camera = any(one.name == CAMERA and one.start.any() for one in outlines.blocks)
         beside = {} if changed_camera else {CAMERA: file_deviations(config)}
         each = (there,) if first is there else (there, first)
-        known = [estimate_growth(one, count, of_masks, beside) for one in each]
+        known = [estimate_growth(one, of_masks, beside) for one in each]
         told = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])]
         # the file's camera is nearest to what was linearised first, about it; the last one has all frames
         growth = replace(known[-1], of_frames=known[0].of_frames)
-        if SIZES in constants:
+        if any(one.name == SIZES for one in outlines.blocks):
             shaft = SessionShaft.of(there, {CAMERA: file_deviations(config), GROWTH: growth.std_px})
     return CameraEstimate(
         *told[0],
         *told[1],
         -inverse_information(information[:count, :count]) @ information[:count, own],
-        replace(there.solution.calibration, constants={}),
+        there.solution.calibration.alone(),
         there.at,
         there.plausible,
-        _gain_of_any_camera(frames.model, replace(frames.calibration, constants={}), first, config),
+        _gain_of_any_camera(frames.model, frames.calibration.alone(), first, config),
         growth,
         shaft,
+        *_stated(there, outlines.blocks, {} if growth is None else {GROWTH: growth.std_px}, config),
     )
+
+
+def _stated(
+    there: Linearised, blocks: Sequence[SeenBlock], known: Mapping[str, Float64], config: SessionConfig
+) -> tuple[dict[str, FoundBlock], Float64]:
+    """State what is found of the blocks that state themselves, beside a camera that is known as its file is.
+
+    ``known`` are standard deviations beforehand of other blocks. Also returns the mean square (K, K) of the
+    calibration's errors that their errors cause, which are not corrected.
+    """
+    calibration, count = there.solution.calibration, there.solution.calibration.own
+    values, covariance = there.with_std({CAMERA: file_deviations(config), **known})
+    found, of_blocks = dict[str, FoundBlock](), np.zeros((count, count))
+    for block in blocks:
+        place = calibration.place(block.name)
+        spread = SHARED_ERRORS**2 * covariance[place, place]
+        if (stated := block.stated(values[place], np.sqrt(np.diag(spread)))) is not None:
+            found[block.name] = stated
+            moves = -inverse_information(there.information[:count, :count]) @ there.information[:count, place]
+            of_blocks += moves @ (spread + np.outer(values[place], values[place])) @ moves.T
+    return found, of_blocks
 
 
 def _gain_of_any_camera(
@@ -400,14 +426,13 @@ def _gain_of_any_camera(
     """
     if len(first.at) != len(model.outer):
         model = model.subset(evenly_spaced(len(model.outer), len(first.at)))
-    start = replace(calibration, constants={name: 0.0 * own for name, own in first.fits.constants.items()})
-    with_file, place = first.prior.copy(), start.place(CAMERA)
-    with_file[place, place] += np.diag(file_deviations(config) ** -2)
-    by_file, by_any = (solve(model, first.fits, start, prior) for prior in (with_file, first.prior))
-    costs = [
-        cost_at(model, first.fits, one.calibration, prior, by_file.weights)
-        for one, prior in ((by_file, with_file), (by_any, first.prior))
-    ]
+    seen = first.solution.calibration.blocks[calibration.own_blocks :]
+    zero = {block.name: np.zeros(len(block.std)) for block in seen}
+    start = calibration.beside(*seen, **zero)
+    (any_camera,) = (block for block in seen if block.name == CAMERA)
+    known = CameraChange((any_camera.std**-2 + file_deviations(config) ** -2) ** -0.5)
+    by_file, by_any = (solve(model, first.fits, one) for one in (start.beside(known, **zero), start))
+    costs = [cost_at(model, first.fits, one.calibration, by_file.weights) for one in (by_file, by_any)]
     return costs[0] - costs[1]
 
 
@@ -416,7 +441,7 @@ def check_camera(
 ) -> CameraCheck:
     """Test the camera of a calibrated session.
 
-    ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the constant starts; None
+    ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the block starts; None
     if they were fitted with the file's. The other arguments are as in `estimate_camera`. Where an estimate is not
     plausible, only what the frames tell at the camera of the file is left, which may contradict it or say nothing.
     """
@@ -427,7 +452,7 @@ def check_camera(
         if far := passes > 1 and not estimate.plausible:
             estimate = estimate_camera(frames, config, outlines, passes=1)
     except InputError as error:
-        return CameraCheck(None, f"camera: {error}", np.zeros_like(frames.prior))
+        return CameraCheck(None, f"camera: {error}", np.zeros((frames.calibration.alone().own,) * 2))
     if applied is not None:
         estimate = replace(estimate, change=applied)
     camera = SessionCamera.of(
@@ -440,11 +465,11 @@ def check_camera(
     )
     if far and not camera.contradicts:
         reason = IMPLAUSIBLE
-    covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None)
+    covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None) + estimate.of_blocks
     if reason is not None:
-        return CameraCheck(None, reason, covariance, estimate.growth, estimate.shaft)
+        return CameraCheck(None, reason, covariance, estimate.growth, estimate.shaft, estimate.blocks)
     hint = "" if camera.applied or camera.contradicts else estimate.hint(camera.width, outlines.common)
-    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft, hint)
+    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft, estimate.blocks, hint)
 
 
 def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool, applied: bool) -> Float64:

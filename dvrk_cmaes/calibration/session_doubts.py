@@ -87,6 +87,7 @@ def doubts_of(
             few_frames_read(calibration),
         ),
         *([] if shaft is None else [f"{text}: {OTHER_SIZES}" for text in shaft.contradictions()]),
+        *(block.doubt for block in calibration.blocks.values() if block.doubt),
         *([] if calibration.masks is None else masks_off(calibration.masks, pixel_scale)),
         *known_mistakes(calibration.remarks if by_file else ()),
         *(f"the camera file is contradicted: {text.partition(': ')[2]}" for text in contradictions),

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.endoscope import (
     OFFSET_STD,
     EndoscopeValues,
@@ -18,7 +19,7 @@ from dvrk_cmaes.calibration.endoscope import (
     Steered,
     filled,
 )
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.geometry import inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import STRAIGHT
 from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields

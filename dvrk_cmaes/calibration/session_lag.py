@@ -13,10 +13,11 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
+from dvrk_cmaes.calibration.blocks import Block, Calibration
 from dvrk_cmaes.calibration.clock import FARTHEST, Clock
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.lag_search import LEAST_AT_LAG, MOVE, LagCurve, search_lag
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, solve
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64
@@ -48,13 +49,12 @@ _AGREE = 3.0  # standard deviations of each lag, within which those of several a
 
 
 class FramesOfLag(NamedTuple):
-    """What tells the lag of N frames: their clock, model and fits, and a calibration with its prior, as in `solve`."""
+    """What tells the lag of N frames: their clock, model and fits, and a calibration, as in `solve`."""
 
     clock: Clock
     model: SessionModel
     fits: FrameFits
     calibration: Calibration
-    prior: Float64
 
 
 def refine_lag(frames: FramesOfLag, start: Float64, free: tuple[int, ...] = (_LAG,)) -> tuple[Float64, Float64] | None:
@@ -78,15 +78,13 @@ def refine_lag(frames: FramesOfLag, start: Float64, free: tuple[int, ...] = (_LA
         return None
     reach = np.array([step, _DRIFT_STEPS * step / max(clock.half_duration, step)])[own]
     known = np.array([far, _DRIFT_STD])[own] / _SHARED_ERRORS
-    prior = np.diag(np.concatenate([np.zeros(len(frames.prior)), known**-2.0]))
-    prior[: len(frames.prior), : len(frames.prior)] = frames.prior
     lag, left, linearised = start, _LINEARISATIONS, _near_lag(frames, start, own, reach, frames.calibration)
     if linearised is None:
         return None
-    calibration = replace(frames.calibration, constants=linearised[1].constants)
+    calibration = frames.calibration.beside(Block("lag", known), **linearised[1].seen)
     for _ in range(_MOST_LINEARISATIONS):
         model, fits = linearised
-        solution = solve(model, fits, calibration, prior)
+        solution = solve(model, fits, calibration)
         calibration = solution.calibration
         change = np.clip(calibration.further - fits.further, -reach / 2, reach / 2)
         lag, moved = start.copy(), np.abs(change) / reach
@@ -235,21 +233,11 @@ class LagEstimate:
         """The lag that is taken out of the readings; None if none is."""
         return self.lag if self.lag is not None and self.lag.applied else None
 
-    def searched(
-        self, model: SessionModel, modes: Sequence[Sequence[Mode]], offset_std: Float64, prior: Float64
-    ) -> LagEstimate:
-        """Find the lag from the frames' own modes.
-
-        Parameters
-        ----------
-        model, modes, offset_std
-            As in `find_consensus`.
-        prior
-            As in `solve`.
-        """
+    def searched(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> LagEstimate:
+        """Find the lag from the frames' own modes; arguments as in `find_consensus`."""
         if self.clock is None or self.fixed:
             return self
-        found = search_lag(self.clock, model, modes, offset_std)
+        found = search_lag(self.clock, model, modes)
         told = replace(self, curve=found.curve, undetermined=found.undetermined, nowhere=found.nowhere)
         if found.lag is None or found.calibration is None:
             return told
@@ -258,16 +246,16 @@ class LagEstimate:
         shifted = self.clock.model_at(model, start).subset(has)
         chosen = choose_modes(shifted, [modes[int(i)] for i in has], found.calibration)
         fits = FrameFits.of_modes(chosen)
-        return told._by(FramesOfLag(self.clock.subset(has), shifted, fits, found.calibration, prior), start)
+        return told._by(FramesOfLag(self.clock.subset(has), shifted, fits, found.calibration), start)
 
-    def refined(self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> LagEstimate:
+    def refined(self, model: SessionModel, fits: FrameFits, calibration: Calibration) -> LagEstimate:
         """Refine a lag that is taken out with the frames' fits; arguments as in `solve`.
 
         A lag at which a frame would have no readings is not taken.
         """
         if self.applied is None or self.clock is None or self.shared or self.fixed:
             return self
-        found = self._by(FramesOfLag(self.clock, model, fits, calibration, prior), self._value(self.clock))
+        found = self._by(FramesOfLag(self.clock, model, fits, calibration), self._value(self.clock))
         return found if found.all_have_readings else replace(found, lag=self.lag)
 
     @property
@@ -288,7 +276,7 @@ class LagEstimate:
         return told if told.all_have_readings else self
 
     def told_by_fits(
-        self, model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64
+        self, model: SessionModel, fits: FrameFits, calibration: Calibration
     ) -> tuple[LagEstimate, float | None]:
         """Determine a lag that the modes did not tell from the frames' fits without one; arguments as in `solve`.
 
@@ -299,7 +287,7 @@ class LagEstimate:
         clock = self.clock
         if self.lag is not None or clock is None or self.fixed:
             return self, None
-        found = refine_lag(FramesOfLag(clock, model, fits, calibration, prior), np.zeros(2))
+        found = refine_lag(FramesOfLag(clock, model, fits, calibration), np.zeros(2))
         lag = None if found is None else describe_lag(clock, *found)
         if found is None or not isinstance(lag, Lag):
             return self, None

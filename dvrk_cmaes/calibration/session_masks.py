@@ -12,17 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dvrk_cmaes.calibration.constants import (
-    PASSES,
-    Constant,
-    FramesAt,
-    OutlineOfView,
-    SessionOutlines,
-    ViewAsSeen,
-    linearise,
-)
+from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
-from dvrk_cmaes.calibration.model import Calibration
+from dvrk_cmaes.calibration.linearise import PASSES, FramesAt, SessionOutlines, linearise
 from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
@@ -34,7 +26,7 @@ if TYPE_CHECKING:
 
 
 MARGIN = "margin"
-"""Name of the constant."""
+"""Name of the block."""
 
 _STD = 1.0  # px beforehand
 _CLEAR = 2.5  # standard deviations from zero, and ...
@@ -44,7 +36,7 @@ _ON_SIDES = 6  # errors of both sides of the shaft, and of what faces four direc
 _MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those less the margin
 
 
-class MaskMargin(Constant):
+class MaskMargin(SeenBlock):
     """The margin (1,), px, by which a segmenter makes all masks of a view too wide, from where estimates ``start``."""
 
     def __init__(self, start: float = 0.0) -> None:
@@ -236,19 +228,19 @@ def margins_of(masks: SessionMasks | None, views: Sequence[str]) -> tuple[float,
 def estimate_margin(frames: FramesAt, outlines: SessionOutlines) -> tuple[Margin, Calibration, Posed]:
     """Estimate the margin of a view's masks beside the calibration and the camera, whose file counts as a measurement.
 
-    Arguments are as in `linearise`; the outlines are those of the view, with the margin among their constants. Also
+    Arguments are as in `linearise`; the outlines are those of the view, with the margin among their blocks. Also
     returns the calibration and the poses of the N frames with masks less the margin, if it is clear, and the camera of
     the file: a change of the camera that is estimated beside the margin is not used.
     """
-    model, calibration, prior, at = frames
+    model, calibration, at = frames
     there = linearise(frames, outlines, solve_unchanged, [MARGIN], passes=PASSES[MARGIN])
     value = float(there.value(MARGIN)[0])
-    (std,) = (float(there.std(one)[0]) for one in outlines.constants if one.name == MARGIN)
+    (std,) = (float(there.std(one)[0]) for one in outlines.blocks if one.name == MARGIN)
     margin = Margin.of(value, std)
-    values = {one.name: np.zeros(len(one.std)) for one in outlines.constants} | {MARGIN: there.value(MARGIN)}
+    values = {one.name: np.zeros(len(one.std)) for one in outlines.blocks} | {MARGIN: there.value(MARGIN)}
     for _ in range(_MARGIN_STEPS if margin.applied else 0):
-        fits = outlines.near(at, values).at_constants()
-        calibration = solve(model, fits, calibration, prior).calibration
+        fits = outlines.near(at, values).at_seen()
+        calibration = solve(model, fits, calibration).calibration
         at = at.moved(marginalise(model, fits, calibration).own)
     return margin, calibration, at
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dvrk_cmaes.calibration.constants import CLEAR, NAMED
+from dvrk_cmaes.calibration.blocks import CLEAR
+from dvrk_cmaes.calibration.linearise import NAMED
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Point

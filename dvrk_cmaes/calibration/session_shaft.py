@@ -12,7 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.calibration.constants import CLEAR, Constant, Linearised, OutlineOfView, ViewAsSeen
+from dvrk_cmaes.calibration.blocks import CLEAR, OutlineOfView, SeenBlock
+from dvrk_cmaes.calibration.linearise import Linearised
 from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.encode import Document
@@ -22,7 +23,7 @@ from dvrk_cmaes.pose.terms.shared_errors import NEAREST
 from dvrk_cmaes.silhouette import OutlinePoints
 
 SIZES = "sizes"
-"""Name of the constant."""
+"""Name of the block."""
 
 _STD = 0.01  # of the logarithms, between tools of one kind
 _WEAK_STD = 0.5  # of the same where it is asked which tool is there
@@ -45,7 +46,7 @@ _TEXTS: Final = {
 }
 
 
-class InstrumentSizes(Constant):
+class InstrumentSizes(SeenBlock):
     """The logarithms (3,) of factors on the shaft's radius, the length from wrist to jaws' axis, and the jaws' length.
 
     Nothing is told of a size that the instrument does not have.
@@ -56,10 +57,6 @@ class InstrumentSizes(Constant):
     def __init__(self, instrument: Instrument) -> None:
         super().__init__(SIZES, np.full(len(_LEAST), _STD))
         self._instrument = instrument
-
-    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
-        """Return the view as it is: the outlines are linearised with the instrument as it is."""
-        return by
 
     def effect(self, outline: OutlineOfView) -> Float64:
         """Return the displacements of the outline's points by each of the sizes."""
@@ -124,7 +121,7 @@ class SessionShaft(Document):
 
     @classmethod
     def of(cls, there: Linearised, known: Mapping[str, Float64 | float]) -> SessionShaft:
-        """Tell the factors from outlines that were linearised in them, with what is known of other constants."""
+        """Tell the factors from outlines that were linearised in them, with what is known of other blocks."""
         values, covariance = there.with_std({**known, SIZES: _WEAK_STD})
         place = there.solution.calibration.place(SIZES)
         scales = np.exp(values[place])

@@ -16,7 +16,7 @@ from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors
 from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
 from dvrk_cmaes.calibration.mask_growth import GrowthEstimate
 from dvrk_cmaes.calibration.masks_again import MasksAgain
-from dvrk_cmaes.calibration.model import SessionModel, offset_deviations
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_lag import LagEstimate
 from dvrk_cmaes.calibration.session_masks import Margin, SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation
@@ -50,9 +50,8 @@ class SessionProblem:
     ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
-    frames' camera is a guess, of which there is no file. ``endoscope_prior`` (M, M) is the information beforehand about
-    the unknowns of an endoscope that moves. ``may_cut`` is whether the session may be cut into pieces between which the
-    base moved. ``lag`` is the one that is taken out of the readings, ``auto`` to look for it in those of postures, too,
+    frames' camera is a guess, of which there is no file. ``may_cut`` is whether the session may be cut into
+    pieces between which the base moved. ``lag`` is the one that is taken out of the readings, ``auto`` to look for it in those of postures, too,
     as of `LagEstimate.of`. ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
@@ -64,23 +63,9 @@ class SessionProblem:
     progress: Callable[[str, int], None] = lambda stage, count: None
     refine_camera: bool = False
     guessed_camera: bool = False
-    endoscope_prior: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
     may_cut: bool = True
     lag: Lag | Literal["auto"] | None = None
     gathered: dict[str, StoredFrame] = field(default_factory=dict)
-
-    @property
-    def offset_std(self) -> Float64:
-        """Standard deviations (2 + J,) of the offsets beforehand."""
-        return offset_deviations(self.config, self.instrument.joint_names)
-
-    @property
-    def prior(self) -> Float64:
-        """Information matrix (8 + J + M, 8 + J + M) of the calibration's prior; M are the unknowns of the endoscope."""
-        count = 6 + len(self.offset_std)
-        prior = np.diag([*np.zeros(6), *(1 / self.offset_std**2), *np.zeros(len(self.endoscope_prior))])
-        prior[count:, count:] = self.endoscope_prior
-        return prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +182,7 @@ class SessionState:
             are taken out of the frames.
         """
         readings, names = [frame.result.readings for frame in frames], problem.instrument.joint_names
-        model = SessionModel.of(readings, problem.instrument, problem.config.session, problem.arm)
+        model = SessionModel.of(readings, problem.instrument, problem.config, problem.arm)
         return cls(
             problem,
             tuple(frames),

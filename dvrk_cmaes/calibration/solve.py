@@ -7,17 +7,18 @@ frames share, as of the camera. Frames with large misfits are down-weighted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors, LastingSlopes, frames_alike, without_lasting
-from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
 from dvrk_cmaes.pose.terms.term import Quadratic
@@ -37,7 +38,7 @@ class FrameFits:
     """Quadratic approximations of the outline terms of N frames, without the session's prior.
 
     ``at`` are the N points of expansion. ``outlines`` (N, D + E) are the approximations for changes from there, D = 6 +
-    J, and for changes of E further unknowns from the values of their blocks, ``constants``; most often there are none.
+    J, and for changes of E further unknowns from the values of their blocks, ``seen``; most often there are none.
     The slope is zero at an outline's own optimum. ``lasting`` are the changes of these slopes by errors of the masks
     that last from frame to frame, and ``by_lag`` (N, D) the changes of what is predicted by one standard deviation of
     the lag between images and readings; none by default. ``shares`` (N,) are the shares of one frame as which each
@@ -46,7 +47,7 @@ class FrameFits:
 
     at: Posed
     outlines: Quadratic
-    constants: Constants = field(default_factory=dict)
+    seen: Mapping[str, Float64] = field(default_factory=dict)
     lasting: LastingSlopes | None = None
     by_lag: Float64 | None = None
     shares: Float64 | float = 1.0
@@ -65,28 +66,28 @@ class FrameFits:
 
     @classmethod
     def with_lasting(
-        cls, at: Posed, terms: Sequence[Quadratic], common: CommonErrors, constants: Constants | None = None
+        cls, at: Posed, terms: Sequence[Quadratic], common: CommonErrors, seen: Mapping[str, Float64] | None = None
     ) -> FrameFits:
         """Stack the outlines' terms of N frames, whose last unknowns are the errors that last, and eliminate these.
 
-        ``common`` are the errors that the frames share; ``constants`` as above.
+        ``common`` are the errors that the frames share; ``seen`` as above.
         """
-        constants = {} if constants is None else constants
-        own = 6 + at.joints.shape[1] + sum(len(block) for block in constants.values())
+        seen = {} if seen is None else seen
+        own = 6 + at.joints.shape[1] + sum(len(block) for block in seen.values())
         most = max(of_frame.dimension for of_frame in terms)
         stacked = Quadratic.joined([of_frame.padded(most) for of_frame in terms])
         lasting = LastingSlopes.of(stacked, most - own, common.size, common.times)
         outlines = without_lasting(stacked, most - own, common.size)
         counted = stacked.information.any(axis=(1, 2))  # those without an outline are no others beside a frame
         shares = 1 / frames_alike(np.where(counted, common.times, np.nan), common.alike_seconds)
-        return cls(at, outlines, constants, lasting, common.by_lag, shares)
+        return cls(at, outlines, seen, lasting, common.by_lag, shares)
 
     @property
     def further(self) -> Float64:
         """Values (E,) of the further unknowns, block after block."""
-        return np.concatenate([np.zeros(0), *self.constants.values()])
+        return np.concatenate([np.zeros(0), *self.seen.values()])
 
-    def at_constants(self) -> FrameFits:
+    def at_seen(self) -> FrameFits:
         """Return the fits with the further unknowns at their values, as functions of poses and joints alone."""
         own = self.outlines.dimension - len(self.further)
         outlines = Quadratic(self.outlines.information[:, :own, :own], self.outlines.slope[:, :own])
@@ -125,7 +126,7 @@ class FrameFits:
         by_lag = None if self.by_lag is None else self.by_lag[index]
         outlines = self.outlines.select([int(i) for i in index])
         shares = np.broadcast_to(self.shares, len(self.at))[index]
-        return FrameFits(self.at[index], outlines, self.constants, lasting, by_lag, shares)
+        return FrameFits(self.at[index], outlines, self.seen, lasting, by_lag, shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,13 +183,11 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
-Solver = Callable[[SessionModel, FrameFits, Calibration, Float64], tuple[SessionModel, Solved]]
-"""Estimates a calibration from a model, fits, a start and the prior's information, as `solve`; the model may change."""
+Solver = Callable[[SessionModel, FrameFits, Calibration], tuple[SessionModel, Solved]]
+"""Estimates a calibration from a model, fits and a start, as `solve`; the model may change."""
 
 
-def solve(
-    model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64, *, steps: int = MOST_STEPS
-) -> Solved:
+def solve(model: SessionModel, fits: FrameFits, start: Calibration, *, steps: int = MOST_STEPS) -> Solved:
     """Estimate the calibration by iteratively reweighted Gauss-Newton steps.
 
     Parameters
@@ -196,24 +195,21 @@ def solve(
     model, fits
         The model and the outline fits of the same N frames.
     start
-        Calibration of the first linearisation, with as many further constants as the fits have.
-    prior : (K, K)
-        Information matrix of the prior, whose mean has zero offsets and further constants; its rows and columns of the
-        base are zero.
+        Calibration of the first linearisation, with the blocks that the fits have, and their prior.
     steps
         Largest number of steps.
     """
-    solution = solution_at(model, fits, start, prior)
+    solution, prior = solution_at(model, fits, start), start.information
     for _ in range(steps):
-        information, at = solution.information, solution.calibration.values
+        information, at = solution.information, solution.calibration.deviation
         step = -np.linalg.solve(information, prior @ at + solution.frame_slopes.sum(axis=0))
-        solution = solution_at(model, fits, solution.calibration.changed(step), prior)
+        solution = solution_at(model, fits, solution.calibration.changed(step))
         if step @ information @ step < 1e-6 * len(step):
             break
     return solution
 
 
-def cost_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64, weights: Float64) -> float:
+def cost_at(model: SessionModel, fits: FrameFits, calibration: Calibration, weights: Float64) -> float:
     """Return the sum of squares of a calibration's frames, with given weights (N,), and of the prior.
 
     It is that where the frames' own unknowns are best, up to a constant; the other arguments are as in `solve`.
@@ -226,27 +222,23 @@ def cost_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prio
     squares = (predicted * times(known, predicted)).sum(axis=1)
     squares += (constants * (outlines.information[:, own:, own:] @ constants + 2 * outlines.slope[:, own:])).sum(axis=1)
     squares -= (pulled * np.linalg.solve(of_own, pulled[:, :, None])[:, :, 0]).sum(axis=1)
-    at = calibration.values
-    return float((np.broadcast_to(fits.shares, len(weights)) * weights) @ squares + at @ prior @ at)
+    at, shares = calibration.deviation, np.broadcast_to(fits.shares, len(weights))
+    return float((shares * weights) @ squares + at @ calibration.information @ at)
 
 
-def solve_unchanged(
-    model: SessionModel, fits: FrameFits, start: Calibration, prior: Float64, *, steps: int = MOST_STEPS
-) -> tuple[SessionModel, Solved]:
+def solve_unchanged(model: SessionModel, fits: FrameFits, start: Calibration) -> tuple[SessionModel, Solved]:
     """Estimate the calibration as `solve`, and return the model as it was, too."""
-    return model, solve(model, fits, start, prior, steps=steps)
+    return model, solve(model, fits, start)
 
 
-def solve_with_modes(
-    model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration, prior: Float64
-) -> Solved:
+def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration) -> Solved:
     """Alternate between choosing a mode of each frame and estimating the calibration from these.
 
     Arguments are as in `choose_modes` and `solve`.
     """
     chosen = choose_modes(model, modes, start)
     for _ in range(_MODE_ITERATIONS):
-        solution = solve(model, FrameFits.of_modes(chosen), start, prior)
+        solution = solve(model, FrameFits.of_modes(chosen), start)
         before, start = chosen, solution.calibration
         chosen = choose_modes(model, modes, start)
         if all(one is other for one, other in zip(chosen, before, strict=True)):
@@ -254,7 +246,7 @@ def solve_with_modes(
     return solution
 
 
-def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, prior: Float64) -> Solved:
+def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Solved:
     """Return a calibration with what the frames, weighted there, tell of it; arguments as in `solve`."""
     frames, jacobian = marginalise(model, fits, calibration), model.jacobian(calibration)
     misfit = _misfit(frames, fits.optimum(calibration.further))
@@ -263,6 +255,7 @@ def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration, 
     weighted = np.swapaxes(jacobian, 1, 2) * (shares * weights)[:, None, None]
     frame_information = weighted @ frames.left.information @ jacobian
     frame_slopes = times(weighted, frames.left.slope)
+    prior = calibration.information
     information = prior + frame_information.sum(axis=0)
     independent = prior + np.einsum("n,nij->ij", shares, frame_information)
     lasting, own = _of_calibration(fits, frames, weighted), fits.outlines.dimension - len(fits.further)

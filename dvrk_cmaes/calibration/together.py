@@ -15,6 +15,7 @@ from typing import Any, Final, Generic, TypeVar
 import numpy as np
 
 from dvrk_cmaes.calibration.alternation import fitted_again
+from dvrk_cmaes.calibration.blocks import ENDOSCOPE
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place, Steered
 from dvrk_cmaes.calibration.session_state import SessionState
@@ -104,7 +105,7 @@ def with_others(state: SessionState, others: Sequence[SessionState]) -> SessionS
     imaging = state.imaging.with_others([other.imaging for other in others if other.stored[0].camera == camera])
     told = replace(_with_endoscope(state, others), imaging=imaging)
     told = replace(told, lag=told.lag.with_others([other.lag for other in others]))
-    if told.problem is state.problem and told.lag is state.lag and not _differs(told, state):
+    if told.model is state.model and told.lag is state.lag and not _differs(told, state):
         return told
     again = range(len(state.frames)) if _differs(told, state) else ()
     return fitted_again(replace(told, model=told.lag.corrected(told.model)), again)
@@ -118,7 +119,9 @@ def _with_endoscope(state: SessionState, others: Sequence[SessionState]) -> Sess
     own, read = state.solution.calibration.endoscope, isinstance(state.model.endoscope, Steered)
     if own is None:
         return state
-    prior = information = state.problem.endoscope_prior
+    endoscope = state.model.endoscope
+    assert endoscope is not None
+    prior = information = endoscope.block.information
     vector = np.zeros(len(prior))
     mine, of_mine = own.deviation, _of_endoscope(state)
     for other in others:
@@ -142,10 +145,11 @@ def _with_endoscope(state: SessionState, others: Sequence[SessionState]) -> Sess
     if information is prior:
         return state
     known = replace(own, mean=np.asarray(np.linalg.solve(information, vector), np.float64))
-    calibration = replace(state.solution.calibration, endoscope=known)
+    model = replace(state.model, endoscope=endoscope.with_prior(information))
+    calibration = state.solution.calibration.beside(endoscope.with_prior(information).block, endoscope=known)
     return replace(
         state,
-        problem=replace(state.problem, endoscope_prior=information),
+        model=model,
         found=replace(state.solution, calibration=calibration),
     )
 
@@ -153,8 +157,8 @@ def _with_endoscope(state: SessionState, others: Sequence[SessionState]) -> Sess
 def _of_endoscope(state: SessionState) -> Float64:
     """Return the covariance (M, M) of the endoscope's values that the frames of an arm tell."""
     solution = state.solution
-    count = solution.calibration.own - len(state.problem.endoscope_prior)
-    return solution.covariance[count : solution.calibration.own, count : solution.calibration.own]
+    place = solution.calibration.place(ENDOSCOPE)
+    return solution.covariance[place, place]
 
 
 def _differs(one: SessionState, other: SessionState) -> bool:

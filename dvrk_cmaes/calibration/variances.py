@@ -15,7 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel
+from dvrk_cmaes.calibration.blocks import Calibration
+from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import MOST_STEPS, FrameFits, Solved, marginalise, solve
 from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Float64
@@ -29,7 +30,6 @@ def solve_with_variances(
     model: SessionModel,
     fits: FrameFits,
     start: Calibration,
-    prior: Float64,
     config: SessionConfig,
     initial: Deviations | None = None,
     *,
@@ -37,7 +37,7 @@ def solve_with_variances(
 ) -> tuple[SessionModel, Solved]:
     """Alternate between estimating the calibration and the variances; arguments as in `solve` and below."""
     for _ in range(_ITERATIONS):
-        solution = solve(model, fits, start, prior, steps=steps)
+        solution = solve(model, fits, start, steps=steps)
         model, start = estimate_variances(model, fits, solution, config, initial), solution.calibration
     return model, solution
 

@@ -17,16 +17,10 @@ from typing import Final
 
 import numpy as np
 
+from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS, Calibration
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
-from dvrk_cmaes.calibration.model import (
-    BASE_AXES,
-    OUTER_OFFSETS,
-    Calibration,
-    Deviations,
-    SessionModel,
-    offset_deviations,
-)
+from dvrk_cmaes.calibration.model import Deviations, SessionModel, offset_deviations
 from dvrk_cmaes.calibration.prediction import FoundLag, Prediction, endoscope_at
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.errors import InputError
@@ -66,7 +60,7 @@ def wide_calibration(at: Posed, covariance: Float64, reading: ReadingAt, given: 
         reading.outer[None], reading.joints[None], names, spread, arm=arm, roll_offset=instrument.roll_offset
     )
     base = np.asarray(at.pose @ inverse(model.base_from_root(offsets)[0]))
-    jacobian = model.jacobian(Calibration(base, offsets))[0]
+    jacobian = model.jacobian(Calibration.of(base, offsets))[0]
     before = np.diag([_BASE_STD[0] ** 2] * 3 + [_BASE_STD[1] ** 2] * 3 + [*offset_deviations(config, names) ** 2])
     gain = np.linalg.solve(jacobian @ before @ jacobian.T + covariance, jacobian @ before)
     after = before - before @ jacobian.T @ gain

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.session_worlds import EXPECTED_OFFSETS, OFFSETS, SEEN, make_world
+from helpers.session_worlds import OFFSETS, SEEN, make_world
 from helpers.transforms import exp_rotation, moved
 
 from dvrk_cmaes import Body, Instrument
@@ -27,7 +27,7 @@ def test_true_modes_are_chosen(seed: int, bundled_body: Body) -> None:
     modes = [with_twin(bundled_body.instrument, own[0]) for own in world.modes(np.random.default_rng(seed))]
     for i in (0, 3, 6):
         modes[i].reverse()
-    found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    found = find_consensus(world.model, modes)
     assert found.agree.all()
     chosen = choose_modes(world.model, modes, found.calibration)
     assert [own.index(mode) for own, mode in zip(modes, chosen, strict=True)] == [1, 0, 0, 1, 0, 0, 1, 0, 0]
@@ -50,14 +50,14 @@ def test_frames_on_another_base_disagree(wrong: str) -> None:
         else:
             pose = moved(pose, np.array([0, 0, 0, 0, 0, (2.4, -2.5, 2.8, -3.0)[k]]))
         modes[i] = [Mode(Posed(pose, modes[i][0].at.joints), COVARIANCE)]
-    found = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    found = find_consensus(world.model, modes)
     assert np.flatnonzero(~found.agree).tolist() == bad
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_frames_agree_although_the_offset_of_roll_is_not_known(seed: int) -> None:
     world = make_world(9, seed, offsets=OFFSETS + np.array([0, np.deg2rad(14), 0, 0, 0]))
-    found = find_consensus(world.model, world.modes(np.random.default_rng(seed)), EXPECTED_OFFSETS)
+    found = find_consensus(world.model, world.modes(np.random.default_rng(seed)))
     assert found.agree.all()
     assert found.mean_misfit < 2
 
@@ -67,7 +67,7 @@ def test_frame_without_wrist_readings_agrees_by_pose() -> None:
     modes = world.modes(np.random.default_rng(0))
     joints = world.model.joints.copy()
     joints[2:4] = np.nan
-    found = find_consensus(replace(world.model, outer=world.model.outer, joints=joints), modes, EXPECTED_OFFSETS)
+    found = find_consensus(replace(world.model, outer=world.model.outer, joints=joints), modes)
     assert found.agree.all()
     assert np.isfinite(found.calibration.offsets).all()
 
@@ -83,8 +83,8 @@ def test_frames_agree_at_any_offset_of_roll_and_with_rolls_that_scatter(off_deg:
         [Mode(Posed(moved(own.at.pose, np.array([0, 0, 0, 0, 0, turn])), own.at.joints), own.covariance)]
         for (own,), turn in zip(world.modes(rng), rng.normal(scale=np.deg2rad(12), size=9), strict=True)
     ]
-    assert find_consensus(world.model, modes, EXPECTED_OFFSETS).agree.mean() < 0.5
-    found = find_consensus_at_any_roll(world.model, modes, EXPECTED_OFFSETS)
+    assert find_consensus(world.model, modes).agree.mean() < 0.5
+    found = find_consensus_at_any_roll(world.model, modes)
     assert found.agree.all()
     assert np.degrees(found.calibration.offsets[1]) == pytest.approx(off_deg + 6, abs=15)
     base, true = found.calibration.camera_from_base, world.truth.camera_from_base

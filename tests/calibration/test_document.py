@@ -16,7 +16,7 @@ from helpers.page_calibrations import calibration as page_calibration
 from helpers.session_worlds import make_world
 
 from dvrk_cmaes import InputError, Lag, SessionCalibration, read_calibration
-from dvrk_cmaes.calibration.model import BASE_AXES
+from dvrk_cmaes.calibration.blocks import BASE_AXES
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.calibration.session_rig import ViewRotation

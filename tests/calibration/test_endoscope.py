@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.session_worlds import BASE, EXPECTED_OFFSETS, NAMES, PRIOR, SEEN, make_world
+from helpers.session_worlds import BASE, NAMES, SEEN, make_world
 from helpers.transforms import change_between, moved
 
 from dvrk_cmaes import InputError, SessionCalibration
+from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
 from dvrk_cmaes.calibration.endoscope import (
     Endoscope,
@@ -20,7 +21,7 @@ from dvrk_cmaes.calibration.endoscope import (
     in_tip,
 )
 from dvrk_cmaes.calibration.endoscope_search import find_hand_eye, find_pieces
-from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration, SessionModel
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
 from dvrk_cmaes.geometry import Posed
@@ -61,12 +62,8 @@ def solved(world: Steered40, endoscope: Endoscope, index: np.ndarray | None = No
     """Solve a session whose endoscope is given, from the consensus of some frames."""
     model = replace(world.model, endoscope=endoscope)
     some = np.arange(FRAMES) if index is None else index
-    consensus = find_consensus(model.subset(some), [world.modes[i] for i in some], EXPECTED_OFFSETS)
-    of_endoscope = endoscope.start.information
-    prior = np.pad(PRIOR, (0, len(of_endoscope)))
-    prior[len(PRIOR) :, len(PRIOR) :] = of_endoscope
-    solution = solve_with_modes(model, world.modes, consensus.calibration, prior)
-    return model, solution
+    consensus = find_consensus(model.subset(some), [world.modes[i] for i in some])
+    return model, solve_with_modes(model, world.modes, consensus.calibration)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +75,7 @@ def world() -> Steered40:
 def found(world: Steered40) -> tuple[SessionModel, Solved]:
     steered = Steered.of(world.read)
     assert steered is not None
-    return solved(world, find_hand_eye(world.model, world.modes, EXPECTED_OFFSETS, PRIOR, steered))
+    return solved(world, find_hand_eye(world.model, world.modes, steered))
 
 
 def an_endoscope(kind: str) -> tuple[Endoscope, EndoscopeValues]:
@@ -91,19 +88,6 @@ def an_endoscope(kind: str) -> tuple[Endoscope, EndoscopeValues]:
     steered = Steered.of(read)
     assert steered is not None
     return steered, steered.start.changed(0.05 * rng.standard_normal(len(steered.start.std)))
-
-
-@pytest.mark.parametrize("kind", ["steered", "pieces"])
-def test_jacobian_is_the_derivative_of_the_predictions(kind: str) -> None:
-    endoscope, values = an_endoscope(kind)
-    model = replace(make_world(12, seed=1).model, endoscope=endoscope)
-    calibration = Calibration(BASE, np.full(5, 0.01), endoscope=values)
-    jacobian, at = model.jacobian(calibration), model.predict(calibration)
-    assert jacobian.shape[2] == len(model.axes) == calibration.own
-    for k in range(jacobian.shape[2]):
-        step = 1e-6 * np.eye(jacobian.shape[2])[k]
-        later, earlier = (model.predict(calibration.changed(sign * step)).minus(at) for sign in (1, -1))
-        np.testing.assert_allclose(jacobian[:, :, k], (later - earlier) / 2e-6, atol=1e-7)
 
 
 def test_camera_in_the_tip_is_found_within_its_deviation(world: Steered40, found: tuple[SessionModel, Solved]) -> None:
@@ -130,8 +114,8 @@ def test_readings_of_an_endoscope_that_stands_change_nothing() -> None:
 @pytest.mark.parametrize("seed", [1, 5])
 def test_a_session_without_readings_is_cut_where_the_camera_moved(seed: int) -> None:
     world = steered_world(seed)
-    consensus = find_consensus(world.model, world.modes, EXPECTED_OFFSETS)
-    found = find_pieces(world.model, world.modes, EXPECTED_OFFSETS, PRIOR, consensus)
+    consensus = find_consensus(world.model, world.modes)
+    found = find_pieces(world.model, world.modes, consensus)
     assert found is not None
     pieces, agree = found
     cuts = np.flatnonzero(np.diff(pieces.piece)) + 1
@@ -153,9 +137,9 @@ def test_frames_that_err_alike_make_no_pieces_of_their_own() -> None:
     for of_frame in world.modes:
         error = 0.9 * error + np.sqrt(1 - 0.9**2) * rng.standard_normal(9)
         modes.append([replace(mode, at=mode.at.moved(2 * SEEN * error)) for mode in of_frame])
-    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
+    consensus = find_consensus(world.model, modes)
     for alike in (1.0, 5.0):
-        found = find_pieces(world.model, modes, EXPECTED_OFFSETS, PRIOR, consensus, alike=alike)
+        found = find_pieces(world.model, modes, consensus, alike=alike)
         assert found is not None
         pieces, _ = found
         counts = np.bincount(pieces.piece, minlength=len(pieces.start.poses) + 1)
@@ -168,8 +152,8 @@ def test_frames_that_err_alike_make_no_pieces_of_their_own() -> None:
 
 def test_a_session_whose_camera_stands_still_is_not_cut() -> None:
     world = steered_world(1, still=True)
-    consensus = find_consensus(world.model, world.modes, EXPECTED_OFFSETS)
-    assert find_pieces(world.model, world.modes, EXPECTED_OFFSETS, PRIOR, consensus) is None
+    consensus = find_consensus(world.model, world.modes)
+    assert find_pieces(world.model, world.modes, consensus) is None
 
 
 def as_document(model: SessionModel, solution: Solved) -> SessionCalibration:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SEEN, World, make_world
+from helpers.session_worlds import SEEN, World, make_world
 from helpers.transforms import exp_rotation, transform
 
 from dvrk_cmaes import InputError
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
 from dvrk_cmaes.calibration.endoscope_search import find_pieces
 from dvrk_cmaes.calibration.faults import check_arm
-from dvrk_cmaes.calibration.model import SessionModel
 
 
 def modes_of(world: World, seed: int = 0) -> list[list[Mode]]:
@@ -25,8 +26,8 @@ def on_another_base(modes: list[list[Mode]], *, turned: float = 0.2, by: float =
 
 def cuts(world: World, modes: list[list[Mode]]) -> list[int]:
     """Return the first frame of each piece of a session but the first."""
-    consensus = find_consensus(world.model, modes, EXPECTED_OFFSETS)
-    found = find_pieces(world.model, modes, EXPECTED_OFFSETS, PRIOR, consensus)
+    consensus = find_consensus(world.model, modes)
+    found = find_pieces(world.model, modes, consensus)
     return [] if found is None else (np.flatnonzero(np.diff(found[0].piece)) + 1).tolist()
 
 
@@ -67,9 +68,9 @@ def test_session_with_fixed_base_has_no_move() -> None:
 )
 def test_wrong_arm_or_tool_is_found_by_length(wrong: dict[str, object], message: str) -> None:
     world = make_world(10, seed=1)
-    model = SessionModel(world.model.outer, world.model.joints, world.model.names, world.model.deviations, **wrong)  # type: ignore[arg-type]
+    model = replace(world.model, **wrong)  # type: ignore[arg-type]
     modes = modes_of(world)
-    consensus = find_consensus(model, modes, EXPECTED_OFFSETS)
+    consensus = find_consensus(model, modes)
     with pytest.raises(InputError, match=r"--arm, or the tool's own roll joint \(--tool\)") as caught:
-        check_arm(model, modes, EXPECTED_OFFSETS, consensus)
+        check_arm(model, modes, consensus)
     assert message in str(caught.value)

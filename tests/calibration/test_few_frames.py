@@ -11,9 +11,9 @@ from helpers.session_worlds import make_frames_in_memory
 from helpers.transforms import change_between
 
 from dvrk_cmaes import Body, EstimateConfig, SolvedSession, calibrate_session
-from dvrk_cmaes.calibration import constants
-from dvrk_cmaes.calibration.constants import few_of, outline_task
+from dvrk_cmaes.calibration import linearise
 from dvrk_cmaes.calibration.frame_task import fit_task
+from dvrk_cmaes.calibration.linearise import few_of, outline_task
 from dvrk_cmaes.config import SessionConfig
 
 COUNT, FEW = 12, 5
@@ -44,7 +44,7 @@ def test_few_frames_lead_to_the_same_calibration_as_all(bundled_body: Body, monk
     by_all, tasks = solved(bundled_body)
     assert tasks[0] == ("fit_task", COUNT)
     assert all(count in (COUNT, FEW) or name == "fit_task" for name, count in tasks)
-    monkeypatch.setattr(constants, "FEW", FEW)
+    monkeypatch.setattr(linearise, "FEW", FEW)
     by_few, tasks = solved(bundled_body)
     fitted = [count for name, count in tasks if name == "fit_task"]
     assert fitted[0] == FEW
@@ -65,7 +65,7 @@ def test_few_frames_lead_to_the_same_calibration_as_all(bundled_body: Body, monk
 
 
 def test_all_frames_take_part_in_the_only_round(bundled_body: Body, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(constants, "FEW", FEW)
+    monkeypatch.setattr(linearise, "FEW", FEW)
     by_few, tasks = solved(bundled_body, EstimateConfig(session=SessionConfig(rounds=1, test_camera=False)))
     assert tasks[0] == ("fit_task", COUNT)
     assert len(by_few.results) == COUNT

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.session_worlds import EXPECTED_OFFSETS, NAMES, PRIOR, SEEN, World, make_world
+from helpers.session_worlds import EXPECTED_OFFSETS, NAMES, SEEN, World, make_world
 
 from dvrk_cmaes import InputError, Lag, ReadingSeries
+from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.clock import Clock
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
 from dvrk_cmaes.calibration.lag_search import search_lag
-from dvrk_cmaes.calibration.model import Calibration, SessionModel
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_lag import POSTURES, FramesOfLag, LagEstimate, describe_lag, refine_lag
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.geometry import Posed
@@ -60,7 +61,9 @@ def moving_world(
     at = SessionModel(shown[:, :4], shown[:, 4:], NAMES, blank.model.deviations).predict(blank.truth)
     clock = Clock.of(series, list(series.frames), blank.model.deviations.outer)
     read = series.at((*OUTER_JOINTS, *NAMES), frames)
-    world = World(SessionModel(read[:, :4], read[:, 4:], NAMES, blank.model.deviations), blank.truth, at)
+    usual = blank.model.deviations
+    model = SessionModel(read[:, :4], read[:, 4:], NAMES, usual, offset_std=EXPECTED_OFFSETS)
+    world = World(model, blank.truth, at)
     return world, clock, world.modes(rng)
 
 
@@ -75,15 +78,15 @@ def refined_near(
     """Refine some values of a lag, from the whole frame nearest to it; returns these, and standard deviations."""
     start = only(round(lag))
     model = clock.model_at(world.model, start)
-    found = find_consensus(model, modes, EXPECTED_OFFSETS, hypothesis_frames=6)
-    refined = refine_lag(FramesOfLag(clock, model, fits_of(modes), found.calibration, PRIOR), start, free)
+    found = find_consensus(model, modes, hypothesis_frames=6)
+    refined = refine_lag(FramesOfLag(clock, model, fits_of(modes), found.calibration), start, free)
     assert refined is not None
     return refined[0][[*free]], refined[1][[*free]]
 
 
 def found_lag(lag: float, world: World, clock: Clock, modes: list[list[Mode]]) -> tuple[float, float]:
     """Search a lag, which must be found to a frame, and refine it."""
-    found = search_lag(clock, world.model, modes, EXPECTED_OFFSETS)
+    found = search_lag(clock, world.model, modes)
     assert found.lag == pytest.approx(lag, abs=1.0)
     value, std = refined_near(found.lag or 0.0, world, clock, modes)
     return float(value[0]), float(std[0])
@@ -131,12 +134,12 @@ def test_arm_that_hardly_moves_determines_no_lag() -> None:
     model = still.model_at(world.model, only(0.0))
     held = replace(world, model=model, at=model.predict(world.truth))
     own = held.modes(np.random.default_rng(0))
-    found = search_lag(still, held.model, own, EXPECTED_OFFSETS)
+    found = search_lag(still, held.model, own)
     if found.lag is None or found.calibration is None:
         assert "quickly" in found.undetermined
         return
     start = only(found.lag)
-    frames = FramesOfLag(still, still.model_at(model, start), fits_of(own), found.calibration, PRIOR)
+    frames = FramesOfLag(still, still.model_at(model, start), fits_of(own), found.calibration)
     refined = refine_lag(frames, start)
     assert refined is None or isinstance(describe_lag(still, *refined), str)
 
@@ -172,15 +175,15 @@ def test_clocks_that_run_at_different_rates_make_the_lag_drift(drift: float) -> 
 def estimated(world: World, clock: Clock, modes: list[list[Mode]]) -> Lag:
     """The lag that the frames' modes tell."""
     estimate = LagEstimate.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
-    lag = estimate.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR).lag
+    lag = estimate.searched(world.model, modes).lag
     assert lag is not None
     return lag
 
 
 def test_true_calibration_is_recovered_at_the_lag() -> None:
     world, clock, modes = moving_world(3.0, seed=4)
-    right: Calibration = find_consensus(clock.model_at(world.model, only(3.0)), modes, EXPECTED_OFFSETS).calibration
-    wrong: Calibration = find_consensus(world.model, modes, EXPECTED_OFFSETS).calibration
+    right: Calibration = find_consensus(clock.model_at(world.model, only(3.0)), modes).calibration
+    wrong: Calibration = find_consensus(world.model, modes).calibration
     off = [np.linalg.norm(one.camera_from_base[:3, 3] - world.truth.camera_from_base[:3, 3]) for one in (right, wrong)]
     assert off[0] < off[1]
 
@@ -215,14 +218,14 @@ def shuffled(clock: Clock) -> ReadingSeries:
 def test_lag_is_found_in_rows_that_move_smoothly_and_not_in_shuffled_ones() -> None:
     world, clock, modes = moving_world(4.0, seed=1)
     names, outer_std = list(clock.series.frames), world.model.deviations.outer
-    smooth = LagEstimate.of(clock.series, names, outer_std).searched(world.model, modes, EXPECTED_OFFSETS, PRIOR)
+    smooth = LagEstimate.of(clock.series, names, outer_std).searched(world.model, modes)
     assert smooth.lag is not None
     assert smooth.lag.frames == pytest.approx(4.0, abs=0.3)
     estimate = LagEstimate.of(shuffled(clock), names, outer_std)
-    found = estimate.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR)
+    found = estimate.searched(world.model, modes)
     assert (found.lag, found.applied, found.undetermined) == (None, None, POSTURES)
     asked = LagEstimate.of(shuffled(clock), names, outer_std, "auto")
-    assert asked.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR).curve is not None
+    assert asked.searched(world.model, modes).curve is not None
 
 
 def test_given_lag_is_neither_searched_nor_refined() -> None:
@@ -230,8 +233,8 @@ def test_given_lag_is_neither_searched_nor_refined() -> None:
     names, outer_std = list(clock.series.frames), world.model.deviations.outer
     for text, frames in (("0", 0.0), ("3.5frames", 3.5)):
         given = LagEstimate.of(clock.series, names, outer_std, Lag.parse("--lag", text))
-        found = given.searched(world.model, modes, EXPECTED_OFFSETS, PRIOR)
-        assert found.refined(world.model, fits_of(modes), world.truth, PRIOR) == found == given
+        found = given.searched(world.model, modes)
+        assert found.refined(world.model, fits_of(modes), world.truth) == found == given
         assert found.lag == Lag(frames, 0.0, applied=frames != 0)
     assert LagEstimate.of(None, names, outer_std, Lag.parse("--lag", "0")).applied is None
     with pytest.raises(InputError, match="expected readings of numbered frames"):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.session_worlds import NAMES, PRIOR, SEEN, World, make_world
+from helpers.session_worlds import NAMES, SEEN, World, make_world
 from helpers.transforms import change_between
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit
@@ -54,7 +54,7 @@ def test_stated_deviations_hold_for_errors_that_last() -> None:
         for known in deviations:
             common = CommonErrors(size, times if known else np.full(40, np.nan), np.zeros((40, SIZE)))
             fits = FrameFits.with_lasting(world.at, terms, common)
-            solution = solve(world.model, fits, world.truth, PRIOR)
+            solution = solve(world.model, fits, world.truth)
             off = change_between(world.truth.camera_from_base, solution.calibration.camera_from_base)
             inverse = np.linalg.inv(solution.information)
             covariance = inverse + inverse @ solution.lasting.between_frames @ inverse
@@ -68,10 +68,10 @@ def test_error_of_the_lag_widens_the_covariance_along_what_it_changes() -> None:
     """A lag that moves all predictions by the same change of the base cannot be told from that change."""
     world, rng = make_world(12), np.random.default_rng(0)
     fits = world.fits(rng)
-    along = np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.0, *np.zeros(len(PRIOR) - 6)])
+    along = np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.0, *np.zeros(5)])
     by_lag = world.model.jacobian(world.truth) @ along
-    without = solve(world.model, fits, world.truth, PRIOR).covariance
-    with_lag = solve(world.model, replace(fits, by_lag=by_lag), world.truth, PRIOR).covariance
+    without = solve(world.model, fits, world.truth).covariance
+    with_lag = solve(world.model, replace(fits, by_lag=by_lag), world.truth).covariance
     assert with_lag[4, 4] - without[4, 4] == pytest.approx(0.01**2, rel=0.05)
     assert with_lag[0, 0] == pytest.approx(without[0, 0], rel=0.3)
 
@@ -85,8 +85,8 @@ def estimated(size: LastingSize, frames: int, spacing: float) -> LastingEstimate
         left = without_lasting(of_frame, 1, USUAL_SIZE)
         fits.append(FrameFit(at, left.information[0], left.slope[0], 0.0, lasting=of_frame, side_px=0.5))
     common = CommonErrors(USUAL_SIZE, times, np.zeros((frames, SIZE)))
-    solution = solve(world.model, FrameFits.with_lasting(world.at, terms, common), world.truth, PRIOR)
-    return estimate_lasting(world.model, fits, solution, PRIOR, times)
+    solution = solve(world.model, FrameFits.with_lasting(world.at, terms, common), world.truth)
+    return estimate_lasting(world.model, fits, solution, times)
 
 
 def test_size_is_found() -> None:
@@ -121,7 +121,7 @@ def test_more_consecutive_frames_tell_no_more_than_every_fourth_of_them() -> Non
             own = times[index] if known else np.full(len(index), np.nan)
             common = CommonErrors(USUAL_SIZE, own, np.zeros((len(index), SIZE)), alike_seconds=1.0)
             fits = FrameFits.with_lasting(world.at[index], [terms[k] for k in index], common)
-            solution = solve(world.model.subset(index), fits, world.truth, PRIOR)
+            solution = solve(world.model.subset(index), fits, world.truth)
             found = solution.calibration
             base = change_between(world.truth.camera_from_base, found.camera_from_base)
             step = np.concatenate([base, found.offsets - world.truth.offsets])

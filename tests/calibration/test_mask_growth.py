@@ -10,12 +10,10 @@ import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
 from helpers.transforms import apply
 
-from dvrk_cmaes import Body, EstimateConfig, FrameData, SessionCalibration, SessionFrame, calibrate_session
-from dvrk_cmaes.calibration.constants import OutlineOfView
+from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, calibrate_session
 from dvrk_cmaes.calibration.frame_fit import outline_and_masks
 from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE
-from dvrk_cmaes.calibration.mask_growth import MaskGrowth, changes_by_masks
-from dvrk_cmaes.calibration.stored_frame import StoredFrame
+from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.config import OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise
 from dvrk_cmaes.geometry import Posed
@@ -38,23 +36,6 @@ def shadowed(frame: SessionFrame, pixels: int) -> SessionFrame:
     mask = frame.data.mask.astype(np.uint8)
     moved = cv2.warpAffine(mask, np.array([[1.0, 0.0, pixels], [0.0, 1.0, 0.0]]), mask.shape[::-1])
     return replace(frame, data=FrameData.of((mask | moved) > 0, frame.data.camera))
-
-
-def test_effect_is_the_area_that_shadows_add(bundled_body: Body) -> None:
-    _, truths, frames = make_frames_in_memory(bundled_body, 3, level="clean", seed=11)
-    at = Posed(truths[0].camera_from_root, truths[0].values)
-    added = []
-    for frame in (frames[0], shadowed(frames[0], 1)):
-        assert isinstance(frame.data, FrameData)
-        stored = StoredFrame.of(frame.data, at, bundled_body, EstimateConfig())
-        view = SizedView(stored.views[0].restored(bundled_body), blur=1.2)
-        added.append(float(view.target.image.sum()))
-    (points,) = view.outlines(Posed.stacked([at]))
-    outline = OutlineOfView("", view, points, np.zeros((len(points.link), 9)), at, 1.0)
-    effect = MaskGrowth().effect(outline)
-    assert effect[:, RIGHT].sum() == pytest.approx(added[1] - added[0], rel=0.1)
-    assert (effect >= 0).all()
-    assert (effect[:, :2].sum(axis=1) <= np.linalg.norm(points.normals, axis=1) + 1e-9).all()
 
 
 def near_truth(body: Body, pixels: int) -> tuple[Quadratic, np.ndarray]:

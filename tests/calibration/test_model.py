@@ -26,9 +26,9 @@ def test_jacobian_agrees_with_finite_differences(seed: int) -> None:
     world = make_world(3, seed)
     rate, step = world.model.jacobian(world.truth), 1e-6
     at = world.model.predict(world.truth)
-    assert rate.shape == (3, 9, len(world.model.axes))
-    for k in range(len(world.model.axes)):
-        change = np.zeros(len(world.model.axes))
+    assert rate.shape == (3, 9, len(world.truth.axes))
+    for k in range(len(world.truth.axes)):
+        change = np.zeros(len(world.truth.axes))
         change[k] = step
         moved_by = world.model.predict(world.truth.changed(change)).minus(at) / step
         np.testing.assert_allclose(rate[:, :, k], moved_by, atol=1e-5)

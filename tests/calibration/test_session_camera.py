@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.session_worlds import EXPECTED_OFFSETS, PRIOR, SMALL, make_frames_in_memory
+from helpers.session_worlds import EXPECTED_OFFSETS, SMALL, make_frames_in_memory
 from helpers.transforms import change_between
 
 from dvrk_cmaes import Body, EstimateConfig, FrameData, SessionFrame
-from dvrk_cmaes.calibration.constants import FramesAt, SessionOutlines
+from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
-from dvrk_cmaes.calibration.model import Calibration, Deviations, SessionModel, outer_readings
+from dvrk_cmaes.calibration.linearise import FramesAt, SessionOutlines
+from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraChange, CameraCheck, CameraEstimate, SessionCamera, check_camera
 from dvrk_cmaes.calibration.session_masks import MaskMargin
 from dvrk_cmaes.calibration.solve import FrameFits, Solved, solve
@@ -64,16 +65,16 @@ def check(
     outer[:, 2] = outer[:, 2].mean() + insertion * (outer[:, 2] - outer[:, 2].mean())
     read = np.array([[one[name] for name in names] for one in readings])
     model = SessionModel(outer, read, names, Deviations.of(CONFIG, names), roll_offset=body.instrument.roll_offset)
-    of_camera = outlines.near(at, {one.name: one.start for one in outlines.constants}).outlines
+    of_camera = outlines.near(at, {one.name: one.start for one in outlines.blocks}).outlines
     fits = FrameFits(at, Quadratic(of_camera.information[:, :-4, :-4], of_camera.slope[:, :-4]))
-    solution = solve(model, fits, Calibration(base, np.zeros(len(EXPECTED_OFFSETS))), PRIOR)
-    frames = FramesAt(model, solution.calibration, PRIOR, at)
+    solution = solve(model, fits, Calibration.of(base, np.zeros(len(EXPECTED_OFFSETS)), EXPECTED_OFFSETS))
+    frames = FramesAt(model, solution.calibration, at)
     return check_camera(frames, config, outlines), solution
 
 
 def estimate(change: tuple[float, float, float], std: tuple[float, float, float]) -> CameraEstimate:
     nowhere = Posed(np.zeros((0, 4, 4)), np.zeros((0, 3)))
-    calibration = Calibration(np.eye(4), np.zeros(5))
+    calibration = Calibration.of(np.eye(4), np.zeros(5))
     covariance = np.diag(np.array(std) ** 2)
     there = np.array(change), covariance
     return CameraEstimate(*there, *there, np.zeros((11, 3)), calibration, nowhere)

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.session_worlds import NAMES, PRIOR, SEEN, World, make_world
+from helpers.session_worlds import BASE, EXPECTED_OFFSETS, NAMES, SEEN, World, make_world
 from helpers.transforms import change_between, moved, rotation_angle
 from scipy.special import chdtri
 
-from dvrk_cmaes.calibration.model import Calibration
+from dvrk_cmaes.calibration.blocks import Block, Calibration
 from dvrk_cmaes.calibration.solve import (
     FrameFits,
     Solved,
@@ -25,11 +25,11 @@ from dvrk_cmaes.pose.terms.term import Quadratic
 def a_start(world: World) -> Calibration:
     """Give a start 5 mm and 5 deg from the truth, with zero offsets."""
     off = np.array([3e-3, -3e-3, 3e-3, 0.05, -0.05, 0.05])
-    return Calibration(moved(world.truth.camera_from_base, off), np.zeros(5))
+    return Calibration.of(moved(world.truth.camera_from_base, off), np.zeros(5), EXPECTED_OFFSETS)
 
 
 def solved(world: World, fits: FrameFits) -> Solved:
-    return solve(world.model, fits, a_start(world), PRIOR)
+    return solve(world.model, fits, a_start(world))
 
 
 def error(world: World, found: Calibration) -> tuple[float, float]:
@@ -43,7 +43,11 @@ def error(world: World, found: Calibration) -> tuple[float, float]:
 
 def test_exact_data_give_exact_base_and_offsets() -> None:
     world = make_world(noise=0)
-    found = solve(world.model, world.fits(np.random.default_rng(0), 1e-4), a_start(world), 1e-9 * PRIOR)
+    found = solve(
+        world.model,
+        world.fits(np.random.default_rng(0), 1e-4),
+        Calibration.of(a_start(world).camera_from_base, np.zeros(5), 3e4 * EXPECTED_OFFSETS),
+    )
     assert error(world, found.calibration) == pytest.approx((0, 0), abs=2e-3)
     np.testing.assert_allclose(found.calibration.offsets, world.truth.offsets, atol=2e-5)
 
@@ -52,7 +56,7 @@ def test_errors_agree_with_covariance() -> None:
     squared = []
     for seed in range(60):
         rng = np.random.default_rng(1000 + seed)
-        offsets = np.diag(PRIOR)[6:] ** -0.5 * rng.standard_normal(5)
+        offsets = EXPECTED_OFFSETS * rng.standard_normal(5)
         world = make_world(10, seed, offsets=offsets)
         found = solved(world, world.fits(rng))
         off = change_between(found.calibration.camera_from_base, world.truth.camera_from_base)
@@ -82,7 +86,7 @@ def test_third_of_frames_may_be_outliers() -> None:
     poses[[1, 4, 7, 10]] = moved(poses[[1, 4, 7, 10]], wild)
     good, found = (
         solved(world, right),
-        solve(world.model, replace(right, at=Posed(poses, right.at.joints)), world.truth, PRIOR),
+        solve(world.model, replace(right, at=Posed(poses, right.at.joints)), world.truth),
     )
     apart = change_between(good.calibration.camera_from_base, found.calibration.camera_from_base)
     assert (np.abs(apart) < 2 * np.sqrt(np.diag(found.covariance)[:6])).all()
@@ -97,7 +101,7 @@ def test_leave_one_out_agrees_with_solution_of_other_frames() -> None:
     whole = solved(world, fits)
     for index in (0, 5):
         others = [i for i in range(8) if i != index]
-        again = solve(world.model.subset(others), fits.subset(others), whole.calibration, PRIOR)
+        again = solve(world.model.subset(others), fits.subset(others), whole.calibration)
         short = leave_one_out(whole, index)
         apart = change_between(again.calibration.camera_from_base, short.camera_from_base)
         spread = np.sqrt(np.diag(again.covariance))
@@ -123,16 +127,16 @@ def test_information_and_slope_are_the_derivatives_of_the_frames_cost(further: i
     columns = SEEN[:, None] * rng.standard_normal((6, 9, further))
     fits = with_further(world, world.fits(rng, 0.3), columns, np.zeros(further))
     scale = np.array([1e-4] * 3 + [1e-3] * 3 + [1e-4] + [1e-2] * 4 + [0.1] * further)
-    prior = np.zeros((len(scale),) * 2)
-    start = replace(world.truth, constants={"some": np.zeros(further)})
+    free = Calibration.of(BASE, world.truth.offsets)
+    start = free.beside(Block("some", np.full(further, np.inf)), some=np.zeros(further))
 
     def half(step: np.ndarray) -> float:
         """Give half the sum of the frames' costs, whose weights are 1."""
-        found = solution_at(world.model, fits, start.changed(step), prior)
+        found = solution_at(world.model, fits, start.changed(step))
         np.testing.assert_array_equal(found.weights, 1)
         return float(found.misfit.sum() / 2)
 
-    found = solution_at(world.model, fits, start, prior)
+    found = solution_at(world.model, fits, start)
     steps = np.diag(scale)
     slope = [(half(step) - half(-step)) / 2 for step in steps]
     curvature = [half(step) - 2 * half(0 * step) + half(-step) for step in steps]
@@ -145,8 +149,7 @@ def test_further_unknowns_that_act_are_found_beside_the_calibration() -> None:
     world = make_world(20, seed=3)
     values = np.array([1.0, -2.0, 0.5])
     fits = with_further(world, world.fits(rng), SEEN[:, None] * rng.standard_normal((20, 9, 3)), values)
-    start = replace(a_start(world), constants={"some": np.zeros(3)})
-    found = solve(world.model, fits, start, np.pad(PRIOR, (0, 3)) + 1e-4 * np.diag([*np.zeros(11), 1, 1, 1]))
+    found = solve(world.model, fits, a_start(world).beside(Block("some", np.full(3, 100.0)), some=np.zeros(3)))
     std = np.sqrt(np.diag(found.covariance))
     assert (np.abs(found.calibration.further - values) < 3 * std[11:]).all()
     assert (std[11:] < 1).all()
@@ -161,16 +164,13 @@ def test_unknown_that_changes_what_is_predicted_is_found_as_an_offset_is() -> No
     place = 8 + NAMES.index("wrist_yaw")
     effect = np.zeros((len(world.at), 6 + len(NAMES), 1))
     effect[:, wrist] = 1.0
-    prior = np.pad(PRIOR, ((0, 1), (0, 1)))
-    prior[place, place] = 1e12
-    prior[-1, -1] = PRIOR[place, place]
-    plain = solve(world.model, fits, a_start(world), PRIOR)
-    beside = solve(world.model, fits.along("turned", np.zeros(1), effect), with_unknown(a_start(world)), prior)
+    std = EXPECTED_OFFSETS.copy()
+    std[place - 6] = 1e-6
+    start = Calibration.of(a_start(world).camera_from_base, np.zeros(5), std)
+    start = start.beside(Block("turned", EXPECTED_OFFSETS[place - 6 : place - 5]), turned=np.zeros(1))
+    plain = solve(world.model, fits, a_start(world))
+    beside = solve(world.model, fits.along("turned", np.zeros(1), effect), start)
     assert beside.calibration.further == pytest.approx(plain.calibration.offsets[place - 6 : place - 5], rel=1e-3)
     np.testing.assert_allclose(beside.weights, plain.weights, rtol=1e-3)
     std = np.sqrt(np.diag(np.linalg.inv(beside.information)))[-1]
     assert std == pytest.approx(np.sqrt(np.diag(np.linalg.inv(plain.information)))[place], rel=1e-3)
-
-
-def with_unknown(calibration: Calibration) -> Calibration:
-    return replace(calibration, constants={"turned": np.zeros(1)})

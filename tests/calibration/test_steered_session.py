@@ -140,10 +140,10 @@ def test_arms_in_one_solution_share_the_endoscope(
     calibration = other.solution.calibration
     assert calibration.endoscope is not None
     turned = calibration.endoscope.changed(0.6 * np.eye(len(calibration.endoscope.std))[3])
-    wrong = replace(other, found=replace(other.solution, calibration=replace(calibration, endoscope=turned)))
+    wrong = replace(other, found=replace(other.solution, calibration=calibration.beside(endoscope=turned)))
     left = with_others(one, [wrong])
     assert "another camera in the endoscope's tip" in left.notes.remarks[-1]
-    np.testing.assert_array_equal(left.problem.endoscope_prior, one.problem.endoscope_prior)
+    assert left.model.endoscope is one.model.endoscope
 
 
 def test_without_readings_each_piece_has_its_base(
@@ -161,7 +161,7 @@ def test_without_readings_each_piece_has_its_base(
     assert np.mean(std_of_both / std) < 0.95
     calibration = state.solution.calibration
     assert calibration.endoscope is not None
-    other = replace(calibration, endoscope=calibration.endoscope.changed(0.1 * np.ones(18)))
+    other = calibration.beside(endoscope=calibration.endoscope.changed(0.1 * np.ones(18)))
     moved_otherwise = replace(state, found=replace(state.solution, calibration=other))
     assert with_others(state, [moved_otherwise]).problem is state.problem
     solved, _ = begun.finish([])

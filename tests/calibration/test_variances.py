@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.session_worlds import PRIOR, World, make_world
+from helpers.session_worlds import World, make_world
 
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, solve
@@ -20,7 +20,7 @@ def learnt(world: World, fits: FrameFits, turns: int = 6) -> SessionModel:
     """Alternate between solving and estimating the variances, as the calibration of a session does."""
     model, calibration = world.model, world.truth
     for _ in range(turns):
-        solution = solve(model, fits, calibration, PRIOR)
+        solution = solve(model, fits, calibration)
         calibration = solution.calibration
         model = estimate_variances(model, fits, solution, CONFIG)
     return model
@@ -50,7 +50,7 @@ def test_slip_of_one_joint_changes_its_frame_only() -> None:
     assert model.deviations.joints[0] < 1.3 * usual.deviations.joints[0]
     assert model.inflation[3, 1] == pytest.approx(2.0)
     assert (np.delete(model.inflation[:, 1], 3) < 1.5).all()
-    before = solve(usual, fits, world.truth, PRIOR)
-    after = solve(model, fits, world.truth, PRIOR)
+    before = solve(usual, fits, world.truth)
+    after = solve(model, fits, world.truth)
     spread = np.sqrt(np.diag(after.covariance))[8]
     assert abs(after.calibration.offsets[2] - before.calibration.offsets[2]) < spread

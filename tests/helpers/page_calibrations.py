@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dvrk_cmaes import Result, SessionCalibration
-from dvrk_cmaes.calibration.model import BASE_AXES
+from dvrk_cmaes.calibration.blocks import BASE_AXES
 from dvrk_cmaes.calibration.session_cables import CablesAlone, SessionCables
 from dvrk_cmaes.draw.left_out_overlay import draw_left_out
 from dvrk_cmaes.instrument.arm import base_from_root

@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes import Body, Camera, EstimateConfig, FrameData, Instrument, Result, SessionCalibration, SessionFrame
+from dvrk_cmaes.calibration.blocks import BASE_AXES, Calibration
 from dvrk_cmaes.calibration.consensus import Mode
-from dvrk_cmaes.calibration.model import BASE_AXES, Calibration, Deviations, SessionModel
+from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits
 from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.config import SessionConfig
@@ -34,7 +35,6 @@ OFFSETS = np.array([0.3e-3, *np.deg2rad([6.0, -9.0, 4.0, 12.0])])
 EXPECTED_OFFSETS = np.array([0.5e-3, *np.deg2rad([20.0, 20.0, 20.0, 30.0])])
 """Standard deviations of the offsets' priors."""
 
-PRIOR = np.diag([*np.zeros(6), *EXPECTED_OFFSETS**-2])
 SEEN = np.array([2e-4, 2e-4, 6e-4, *np.deg2rad([0.3, 0.3, 3.0]), *np.deg2rad([2.0, 2.0, 2.0])])
 """Standard deviations of a pose and joints estimated from an outline, in the root's axes."""
 
@@ -79,10 +79,10 @@ def make_world(
         [rng.uniform(-turning, turning, (frames, 2)), rng.uniform(0.1, 0.17, frames), rng.uniform(-2, 2, frames)]
     )
     joints = rng.uniform(-0.7, 0.7, (frames, 3)) + np.array([0, 0, 0.8])
-    truth = Calibration(BASE, offsets)
+    truth = Calibration.of(BASE, offsets, EXPECTED_OFFSETS)
     moving = outer + noise * rng.standard_normal(outer.shape) * spreads.outer
     bending = joints + noise * rng.standard_normal(joints.shape) * spreads.joints
-    model = SessionModel(outer, joints, NAMES, spreads)
+    model = SessionModel(outer, joints, NAMES, spreads, offset_std=EXPECTED_OFFSETS)
     return World(model, truth, SessionModel(moving, bending, NAMES, spreads).predict(truth))
 
 

@@ -9,8 +9,8 @@ import pytest
 from helpers.session_worlds import BASE, NAMES, OFFSETS, make_world
 
 from dvrk_cmaes import InputError, SessionCalibration
+from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS
 from dvrk_cmaes.calibration.endoscope import Steered
-from dvrk_cmaes.calibration.model import BASE_AXES, OUTER_OFFSETS, Calibration
 from dvrk_cmaes.calibration.prediction import Prediction, endoscope_at
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.joints.names import ECM_JOINTS
@@ -26,7 +26,7 @@ def calibration() -> SessionCalibration:
     assert steered is not None
     model = replace(make_world(10).model, endoscope=steered)
     values = steered.start.changed(np.full(len(steered.start.std), 0.01))
-    solution = Calibration(BASE, OFFSETS, endoscope=values)
+    solution = model.calibration(BASE, OFFSETS).beside(endoscope=values)
     covariance = 1e-6 * np.eye(solution.own)
     names = (*OUTER_OFFSETS, *NAMES)
     spreads = dict.fromkeys(("yaw", "pitch", "insertion", "roll", *NAMES, "slack_translation", "slack_rotation"), 1e-3)

@@ -1,25 +1,23 @@
-"""Named blocks of unknowns that all frames of a session share, and the outlines as functions of these.
+"""Outlines of a session as functions of its blocks, linearised until the blocks that are estimated are settled.
 
-A `Constant` is a change of the camera, the margin of the masks or what a further view of the rig differs in from its
-file: what it does to a view, and by how much it displaces the points of an outline there. `linearise` estimates
-constants beside a session's calibration: the outlines are approximated about poses and constants, both are estimated,
-and that is repeated until the constants stay where they are.
+`linearise` estimates blocks that change what is seen beside a calibration: the outlines are approximated about poses
+and blocks, all are estimated, and that is repeated until the blocks stay where they are.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.consensus import evenly_spaced
 from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
-from dvrk_cmaes.calibration.model import Calibration, Constants, SessionModel
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import FrameFits, Solved, Solver, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
@@ -31,104 +29,34 @@ from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
 from dvrk_cmaes.silhouette import Body, OutlinePoints
 
-_SETTLED = 0.25  # standard deviations of the constants, below which the outlines are not linearised again
+_SETTLED = 0.25  # standard deviations of the blocks, below which the outlines are not linearised again
 PASSES = {"camera": 6, "margin": 5}
-"""Largest number of linearisations in which these constants are estimated."""
+"""Largest number of linearisations in which these blocks are estimated."""
 SHARED_ERRORS = 1.2
 """Factor on the standard deviations, because the frames of a session share errors of masks and meshes.
 
 In six synthetic sessions of 20 frames with the right camera (three of easy, three of medium masks) the mean squared
 distance of the estimate from the truth was 4.0 instead of 3, in its own standard deviations.
 """
-CLEAR = 3.0
-"""Standard deviations from the value of a file, beyond which a constant differs from it."""
 NAMED = 2.5
 """Standard deviations from the value of a file, above which one of several unknowns is named."""
-TOLD = 0.9
-"""Share of the standard deviation beforehand, below which a session tells an unknown."""
 _LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
 FEW, _PAYS = 100, 2  # number of frames that are enough on the way, and the multiple of it from which on that is done
 
 
-@dataclass(frozen=True, eq=False)
-class ViewAsSeen:
-    """How a view is taken to see the instrument: its ``camera``, ``place`` (4, 4), m, and mask's ``margin``, px.
-
-    ``size`` is the width of its images in that of the reference camera's.
-    """
-
-    camera: Camera
-    place: Float64
-    margin: float
-    size: float
-
-
-@dataclass(frozen=True, eq=False)
-class OutlineOfView:
-    """The N points of the outline of a pose ``at`` in a view, and their displacements ``by_pose`` (N, D), px.
-
-    Displacements are times the lengths of the points' normals. ``name`` is that of the view.
-    """
-
-    name: str
-    view: SizedView
-    points: OutlinePoints
-    by_pose: Float64
-    at: Posed
-    size: float
-
-
-class Constant(ABC):
-    """A block of n unknowns that all frames share: its prior, about zero, and its effect on what a view shows.
-
-    Parameters
-    ----------
-    name
-        Name of the block.
-    std : (n,)
-        Standard deviations beforehand.
-    start : (n,)
-        Values from which estimates start; zero by default.
-    """
-
-    is_linear: ClassVar[bool] = False
-    """Whether the outlines are always linearised where the unknowns are zero."""
-
-    def __init__(self, name: str, std: Float64, start: Float64 | None = None) -> None:
-        self.name, self.std = name, std
-        self.start = np.zeros(len(std)) if start is None else start
-
-    @property
-    def least_std(self) -> Float64:
-        """Standard deviations (n,) of errors that the scatter of a session's frames does not show; by default none."""
-        return np.zeros(len(self.std))
-
-    def is_plausible(self, values: Float64) -> bool:
-        """Whether outlines that are linearised at some values (n,) still tell something; by default at all."""
-        return True
-
-    @abstractmethod
-    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
-        """Return how a view of some name sees with the values (n,); InputError as `Camera.changed`."""
-
-    @abstractmethod
-    def effect(self, outline: OutlineOfView) -> Float64:
-        """Return the displacements (N, n) of the outline's points by the unknowns, times their normals' lengths, px."""
-
-
 def outline_task(
     body: Body,
     config: EstimateConfig,
-    task: tuple[StoredFrame, tuple[int, ...], tuple[ViewAsSeen, ...], Posed, tuple[Constant, ...]],
+    task: tuple[StoredFrame, tuple[int, ...], tuple[ViewAsSeen, ...], Posed, tuple[SeenBlock, ...]],
 ) -> Quadratic:
-    """Compute the outline's terms (1, D + E + S) about a pose, E constants and the S errors that last.
+    """Compute the outline's terms (1, D + E + S) about a pose, E unknowns of blocks and the S errors that last.
 
     Other errors that parts of one mask share are eliminated. The noise is that at the frame's own estimate; of several
     views, it is measured at the pose where it is less there: in a wrong rig, no pose fits all views. The task is a
-    frame, the numbers of views and by what they are seen, the pose and the constants.
+    frame, the numbers of views and how they see, the pose and the blocks.
     """
-    frame, numbers, seen, at, constants = task
+    frame, numbers, seen, at, blocks = task
     stored = [frame.views[number] for number in numbers]
     views = [one.restored(body, by.camera, by.place) for one, by in zip(stored, seen, strict=True)]
     outline = replace(config.refine.outline, cauchy=config.session.cauchy)
@@ -149,14 +77,14 @@ def outline_task(
     def effects(number: int, points: OutlinePoints, by_pose: Float64) -> Float64:
         size = seen[number].size
         drawn_there = OutlineOfView(views[number].name, sized[number], points, by_pose, at, size)
-        return np.column_stack([constant.effect(drawn_there) for constant in constants])
+        return np.column_stack([block.effect(drawn_there) for block in blocks])
 
     return coverage.near_with_lasting(at, noises, effects, drawn, as_seen=config.session.shadows)
 
 
 @dataclass(frozen=True, eq=False)
 class SessionOutlines:
-    """The outlines of N frames in some of their views, as functions of poses, joints and constants.
+    """The outlines of N frames in some of their views, as functions of poses, joints and blocks.
 
     ``stored`` are the frames, ``views`` (N,) the numbers of the views that count; a frame without any does not
     influence the estimate. ``run`` applies a function to many tasks. ``common`` are the errors that the frames share.
@@ -166,24 +94,24 @@ class SessionOutlines:
     views: Sequence[tuple[int, ...]]
     run: Run[Any, Any]
     common: CommonErrors
-    constants: tuple[Constant, ...]
+    blocks: tuple[SeenBlock, ...]
 
     @property
     def camera(self) -> Camera:
         """The camera of the first frame in its first view that counts, as its file has it."""
         return self.stored[0].views[self.views[0][0] if self.views[0] else 0].evidence.camera
 
-    def near(self, at: Posed, values: Constants) -> FrameFits:
-        """Linearise the outlines at N poses and values of the constants, in both.
+    def near(self, at: Posed, values: Mapping[str, Float64]) -> FrameFits:
+        """Linearise the outlines at N poses and values of the blocks by name, in both.
 
         Raises
         ------
         InputError
             With a changed focal length, the lens distortion is not one-to-one over the image.
         """
-        values = {**values} | {one.name: one.start for one in self.constants if one.is_linear}
+        values = {one.name: one.start if one.is_linear else values[one.name] for one in self.blocks}
         tasks = [
-            (stored, views, tuple(self._seen(stored, view, values) for view in views), at[k], self.constants)
+            (stored, views, tuple(self._seen(stored, view, values) for view in views), at[k], self.blocks)
             for k, (stored, views) in enumerate(zip(self.stored, self.views, strict=True))
             if views
         ]
@@ -192,13 +120,13 @@ class SessionOutlines:
         terms = [next(found) if views else Quadratic.zero(1, size + LASTING) for views in self.views]
         return FrameFits.with_lasting(at, terms, self.common, values)
 
-    def _seen(self, stored: StoredFrame, number: int, values: Constants) -> ViewAsSeen:
-        """Return how a view of a frame sees with some values of the constants."""
+    def _seen(self, stored: StoredFrame, number: int, values: Mapping[str, Float64]) -> ViewAsSeen:
+        """Return how a view of a frame sees with some values of the blocks."""
         view = stored.views[number]
         camera = view.evidence.camera
         by = ViewAsSeen(camera, view.view_from_camera, 0.0, camera.width / self.camera.width)
-        for constant in self.constants:
-            by = constant.seen(view.name, by, values[constant.name])
+        for block in self.blocks:
+            by = block.seen(view.name, by, values[block.name])
         return by
 
     def subset(self, index: Indices) -> SessionOutlines:
@@ -209,10 +137,10 @@ class SessionOutlines:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A session's ``solution`` with constants, from ``fits`` that were linearised near it in the last of ``passes``.
+    """A session's ``solution`` with blocks that are seen, from ``fits`` that were linearised near it.
 
-    ``prior`` (K, K) is the information matrix beforehand, with that of the constants. ``at`` are the N poses there.
-    ``covariance`` (K, K) is that of the solution, where the base is known to a metre and a radian beforehand.
+    That was the last of ``passes``. ``at`` are the N poses there. ``covariance`` (K, K) is that of the solution, where
+    the base is known to a metre and a radian beforehand.
     ``plausible`` is false if an estimate on the way lay so far away that the outlines said nothing about it. ``first``
     is what the first linearisation told, at the start.
     """
@@ -220,7 +148,6 @@ class Linearised:
     model: SessionModel
     solution: Solved
     fits: FrameFits
-    prior: Float64
     covariance: Float64
     at: Posed
     passes: int
@@ -230,16 +157,16 @@ class Linearised:
     @property
     def information(self) -> Float64:
         """Information matrix (K, K) of the solution with that of the base beforehand."""
-        return self.solution.information + weak(len(self.prior))
+        return self.solution.information + weak(len(self.solution.information))
 
     def value(self, name: str) -> Float64:
         """Return the values (n,) of a block."""
-        return self.solution.calibration.constants[name]
+        return np.asarray(self.solution.calibration.values[name])
 
-    def std(self, constant: Constant) -> Float64:
+    def std(self, block: SeenBlock) -> Float64:
         """Return the standard deviations (n,) of a block."""
-        own = np.diag(self.covariance)[self.solution.calibration.place(constant.name)]
-        return np.hypot(np.sqrt(own), constant.least_std)
+        own = np.diag(self.covariance)[self.solution.calibration.place(block.name)]
+        return np.hypot(np.sqrt(own), block.least_std)
 
     def with_std(self, changed: Mapping[str, Float64 | float]) -> tuple[Float64, Float64]:
         """Return what the last linearisation tells if other standard deviations hold beforehand.
@@ -252,44 +179,42 @@ class Linearised:
         Returns
         -------
         ((K,), (K, K))
-            The calibration's unknowns as changes, with the values of the constants, and their covariance.
+            The unknowns as changes, with the values of what is seen, and their covariance.
         """
-        calibration, more = self.solution.calibration, np.zeros(len(self.prior))
+        calibration, more = self.solution.calibration, np.zeros(len(self.solution.information))
         for name, std in changed.items():
             place = calibration.place(name)
-            more[place] = np.square(std) ** -1.0 - np.diag(self.prior)[place]
+            more[place] = np.square(std) ** -1.0 - np.diag(calibration.information)[place]
         inverse = inverse_information(self.information + np.diag(more))
-        values = np.concatenate([np.zeros(len(self.prior) - len(calibration.further)), calibration.further])
+        values = np.concatenate([np.zeros(calibration.own), calibration.further])
         return values - inverse @ (more * values), self.solution.covariance_of(inverse)
 
 
 class FramesAt(NamedTuple):
     """N frames about whose poses ``at`` outlines are linearised, with the session's model and its calibration.
 
-    Without constants, those of the calibration start as `Constant.start` says. ``prior`` (K, K) is the information
-    matrix of the calibration's prior, as in `solve`, without the constants.
+    Blocks that the calibration lacks start as `SeenBlock.start` says.
     """
 
     model: SessionModel
     calibration: Calibration
-    prior: Float64
     at: Posed
 
 
 def linearise(
     frames: FramesAt, outlines: SessionOutlines, solver: Solver, names: Sequence[str], *, passes: int
 ) -> Linearised:
-    """Estimate constants beside a calibration, linearising the outlines until those of some names are settled.
+    """Estimate blocks beside a calibration, linearising the outlines until those of some names are settled.
 
     Of many frames, few lead to where the outlines of all are then linearised: frames of a recording that follow each
-    other closely err alike, so that what they tell of constants grows much more slowly than their number.
+    other closely err alike, so that what they tell of these grows much more slowly than their number.
 
     Parameters
     ----------
     frames, outlines
         The frames, and their outlines.
     solver
-        What estimates calibration and constants from linearised outlines.
+        What estimates the calibration from linearised outlines.
     names
         Names of the blocks that have to settle.
     passes
@@ -300,34 +225,30 @@ def linearise(
     InputError
         As `SessionOutlines.near`.
     """
-    model, calibration, prior, at = frames
-    constants, first, done = outlines.constants, None, 0
-    if not calibration.constants:
-        calibration = replace(calibration, constants={one.name: one.start for one in constants})
+    (model, calibration, at), first, done = frames, None, 0
+    calibration = calibration.beside(*(one for one in outlines.blocks if one.name not in calibration.values))
     index = few_of(len(at)) if passes > 1 else None
     if index is not None:
-        of_few = FramesAt(model.subset(index), calibration, prior, at[index])
+        of_few = FramesAt(model.subset(index), calibration, at[index])
         few = linearise(of_few, outlines.subset(index), solver, names, passes=passes - 1)
         if few.plausible:
             at = shifted(model, at, calibration, few.solution.calibration)
             calibration, first, done = few.solution.calibration, few.first or few, few.passes
-    padded = np.diag(np.concatenate([np.zeros(len(prior)), *(one.std**-2 for one in constants)]))
-    padded[: len(prior), : len(prior)] += prior
-    asked = [one for one in constants if one.name in names]
-    fits = outlines.near(at, calibration.constants)
+    asked = [one for one in outlines.blocks if one.name in names]
+    fits = outlines.near(at, calibration.values)
     while True:
-        model, solution = solver(model, fits, calibration, padded)
+        model, solution = solver(model, fits, calibration)
         calibration, done = solution.calibration, done + 1
-        covariance = solution.covariance_of(inverse_information(solution.information + weak(len(padded))))
+        covariance = solution.covariance_of(inverse_information(solution.information + weak(len(solution.information))))
         there = fits.at.moved(marginalise(model, fits, calibration).own)
-        plausible = all(one.is_plausible(calibration.constants[one.name]) for one in asked)
-        last = Linearised(model, solution, fits, padded, covariance, there, done, plausible, first)
-        moved = {one: np.abs(last.value(one.name) - fits.constants[one.name]) for one in asked}
+        plausible = all(one.is_plausible(calibration.values[one.name]) for one in asked)
+        last = Linearised(model, solution, fits, covariance, there, done, plausible, first)
+        moved = {one: np.abs(last.value(one.name) - fits.seen[one.name]) for one in asked}
         settled = all((most < _SETTLED * last.std(one)).all() for one, most in moved.items())
         if done >= passes or not plausible or settled:
             return last
         first = first or last
-        fits = outlines.near(there, calibration.constants)
+        fits = outlines.near(there, calibration.values)
 
 
 def few_of(count: int) -> Indices | None:

@@ -1,0 +1,311 @@
+"""Blocks: named groups of unknowns that the frames of a session share, and a calibration as the values of them.
+
+A block has a prior, a retraction (how a step changes its value), and a derivative: a `PredictedBlock` of the poses and
+joints that are predicted of the frames, a `SeenBlock` of the points of their outlines in the images.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+import numpy as np
+
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.geometry import Float64, Posed, adjoint, inverse, moved
+from dvrk_cmaes.io.encode import Document
+from dvrk_cmaes.io.typed_document import Number, Texts
+from dvrk_cmaes.pose.terms.sized_view import SizedView
+from dvrk_cmaes.silhouette import OutlinePoints
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.endoscope import EndoscopeValues
+    from dvrk_cmaes.calibration.model import SessionModel
+
+BASE, OFFSETS, ENDOSCOPE = "base", "offsets", "endoscope"
+"""Names of the blocks that predict a frame's pose and joints."""
+BASE_AXES = ("tx", "ty", "tz", "rx", "ry", "rz")
+"""Components of a small change of camera_from_base, along and about the base's axes, m and rad."""
+OUTER_OFFSETS = ("insertion", "roll")
+"""Outer joints that have an offset; constant offsets of yaw and pitch are equivalent to a rotation of the base."""
+OBSERVABLE: Final = 0.9
+"""Ratio of the posterior to the prior standard deviation, below which a session determines an unknown."""
+CLEAR: Final = 3.0
+"""Standard deviations from the value of a file, beyond which an unknown differs from it."""
+
+
+class Block:
+    """A named group of n unknowns, whose prior is normal about zero deviation.
+
+    Parameters
+    ----------
+    name
+        Name of the block.
+    std : (n,)
+        Standard deviations of the prior; infinite where nothing is known.
+    axes
+        Names of the unknowns; by default the block's with a number.
+    """
+
+    def __init__(self, name: str, std: Float64, axes: Sequence[str] = ()) -> None:
+        self.name, self.std = name, std
+        self.axes = tuple(axes) or tuple(f"{name}_{number}" for number in range(len(std)))
+
+    @property
+    def information(self) -> Float64:
+        """Information matrix (n, n) of the prior."""
+        return np.diag(self.std**-2.0)
+
+    def deviation(self, value: Any) -> Float64:
+        """Return the differences (n,) of a value from the mean of the prior; of most blocks, the value itself."""
+        return np.asarray(value, dtype=np.float64)
+
+    def changed(self, value: Any, step: Float64) -> Any:
+        """Return a value after a step (n,); of most blocks, the sum."""
+        return value + step
+
+
+class PredictedBlock(Block, ABC):
+    """A block that changes what is predicted of the frames."""
+
+    @abstractmethod
+    def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes (N, 6 + J, n) of the predictions by a step, in the roots' axes, m and rad."""
+
+
+class Base(PredictedBlock):
+    """The arm's base (4, 4) in the camera, m, of which nothing is known beforehand; steps are in the base's axes."""
+
+    def __init__(self) -> None:
+        super().__init__(BASE, np.full(6, np.inf), BASE_AXES)
+
+    def deviation(self, value: Any) -> Float64:
+        """Return zero: no base is expected."""
+        return np.zeros(6)
+
+    def changed(self, value: Any, step: Float64) -> Float64:
+        """Return the base after a step along and about its own axes."""
+        return moved(value, step)
+
+    def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes of the roots' poses by that of the base."""
+        out = np.zeros((len(model.outer), 6 + len(model.names), 6))
+        out[:, :6] = adjoint(inverse(model.base_from_root(calibration.offsets)))
+        return out
+
+
+class Offsets(PredictedBlock):
+    """The offsets (2 + J,) of insertion, roll and the instrument's joints, m and rad: true = reading + offset."""
+
+    def __init__(self, std: Float64, joints: Sequence[str]) -> None:
+        super().__init__(OFFSETS, std, (*OUTER_OFFSETS, *joints))
+
+    def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes: insertion moves the root along its z axis, roll turns it about this axis."""
+        count = len(model.names)
+        one = np.zeros((6 + count, 2 + count))
+        one[2, 0] = one[5, 1] = 1.0
+        one[6:, 2:] = np.eye(count)
+        return np.broadcast_to(one, (len(model.outer), *one.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class ViewAsSeen:
+    """How a view is taken to see the instrument: its ``camera``, ``place`` (4, 4), m, and mask's ``margin``, px.
+
+    ``size`` is the width of its images in that of the reference camera's.
+    """
+
+    camera: Camera
+    place: Float64
+    margin: float
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class OutlineOfView:
+    """The N points of the outline of a pose ``at`` in a view, and their displacements ``by_pose`` (N, D), px.
+
+    Displacements are times the lengths of the points' normals. ``name`` is that of the view.
+    """
+
+    name: str
+    view: SizedView
+    points: OutlinePoints
+    by_pose: Float64
+    at: Posed
+    size: float
+
+
+class SeenBlock(Block, ABC):
+    """A block that changes what the views show: the camera, or the masks.
+
+    Parameters
+    ----------
+    name, std
+        As of `Block`.
+    start : (n,)
+        Values from which estimates start; zero by default.
+    """
+
+    is_linear: ClassVar[bool] = False
+    """Whether the outlines are always linearised where the unknowns are zero."""
+
+    def __init__(self, name: str, std: Float64, start: Float64 | None = None) -> None:
+        super().__init__(name, std)
+        self.start = np.zeros(len(std)) if start is None else start
+
+    @property
+    def least_std(self) -> Float64:
+        """Standard deviations (n,) of errors that the scatter of a session's frames does not show; by default none."""
+        return np.zeros(len(self.std))
+
+    def is_plausible(self, values: Float64) -> bool:
+        """Whether outlines that are linearised at some values (n,) are still near the masks; by default always."""
+        return True
+
+    def seen(self, name: str, by: ViewAsSeen, values: Float64) -> ViewAsSeen:
+        """Return how a view of some name sees with the values (n,); as it is for a linear block.
+
+        Raises
+        ------
+        InputError
+            With the values, the lens distortion is not one-to-one over the image.
+        """
+        return by
+
+    @abstractmethod
+    def effect(self, outline: OutlineOfView) -> Float64:
+        """Return the displacements (N, n) of the outline's points by the unknowns, times their normals' lengths, px."""
+
+    def stated(self, values: Float64, std: Float64) -> FoundBlock | None:
+        """State what a session finds of the unknowns (n,), which the solution leaves at zero; None of those elsewhere.
+
+        A block that states itself is tested beside the camera, and its remaining error widens the calibration.
+        """
+        return None
+
+
+@dataclass(frozen=True)
+class FoundBlock(Document):
+    """What a session finds of a block that it leaves at zero: by unknown, ``values`` with prior and posterior ``std``.
+
+    ``text`` says so in words, ``doubt`` by how much it contradicts a file, empty where it does not.
+    """
+
+    axes: Texts
+    values: tuple[Number, ...]
+    std: tuple[Number, ...]
+    prior_std: tuple[Number, ...]
+    text: str
+    doubt: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """The values of the K unknowns of a session's blocks, in the order of a step: what is predicted, then what is seen.
+
+    ``values`` are those of the ``blocks`` by name.
+    """
+
+    blocks: tuple[Block, ...]
+    values: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, camera_from_base: Float64, offsets: Float64, std: Float64 | None = None) -> Calibration:
+        """Return that of a base (4, 4) and offsets (2 + J,), whose prior has standard deviations (2 + J,), if any."""
+        joints = [f"joint_{number}" for number in range(len(offsets) - 2)]
+        blocks = Base(), Offsets(np.full(len(offsets), np.inf) if std is None else std, joints)
+        return cls(blocks, {BASE: camera_from_base, OFFSETS: offsets})
+
+    @property
+    def camera_from_base(self) -> Float64:
+        """The base (4, 4) in the reference camera, m."""
+        return np.asarray(self.values[BASE])
+
+    @property
+    def offsets(self) -> Float64:
+        """The offsets (2 + J,), m and rad."""
+        return np.asarray(self.values[OFFSETS])
+
+    @property
+    def endoscope(self) -> EndoscopeValues | None:
+        """The values of an endoscope that moves; None of one that stands still."""
+        found: EndoscopeValues | None = self.values.get(ENDOSCOPE)
+        return found
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the K unknowns."""
+        return tuple(axis for block in self.blocks for axis in block.axes)
+
+    @property
+    def deviation(self) -> Float64:
+        """Differences (K,) from the mean of the prior."""
+        return np.concatenate([block.deviation(self.values[block.name]) for block in self.blocks])
+
+    @property
+    def information(self) -> Float64:
+        """Information matrix (K, K) of the prior."""
+        out = np.zeros((len(self.axes),) * 2)
+        for block in self.blocks:
+            place = self.place(block.name)
+            out[place, place] = block.information
+        return out
+
+    @property
+    def predicted(self) -> tuple[PredictedBlock, ...]:
+        """The blocks that change what is predicted."""
+        return tuple(block for block in self.blocks if isinstance(block, PredictedBlock))
+
+    @property
+    def own_blocks(self) -> int:
+        """Number of blocks that change what is predicted."""
+        return len(self.predicted)
+
+    @property
+    def own(self) -> int:
+        """Number of unknowns that change what is predicted."""
+        return sum(len(block.std) for block in self.predicted)
+
+    @property
+    def further(self) -> Float64:
+        """Values (E,) of the other unknowns, block after block."""
+        return np.concatenate([np.zeros(0), *(self.values[block.name] for block in self.blocks[len(self.predicted) :])])
+
+    def place(self, name: str) -> slice:
+        """Return where a block is among the components of a step."""
+        start = 0
+        for block in self.blocks:
+            if block.name == name:
+                return slice(start, start + len(block.std))
+            start += len(block.std)
+        raise KeyError(name)
+
+    def changed(self, step: Float64) -> Calibration:
+        """Return the calibration after a step (K,)."""
+        changed = {one.name: one.changed(self.values[one.name], step[self.place(one.name)]) for one in self.blocks}
+        return Calibration(self.blocks, changed)
+
+    def beside(self, *blocks: Block, **values: Any) -> Calibration:
+        """Return the calibration with further blocks and other values, those of seen blocks by default their start.
+
+        A block takes the place of one of the same name.
+        """
+        new = {block.name: block for block in blocks}
+        whole = [new.pop(block.name, block) for block in self.blocks] + list(new.values())
+        whole.sort(key=lambda block: not isinstance(block, PredictedBlock))
+        starts = {block.name: block.start for block in blocks if isinstance(block, SeenBlock)}
+        return Calibration(tuple(whole), {**self.values, **starts, **values})
+
+    def without(self, name: str) -> Calibration:
+        """Return the calibration without a block of some name."""
+        kept = {key: value for key, value in self.values.items() if key != name}
+        return Calibration(tuple(block for block in self.blocks if block.name != name), kept)
+
+    def alone(self) -> Calibration:
+        """Return the calibration with the blocks that change what is predicted, only."""
+        kept = self.predicted
+        return Calibration(kept, {block.name: self.values[block.name] for block in kept})
