@@ -12,8 +12,9 @@ from helpers.resized import with_jaws, with_shaft, with_wrist
 from helpers.session_worlds import BASE, EXPECTED_OFFSETS, NAMES, SMALL, make_frames_in_memory, make_world
 from helpers.transforms import moved, transform
 
-from dvrk_cmaes import Body, EstimateConfig, FrameData, Renderer, Rig
-from dvrk_cmaes.calibration.blocks import Block, Calibration, OutlineOfView, SeenBlock, ViewAsSeen
+from dvrk_cmaes import Body, EstimateConfig, FrameData, Renderer, Rig, SessionCalibration, calibrate_session
+from dvrk_cmaes.calibration import imaging
+from dvrk_cmaes.calibration.blocks import Block, Calibration, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.endoscope import Endoscope, Pieces, Steered
 from dvrk_cmaes.calibration.imaging import TESTED
 from dvrk_cmaes.calibration.mask_growth import MaskGrowth
@@ -162,3 +163,47 @@ def test_a_block_takes_the_place_of_one_of_the_same_name() -> None:
     assert known.information[-1, -1] == pytest.approx(100)
     assert len(known.axes) == 12
     assert len(known.without("one").axes) == 11
+
+
+class Aspect(SeenBlock):
+    """The logarithm (1,) of the factor on the vertical focal length."""
+
+    def __init__(self) -> None:
+        super().__init__("aspect", np.array([0.05]))
+
+    def seen(self, name: str, by: ViewAsSeen, values: np.ndarray) -> ViewAsSeen:
+        """Give the view with the changed camera."""
+        return replace(by, camera=replace(by.camera, fy=by.camera.fy * float(np.exp(values[0]))))
+
+    def effect(self, outline: OutlineOfView) -> np.ndarray:
+        """Give the displacements, which are in proportion to the distance from the centre."""
+        down = outline.points.pixels[:, 1] - outline.view.camera.cy
+        return (outline.points.normals[:, 1] * down)[:, None]
+
+    def stated(self, values: np.ndarray, std: np.ndarray) -> FoundBlock:
+        """State the factor, and doubt the file where it is clear."""
+        doubt = "the pixels are not square" if abs(values[0]) > std[0] else ""
+        found = tuple(values.tolist()), tuple(std.tolist()), tuple(self.std.tolist())
+        return FoundBlock(self.axes, *found, f"aspect {values[0]:+.3f}", doubt)
+
+
+def test_a_block_of_the_list_is_found_stated_and_widens_the_calibration(
+    bundled_body: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = make_frames_in_memory(bundled_body, 10, level="clean")[2]
+    plain = calibrate_session(frames, bundled_body).calibration
+    monkeypatch.setattr(imaging, "TESTED", (lambda config: Aspect(),))
+    right = calibrate_session(frames, bundled_body).calibration
+    flat = replace(SMALL, fy=SMALL.fy / 1.06)
+    stretched = [replace(one, data=one.data.with_camera(flat)) for one in frames if isinstance(one.data, FrameData)]
+    wrong = calibrate_session(stretched, bundled_body).calibration
+    found = right.to_dict()["blocks"]["aspect"]
+    assert abs(found["values"][0]) < 3 * found["std"][0] < 0.06
+    assert found["text"] in [*right.in_words()]
+    assert not right.doubts
+    (value,), (std,) = wrong.blocks["aspect"].values, wrong.blocks["aspect"].std
+    assert abs(value - np.log(1.06)) < 2.5 * std < 0.06
+    assert value > found["values"][0] + 0.01
+    assert "the pixels are not square" in wrong.doubts
+    assert np.trace(wrong.covariance[:6, :6]) > np.trace(plain.covariance[:6, :6])
+    assert SessionCalibration.from_dict(wrong.to_dict()).blocks["aspect"].doubt == "the pixels are not square"
