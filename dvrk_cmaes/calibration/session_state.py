@@ -50,9 +50,9 @@ class SessionProblem:
     ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
     applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
     ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
-    frames' camera is a guess, of which there is no file. ``may_cut`` is whether the session may be cut into
-    pieces between which the base moved. ``lag`` is the one that is taken out of the readings, ``auto`` to look for it in those of postures, too,
-    as of `LagEstimate.of`. ``gathered`` keeps the frames' evidence by name, for all solutions.
+    frames' camera is a guess, of which there is no file. ``may_cut`` is whether the session may be cut into pieces
+    between which the base moved. ``lag`` is the one that is taken out of the readings, ``auto`` to look for it in those
+    of postures, too, as of `LagEstimate.of`. ``gathered`` keeps the frames' evidence by name, for all solutions.
     """
 
     series: ReadingSeries | None
