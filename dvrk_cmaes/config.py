@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-__version__ = "2.0.0.dev0"
+__version__ = "2.0.0"
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,16 @@ def moved(pose: Float64, change: ArrayLike) -> Float64:
     return _kernel.moved(*_together(pose, 2, np.asarray(change, dtype=np.float64), 1))
 
 
+def in_parent(pose: Float64, covariance: Float64) -> Float64:
+    """Return a covariance (6 + J, 6 + J) of changes along and about a body's own axes in the axes of its ``pose``.
+
+    ``pose`` (4, 4) maps the body's points to its parent; the J further axes stay as they are.
+    """
+    turn = np.eye(len(covariance))
+    turn[:3, :3] = turn[3:6, 3:6] = pose[:3, :3]
+    return np.asarray(turn @ covariance @ turn.T)
+
+
 def change_between(pose: Float64, other: Float64) -> Float64:
     """Compute the small changes (..., 6) = [tx ty tz rx ry rz] with ``moved(pose, change) == other``."""
     return _kernel.change_between(*_together(pose, 2, other, 2))

@@ -355,11 +355,11 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     """Yield the lines of a calibration: base, offsets, frames left out, leave-one-out errors, and the files written."""
     import numpy as np
 
-    from dvrk_cmaes.geometry import log_rotation
+    from dvrk_cmaes.geometry import in_parent, log_rotation
 
     calibration = solved.calibration
-    std = np.sqrt(np.diag(calibration.covariance))
     base = calibration.camera_from_base
+    std = np.sqrt(np.diag(in_parent(base, calibration.covariance)))
     position, axis_angle = base[:3, 3] * 1e3, np.degrees(log_rotation(base[:3, :3]))
     std_position, std_rotation = std[:3] * 1e3, np.degrees(std[3:6])
     for doubt in calibration.doubts:
@@ -367,8 +367,8 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     yield Line(
         "arm's base in the camera (x right, y down, z forward); its origin is the remote centre of motion", "bold"
     )
-    yield Line(f"  position, mm    {_numbers(position)}   std {_numbers(std_position, 2)} along its own axes")
-    yield Line(f"  axis-angle, deg {_numbers(axis_angle)}   std {_numbers(std_rotation, 2)} about its own axes")
+    yield Line(f"  position, mm    {_numbers(position)}   std {_numbers(std_position, 2)}")
+    yield Line(f"  axis-angle, deg {_numbers(axis_angle)}   std {_numbers(std_rotation, 2)}")
     yield Line("offsets: true = reading + offset", "bold")
     for (name, offset), deviation in zip(calibration.offsets.items(), std[6:], strict=True):
         if name == "insertion":

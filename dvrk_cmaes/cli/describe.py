@@ -49,20 +49,24 @@ def describe(result: Result, written: Sequence[Path] = ()) -> Iterator[Line]:
 
 def _pose(result: Result) -> Iterator[Line]:
     """Yield the lines of the root's pose with standard deviations, and of the base's pose if it is known."""
+    import numpy as np
+
     from dvrk_cmaes.geometry import log_rotation
 
-    for title, pose, std_t, std_r in (
-        (result.root_link, result.camera_from_root, result.std_translation_mm, result.std_rotation_deg),
-        ("arm's base", result.camera_from_base, None, None),
+    for title, pose, covariance in (
+        (result.root_link, result.camera_from_root, result.covariance_in_camera()),
+        ("arm's base", result.camera_from_base, None),
     ):
         if pose is None:
             continue
         axis_angle = [math.degrees(angle) for angle in log_rotation(pose[:3, :3])]
-        std_t_text = "" if std_t is None else f"   std {_triple(std_t)} along its own axes"
-        std_r_text = "" if std_r is None else f"   std {_triple(std_r)} about its own axes"
+        along = about = ""
+        if covariance is not None:
+            std = np.sqrt(np.diag(covariance))
+            along, about = f"   std {_triple(1e3 * std[:3])}", f"   std {_triple(np.degrees(std[3:6]))}"
         yield Line(f"{title} in the camera (x right, y down, z forward)", "bold")
-        yield Line(f"  position, mm    {_triple(1e3 * pose[:3, 3], 9)}{std_t_text}")
-        yield Line(f"  axis-angle, deg {_triple(axis_angle, 9)}{std_r_text}")
+        yield Line(f"  position, mm    {_triple(1e3 * pose[:3, 3], 9)}{along}")
+        yield Line(f"  axis-angle, deg {_triple(axis_angle, 9)}{about}")
 
 
 def _tips(result: Result) -> Iterator[Line]:
@@ -72,7 +76,7 @@ def _tips(result: Result) -> Iterator[Line]:
     for k, tip in enumerate(result.tips):
         name = "tip" if len(result.tips) == 1 else f"jaw_{k + 1}"
         axes = None if result.expected_error is None else result.expected_error.tip_axes_mm.get(name)
-        std = "" if axes is None else f"   std {_triple(axes)} along the camera's axes"
+        std = "" if axes is None else f"   std {_triple(axes)}"
         pixel = "" if not result.tips_px else f", pixel {result.tips_px[k][0]:.1f} {result.tips_px[k][1]:.1f}"
         yield Line(f"  {name + ', mm':<15} {_triple(1e3 * tip, 9)}{std}{pixel}")
 

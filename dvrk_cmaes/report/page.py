@@ -20,7 +20,7 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, PointSpread, converge_shafts, spread_of_bases
-from dvrk_cmaes.geometry import Float64, log_rotation, rotation_angle
+from dvrk_cmaes.geometry import Float64, in_parent, log_rotation, rotation_angle
 from dvrk_cmaes.io.table import Table, fixed
 from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.template import (
@@ -301,9 +301,7 @@ def _tables(result: Result) -> Iterator[Table]:
     """Yield the tables of a frame: pose, joints and other modes."""
     rows: list[Sequence[str]] = []
     if result.camera_from_root is not None:
-        rows += _pose_rows(
-            result.root_link, result.camera_from_root, result.std_translation_mm, result.std_rotation_deg
-        )
+        rows += _pose_rows(result.root_link, result.camera_from_root, _std(result.covariance_in_camera()))
         rows += [(f"tip {k}, mm", *_three(1e3 * tip)) for k, tip in enumerate(result.tips, start=1)]
     if result.camera_from_base is not None:
         rows += _pose_rows("arm's base (RCM)", result.camera_from_base)
@@ -331,15 +329,20 @@ def _tables(result: Result) -> Iterator[Table]:
 
 
 def _pose_rows(
-    name: str, pose: Float64, std_mm: Float64 | None = None, std_deg: Float64 | None = None
+    name: str, pose: Float64, std: Float64 | None = None, axes: str = "the camera's axes"
 ) -> Iterator[Sequence[str]]:
-    """Yield the rows of a pose (4, 4), and of its standard deviations along and about its own axes."""
+    """Yield the rows of a pose (4, 4), and of its standard deviations (6,), m and rad, along and about some axes."""
     yield f"{name}: position, mm", *_three(1e3 * pose[:3, 3])
-    if std_mm is not None:
-        yield "std along its own axes, mm", *_three(std_mm)
+    if std is not None:
+        yield f"std along {axes}, mm", *_three(1e3 * std[:3])
     yield f"{name}: axis-angle, deg", *_three(np.degrees(log_rotation(pose[:3, :3])))
-    if std_deg is not None:
-        yield "std about its own axes, deg", *_three(std_deg)
+    if std is not None:
+        yield f"std about {axes}, deg", *_three(np.degrees(std[3:6]))
+
+
+def _std(covariance: Float64 | None) -> Float64 | None:
+    """Return the standard deviations of a covariance; None without one."""
+    return None if covariance is None else np.sqrt(np.diag(covariance))
 
 
 def _three(values: Float64) -> tuple[str, ...]:
@@ -353,8 +356,8 @@ def _calibration_parts(
     folder: ResultsFolder, found: SessionCalibration, documents: Mapping[str, str], pictures: Pictures
 ) -> Iterator[Part]:
     """Yield what the page says of a calibration: base and offsets, and each frame as the others predict it."""
-    std = np.sqrt(np.diag(found.covariance))
-    rows = list(_pose_rows("arm's base (RCM)", found.camera_from_base, 1e3 * std[:3], np.degrees(std[3:6])))
+    std, base = np.sqrt(np.diag(found.covariance)), found.camera_from_base
+    rows = list(_pose_rows("arm's base (RCM)", base, _std(in_parent(base, found.covariance))))
     moves = found.endoscope
     if moves is not None:
         for stand in moves.bases:
@@ -364,8 +367,7 @@ def _calibration_parts(
             ("arm's base in that of the endoscope's arm", moves.ecm_from_base, moves.std_ecm_from_base),
         ):
             if pose is not None:
-                own = np.array(deviations)
-                rows += _pose_rows(name, pose, 1e3 * own[:3], np.degrees(own[3:]))
+                rows += _pose_rows(name, pose, np.array(deviations), "its own axes")
     offsets = []
     for (name, offset), of_offset in zip(found.offsets.items(), std[6:].tolist(), strict=True):
         factor, unit = (1e3, "mm") if name == "insertion" else (180 / math.pi, "deg")

@@ -1,11 +1,11 @@
 """Results as rows of a table: one row per frame, one number per column, with the unit in the column's name.
 
 ``camera_from_root_*`` and ``camera_from_base_*`` map points from the frames of the instrument's root link and of the
-arm's base to the camera frame (OpenCV's axes): translation in mm, quaternion in the order of ROS. ``std_t*`` and
-``std_r*`` are standard deviations along and about the axes of the root link. ``tip_1_*`` and ``tip_2_*`` are the tips
-of jaw_1 and jaw_2, or the end of an instrument without a pair of jaws, in the camera, with standard deviations along
-the camera's axes, and their pixels. ``time`` is that of the image, s. Jaw tips are within ``tips_90_mm`` with 90 %;
-``std_tips_mm`` is the root mean square error of their mean. Joint columns are estimated values, ``*_read_*`` are
+arm's base to the camera frame (OpenCV's axes): translation in mm, quaternion in the order of ROS.
+``std_camera_from_root_*`` are standard deviations along and about the camera's axes. ``tip_1_*`` and ``tip_2_*`` are
+the tips of jaw_1 and jaw_2, or the end of an instrument without a pair of jaws, in the camera, with standard deviations
+along the camera's axes, and their pixels. ``time`` is that of the image, s. Jaw tips are within ``tips_90_mm`` with
+90 %; ``std_tips_mm`` is the root mean square error of their mean. Joint columns are estimated values, ``*_read_*`` are
 readings, in deg, insertion in mm.
 """
 
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dvrk_cmaes.geometry import Float64, quaternion_xyzw
-from dvrk_cmaes.results.result import POSE_AXES, Result
+from dvrk_cmaes.results.result import Result
 
 _PRISMATIC = ("insertion", "ecm_insertion")
 _DIGITS = 6  # decimals; of mm, a nanometre
@@ -95,9 +95,11 @@ def _scaled(name: str, suffix: str, value: float | None) -> tuple[str, float | N
 
 def _deviations(result: Result, joints: Sequence[str]) -> Iterator[tuple[str, float | None]]:
     """Yield the columns and values of the standard deviations."""
-    translation, rotation, joint = result.std_translation_mm, result.std_rotation_deg, result.std_joints_deg or {}
-    for axes, unit, values in ((POSE_AXES[:3], "mm", translation), (POSE_AXES[3:], "deg", rotation)):
-        for axis, value in zip(axes, [None] * 3 if values is None else np.round(values, _DIGITS).tolist(), strict=True):
-            yield f"std_{axis}_{unit}", value
+    covariance, joint = result.covariance_in_camera(), result.std_joints_deg or {}
+    std = None if covariance is None else np.sqrt(np.diag(covariance)[:6])
+    for k, axis in enumerate(("x", "y", "z", "rx", "ry", "rz")):
+        unit, factor = ("mm", 1e3) if k < 3 else ("deg", float(np.degrees(1.0)))
+        value = None if std is None else round(factor * float(std[k]), _DIGITS)
+        yield f"std_camera_from_root_{axis}_{unit}", value
     for name in joints:
         yield f"std_{name}_deg", round(joint[name], _DIGITS) if name in joint else None

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from dvrk_cmaes.config import __version__
-from dvrk_cmaes.geometry import Float64, Image, Posed
+from dvrk_cmaes.geometry import Float64, Image, Posed, in_parent
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_matrix
 from dvrk_cmaes.io.typed_document import (
@@ -220,6 +220,15 @@ class Result:
     def axes(self) -> tuple[str, ...]:
         """Names of the axes of ``covariance``: tx, ty, tz (m), rx, ry, rz (rad), then the joints (rad)."""
         return (*POSE_AXES, *self.joints)
+
+    def covariance_in_camera(self) -> Float64 | None:
+        """Return the covariance (6 + J, 6 + J) with its first six axes along and about the camera's, m and rad.
+
+        None without a covariance.
+        """
+        if self.camera_from_root is None or self.covariance is None:
+            return None
+        return in_parent(self.camera_from_root, self.covariance)
 
     def overlay(self, image: Image, renderer: Any = None) -> Image:
         """Return an image with the outline of the pose, (H, W, 3) uint8 RGB, as matplotlib shows it.

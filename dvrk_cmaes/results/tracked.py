@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from dvrk_cmaes.geometry import Bool, Float64, Image
+from dvrk_cmaes.geometry import Bool, Float64, Image, in_parent
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded
 from dvrk_cmaes.results.drawn_over import drawn_over
@@ -75,6 +75,15 @@ class TrackResult:
     def axes(self) -> tuple[str, ...]:
         """Names of the axes of ``covariance``: tx, ty, tz (m), rx, ry, rz (rad), then the joints (rad)."""
         return (*POSE_AXES, *self.joints)
+
+    def covariance_in_camera(self) -> Float64 | None:
+        """Return the covariance (6 + J, 6 + J) with its first six axes along and about the camera's, m and rad.
+
+        None without a covariance.
+        """
+        if self.camera_from_root is None or self.covariance is None:
+            return None
+        return in_parent(self.camera_from_root, self.covariance)
 
     def overlay(self, image: Image) -> Image:
         """Return an image with the outline of the pose, (H, W, 3) uint8 RGB, as matplotlib shows it.

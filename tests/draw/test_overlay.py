@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.transforms import moved
 
 from dvrk_cmaes import Body, Camera, Renderer, Result
-from dvrk_cmaes.draw.canvas import GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE
+from dvrk_cmaes.draw.canvas import DARK, GREEN, ORANGE, PURPLE, SKY_BLUE, VERMILLION, WHITE, YELLOW
 from dvrk_cmaes.draw.overlay import draw_overlay
 from dvrk_cmaes.draw.panels import header
 from dvrk_cmaes.draw.projection import project_visible, projected_edges, skeleton_lines
@@ -105,3 +106,19 @@ def test_skeleton_ends_at_projected_tips(bundled_body: Body) -> None:
     expected = PINHOLE.project(bundled_body.instrument.tips(joints) @ POSE[:3, :3].T + POSE[:3, 3])
     np.testing.assert_allclose(tips, expected)
     np.testing.assert_allclose(line[-2], PINHOLE.project(POSE[:3, 3]), atol=0.5)  # the wrist's pitch axis
+
+
+def test_tints_show_mask_and_silhouette_differences(bundled_body: Body) -> None:
+    mask = true_mask(bundled_body, PINHOLE)
+    off = moved(POSE, [0.002, 0.002, 0.0, 0.0, 0.0, 0.1])
+
+    def areas(pose: np.ndarray) -> tuple[float, float]:
+        """Give the share of the mask that each tint covers."""
+        frame = picture_of(draw_overlay(result(pose), mask, PINHOLE, bundled_body), mask.shape).astype(int)
+        ground, inside = np.array(DARK), np.array([56, 56, 56])
+        half = [(inside + YELLOW) // 2, (ground + SKY_BLUE) // 2]
+        mask_only, silhouette_only = ((np.abs(frame - tint).max(axis=2) < 4).sum() for tint in half)
+        return mask_only / (4 * mask.sum()), silhouette_only / (4 * mask.sum())
+
+    assert max(areas(POSE)) < 0.002
+    assert min(areas(off)) > 0.02

@@ -12,7 +12,9 @@ import pytest
 from helpers.canned_results import BASE, canned, failed, write_results
 from helpers.commands import Ran, run_command
 from helpers.files import write_json
-from helpers.transforms import moved
+from helpers.transforms import moved, rotation_angle
+
+from dvrk_cmaes.export.base_choice import median_pose
 
 OTHER = moved(BASE, [0.01, 0.02, 0.0, 0.0, 0.0, 0.3])
 
@@ -91,3 +93,12 @@ def test_results_without_base_are_refused(tmp_path: Path, run: Run) -> None:
 def test_format_that_is_no_longer_written_is_refused_with_what_is_used(results: Path, run: Run, to: str) -> None:
     assert run(results, "--to", to).refusal.startswith(f"--to {to}: no longer an option; use ")
     assert run(results, f"--to={to}").refusal.startswith(f"--to {to}: no longer an option; use ")
+
+
+def test_median_pose_tolerates_third_of_outliers() -> None:
+    rng = np.random.default_rng(0)
+    near = [moved(BASE, [*rng.normal(0, 1e-3, 3), *rng.normal(0, 0.01, 3)]) for _ in range(20)]
+    far = [moved(BASE, [*rng.normal(0, 0.3, 3), *rng.normal(0, 2.0, 3)]) for _ in range(10)]
+    found = median_pose(np.array([*near, *far]))
+    assert np.linalg.norm(found[:3, 3] - BASE[:3, 3]) < 1e-3
+    assert np.degrees(rotation_angle(found, BASE)) < 0.6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from dvrk_cmaes.io import output
+from dvrk_cmaes.io.atomic import write_json
 from dvrk_cmaes.io.output import write_bytes, written_beside
 
 
@@ -58,3 +60,13 @@ def test_file_of_another_program_is_removed_after_an_error(tmp_path: Path) -> No
         fail()
     assert target.read_bytes() == b"old"
     assert names(tmp_path) == ["a.mp4"]
+
+
+def test_json_is_indented_and_refuses_nan(tmp_path: Path) -> None:
+    write_json(tmp_path / "a.json", {"tip": [1, 2.5], "unit": "°"})
+    text = (tmp_path / "a.json").read_text(encoding="utf-8")
+    assert text == '{\n "tip": [\n  1,\n  2.5\n ],\n "unit": "°"\n}\n'
+    assert json.loads(text) == {"tip": [1, 2.5], "unit": "°"}
+    with pytest.raises(ValueError, match="Out of range float"):
+        write_json(tmp_path / "b.json", {"x": float("nan")})
+    assert names(tmp_path) == ["a.json"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, image, stamp
+from helpers.live_wires import BEGIN, SECOND, Found, NothingBeside, Wire, image, info, stamp
 from helpers.transforms import moved
 
 from dvrk_cmaes import Camera, Rig
@@ -267,3 +267,22 @@ def test_images_that_came_late_are_dropped_for_those_that_wait_behind_them() -> 
     robot.send("/left/image_rect/compressed", image(3.05, np.zeros((48, 64), np.uint8)))
     robot.loop.turn()
     assert not any("doubtful" in str(fields) for fields in robot.published("/diagnostics"))
+
+
+@pytest.mark.parametrize("change", ["focal length", "size"])
+def test_camera_that_changes_begins_anew_with_a_line(change: str) -> None:
+    robot = Robot(PLAIN)
+    other = camera(80.0) if change == "focal length" else camera().scaled(128, 96)
+    for k, one in enumerate((camera(), camera(), other, other)):
+        robot.send("/left/camera_info", info(one))
+        robot.send("/left/image_rect/compressed", image(k / 10, np.zeros((one.height, one.width), np.uint8)))
+        robot.loop.turn()
+    cameras = [tracker.rig.camera for tracker in robot.trackers["PSM1"]]
+    assert [(one.width, one.fx) for one in cameras] == [(64, 60.0), (other.width, other.fx)]
+    assert [len(tracker.steps) for tracker in robot.trackers["PSM1"]] == [2, 2]
+    (line,) = robot.lines[1:]
+    assert line == (
+        f"camera: {other.width} x {other.height} px, focal length {other.fx:.1f} px; it has changed, and following "
+        "begins anew"
+    )
+    assert robot.loop.counts.restarts == 1

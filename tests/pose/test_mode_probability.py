@@ -49,3 +49,13 @@ def test_rough_contour_widens_covariance_of_session_frame() -> None:
     smooth, rough = (rough_covariance(covariance, OutlineNoise(sigma, 20.0), GOOD, 1.0) for sigma in (0.25, 1.7))
     assert 1 < smooth[0, 0] < 1.1
     assert 2.5 < rough[0, 0] < 3.5
+
+
+def test_equal_twin_has_half_of_probability() -> None:
+    assert mode_probability([mode(0, 5.0), mode(180, 5.0)], 0.3) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_probability_falls_with_gap() -> None:
+    gaps = [mode_probability([mode(0, 0.0), mode(180, gap)], 0.3) for gap in (0, 1, 2, 4, 12)]
+    assert gaps == sorted(gaps)
+    assert gaps[-1] > 0.999

@@ -68,8 +68,8 @@ def test_details_of_frame(tmp_path: Path) -> None:
     text = page_of(write_results(tmp_path, [one])).text
     for part in (
         "roll_link: position, mm 10.00 -20.00 100.00",
-        "std along its own axes, mm 1.00 2.00 3.00",
-        "std about its own axes, deg 0.57 1.15 1.72",
+        "std along the camera's axes, mm 1.14 2.11 2.87",
+        "std about the camera's axes, deg 0.66 1.21 1.65",
         "wrist_pitch, deg 28.65 2.29 22.92 +5.73",
         "insertion, mm - - 150.00 -",
         "arm's base (RCM): position, mm 60.00 -70.00 50.00",
