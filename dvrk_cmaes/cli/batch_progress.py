@@ -38,6 +38,9 @@ class _Reporter(BatchProgress):
         if self._bar is not None:
             self._task = self._bar.add_task("frames", total=todo, figures="starting")
 
+    def on_note(self, text: str) -> None:
+        print(f"dvrk-cmaes: {text}", file=sys.stderr)
+
     def on_frame(self, outcome: FrameOutcome) -> None:
         self._done += 1
         self._counts[outcome.result.status] += 1

@@ -84,8 +84,8 @@ def segment(
     whatever its colours: straight edges of the shaft, with wrist and jaws that look unlike what is around them. Of
     several instruments the surest one is taken, unless a box or a point says which; the masks of the others are
     OUT/others/FRAME-2.png and so on. Where no shape is found, it takes what is grey before a colourful background, or
-    what differs from a smooth one; in a folder with at least 8 images of a camera that stands still, what differs from
-    the background that these show. In a folder, the same prompts are used for every image.
+    what differs from a smooth one; in a folder with at least 6 images of a camera that stands still, what differs from
+    the background that these show comes first. In a folder, the same prompts are used for every image.
 
     `estimate` and `batch` find masks in images themselves, and more accurately, because they use the instrument's
     shape. Of a stereo session, the images of both eyes are segmented, into OUT/masks/left and OUT/masks/right.
@@ -133,9 +133,8 @@ def segment(
     images = {source.stem: source} if single else find_images(source)
     views = {view: [images[frame] for frame in frames] for view, frames in _by_view(images).items()}
     settings = learned_backgrounds(model.resolve(), views)
-    for view in settings.backgrounds:
-        where = f" of {view}" if view else ""
-        note(f"images{where}: the instrument is told from a background learned from all of them")
+    for text in settings.notes:
+        note(text)
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
     with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as beside:

@@ -16,15 +16,15 @@ from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.results.paths import found_masks
 from dvrk_cmaes.runs.manifest import read_manifest
-from dvrk_cmaes.segment.background import FEWEST, MOST, learn_background
-from dvrk_cmaes.segment.classic import segment_classic
-from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
+from dvrk_cmaes.segment.background import MOST, learn_background
+from dvrk_cmaes.segment.segmentation import SegmentSettings
 from dvrk_cmaes.silhouette.threads import map_threaded
 
 Load = Callable[[], NDArray[np.uint8] | None]
 """A function that reads an image, or None where there is none."""
 
-_TRIED: Final = 3  # images in which the instrument is looked for by colours
+_APART: Final = {"insertion": 0.003}  # m, by which readings differ of images that show the tool in another place
+_APART_RAD: Final = 0.02  # the same of joints that turn
 
 
 def with_backgrounds(
@@ -40,7 +40,8 @@ def with_backgrounds(
             own = files if name == views[0] else files.others.get(name)
             if own is not None and own.mask is None and own.image is not None and own.problem is None:
                 images[name].append(own)
-    return _learned(settings, {name: [partial(image_of, own) for own in of_view] for name, of_view in images.items()})
+    loads = {name: [partial(image_of, own) for own in _moved(of_view)] for name, of_view in images.items()}
+    return _learned(settings, {name: of_view for name, of_view in loads.items() if of_view})
 
 
 def segment_settings(session: Session, results: Path) -> SegmentSettings | None:
@@ -58,8 +59,7 @@ def segment_settings(session: Session, results: Path) -> SegmentSettings | None:
 def learned_backgrounds(settings: SegmentSettings, images: Mapping[str, Sequence[Path]]) -> SegmentSettings:
     """Return settings with the backgrounds of images by view, where the camera stands still before the instrument.
 
-    They are used by the classic model alone, and only of views in whose images it does not find the instrument by
-    colours. Images that cannot be read do not count.
+    They are used by the classic model alone. Images that cannot be read do not count.
     """
     return _learned(settings, {name: [partial(read_image, path) for path in paths] for name, paths in images.items()})
 
@@ -68,28 +68,38 @@ def _learned(settings: SegmentSettings, images: Mapping[str, Sequence[Load]]) ->
     """Return settings with the backgrounds of images by view, each of which a function loads."""
     if settings.model != "classic":
         return settings
-    learned = zip(images, map_threaded(_learn, list(images.values()), len(images)), strict=True)
-    return replace(settings, backgrounds={view: found for view, found in learned if found is not None})
+    learned = dict(zip(images, map_threaded(_learn, list(images.values()), len(images)), strict=True))
+    notes = []
+    for view, found in learned.items():
+        of_view = f"images of {view}" if view else "images"
+        if not isinstance(found, str):
+            notes.append(f"{of_view}: a background was learned from {len(images[view])} of them")
+        elif len(images[view]) > 1:
+            notes.append(f"{of_view}: no background was learned: {found}")
+    backgrounds = {view: found for view, found in learned.items() if not isinstance(found, str)}
+    return replace(settings, backgrounds=backgrounds, notes=tuple(notes))
 
 
-def _learn(paths: Sequence[Load]) -> NDArray[np.uint8] | None:
-    """Learn the background of the images of one view; None if there is none, or it is not needed."""
-    if len(paths) < FEWEST or _found_by_colours(_spread(paths, _TRIED)):
-        return None
-    return learn_background(_readable(_spread(paths, MOST)))
+def _learn(images: Sequence[Load]) -> NDArray[np.uint8] | str:
+    """Learn the background of the images of one view, or return why there is none."""
+    return learn_background([image for load in _spread(images, MOST) if (image := readable(load)) is not None])
 
 
-def _found_by_colours(paths: Sequence[Load]) -> bool:
-    """Return whether the instrument is found in images by colours, mostly."""
-    sure = [segment_classic(image, Hints()).confidence >= GUESS for image in _readable(paths)]
-    return 2 * sum(sure) > len(sure)
+def _moved(frames: Sequence[FrameFiles]) -> list[FrameFiles]:
+    """Return the frames whose readings differ from those of all frames before in the list; all without readings."""
+    kept: list[FrameFiles] = []
+    for files in frames:
+        if all(_differ(files.readings, other.readings) for other in kept):
+            kept.append(files)
+    return kept
 
 
-def _readable(loads: Sequence[Load]) -> list[NDArray[np.uint8]]:
-    """Read the images that can be read."""
-    return [image for load in loads if (image := readable(load)) is not None]
+def _differ(first: Mapping[str, float], second: Mapping[str, float]) -> bool:
+    """Whether the readings of two frames show the tool in two places; True where they have none in common."""
+    common = first.keys() & second.keys()
+    return not common or any(abs(first[name] - second[name]) > _APART.get(name, _APART_RAD) for name in common)
 
 
-def _spread(paths: Sequence[Load], most: int) -> list[Load]:
+def _spread(images: Sequence[Load], most: int) -> list[Load]:
     """Return at most some of the images, spread evenly over all."""
-    return [paths[int(k)] for k in np.unique(np.linspace(0, len(paths) - 1, most).round())]
+    return [images[int(k)] for k in np.unique(np.linspace(0, len(images) - 1, most).round())]

@@ -76,6 +76,9 @@ class BatchProgress:
     def on_start(self, todo: int, kept: Sequence[Status]) -> None:
         """Handle the start: the number of frames to do, and the statuses of those that have a result already."""
 
+    def on_note(self, text: str) -> None:
+        """Handle a message about the whole batch, before the first frame."""
+
     def on_frame(self, outcome: FrameOutcome) -> None:
         """Handle the end of a frame, after its files were written."""
 
@@ -187,6 +190,8 @@ def run_batch(
             session=[files.name for files in session.frames],
             retry_failed=retry_failed,
         )
+        for text in masks.notes:
+            workers.progress.on_note(text)
         workers.progress.on_start(len(todo), kept)
         ran = 0
         for outcome in outcomes(setup, todo, workers):

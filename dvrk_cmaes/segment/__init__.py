@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.segment.segmentation import (
+    GUESS,
     MODELS,
-    Background,
     Box,
     Hints,
     Model,
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from dvrk_cmaes.camera import Camera
     from dvrk_cmaes.instrument import Instrument
     from dvrk_cmaes.silhouette import Body
+
+_DIFFERS = 0.3  # share of a mask that differs from a known background, below which it is a guess
+_SAME = 0.4  # confidence of such a mask, at most
 
 __all__ = ["MODELS", "Box", "Model", "Pixel", "Segmentation", "segment"]
 
@@ -119,39 +122,67 @@ def with_classic(
     camera: Camera | None,
     joints: Mapping[str, float] | None,
 ) -> Segmentation:
-    """Segment by a background, if one is known, and by the instrument's shape, colours or a smooth surface."""
+    """Segment by a background, if one is known, and by the instrument's shape, colours or a smooth surface.
+
+    A mask by other means than a known background is a guess where it hardly differs from that.
+    """
     from dvrk_cmaes.frames.field_of_view import outside_view
-    from dvrk_cmaes.segment.background import segment_before, smooth_background
+    from dvrk_cmaes.segment.background import (
+        differing_region,
+        differing_share,
+        foreground_log_odds,
+        segment_before,
+        smooth_background,
+    )
     from dvrk_cmaes.segment.classic import rough_mask, segment_classic
     from dvrk_cmaes.segment.model_masks import segment_by_model
     from dvrk_cmaes.segment.prompts import draw_prompts
-    from dvrk_cmaes.segment.segmentation import GUESS
     from dvrk_cmaes.silhouette.prepare import prepare
 
-    def before(behind: NDArray[np.uint8], kind: Background) -> Segmentation:
-        prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points)
-        return replace(segment_before(image, behind, prompts.with_outside(outside_view(image))), before=kind)
+    body = None if instrument is None else prepare(instrument)
+    prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points)
+    prompts = prompts.with_outside(outside_view(image))
 
-    known = None if background is None else before(background, "learned background")
-    if known is not None and known.confidence >= GUESS:
-        return known
-
-    rough = cache(partial(rough_mask, image, hints))
+    @cache
+    def rough() -> Segmentation:
+        return rough_mask(image, hints)
 
     @cache
     def before_smooth() -> Segmentation | None:
         behind = smooth_background(image)
-        return None if behind is None else before(behind, "smooth background")
+        if behind is None:
+            return None
+        return replace(segment_before(image, foreground_log_odds(image, behind), prompts), before="smooth background")
 
     def without_shape() -> Segmentation:
         found = segment_classic(image, hints, rough())
         if found.confidence >= GUESS:
             return found
-        return max([found, *filter(None, (known, before_smooth()))], key=lambda each: each.confidence)
+        return max([found, *filter(None, (before_smooth(),))], key=lambda each: each.confidence)
 
     def roughly() -> Segmentation:
         return rough() if rough().confidence >= GUESS else before_smooth() or rough()
 
-    if instrument is None:
-        return without_shape()
-    return segment_by_model(image, prepare(instrument), camera, joints, hints, roughly, without_shape)
+    def without_background() -> Segmentation:
+        if body is None:
+            return without_shape()
+        return segment_by_model(image, body, camera, joints, hints, roughly, without_shape)
+
+    if background is None:
+        return without_background()
+    odds = foreground_log_odds(image, background)
+
+    def before() -> Segmentation:
+        return segment_before(image, odds, prompts)
+
+    found = before()
+    if body is not None:
+        region = Segmentation(differing_region(odds))
+        found = segment_by_model(image, body, camera, joints, hints, lambda: region, before, odds)
+    if found.confidence >= GUESS:
+        return replace(found, before="learned background")
+    other = without_background()
+    if differing_share(other.mask, odds) < _DIFFERS:
+        notes = ("a guess", *other.notes, "it looks like the background that the other images show")
+        other = replace(other, confidence=min(other.confidence, _SAME), notes=notes)
+    return other if other.confidence >= GUESS or not found.mask.any() else replace(found, before="learned background")

@@ -33,6 +33,8 @@ _WEIGHTS: Final = 2.5, 1.0, 0.25, 0.7, 1.0, 1.5, 1.5
 _CLEAR: Final = 2.0  # mean edge, from which on a sharper one is no surer: blur differs between cameras
 _UNLIKE: Final = 0.3  # separation of wrist and jaws from the shaft, from which on more says nothing
 _BEYOND: Final = 0.008  # m along the shaft, by which the instrument is moved to see what is beyond its tip
+_BEFORE: Final = 6.0
+"""Weight of the share of what differs from a known background that a silhouette covers, less what it covers beside."""
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
 _LEAST: Final = 1.5, 0.8, 6.0, 4.0
 """Pixels whose histograms count fully, of the shaft and of wrist and jaws, in squared widths of the shaft; and pixels
@@ -49,6 +51,7 @@ class Scores:
     unlike : separation of wrist and jaws from the shaft, as a share of what is enough, 0 to 1.
     entry : share of the shaft's width with which the instrument is at the picture's border, at most 1.
     narrow : logarithm of the usual width of a shaft over this one's, at least 0.
+    before : sum of the log-odds in the silhouette by a known background, over the sum of all positive ones; 0 without.
     """
 
     shaft: Float64
@@ -59,6 +62,7 @@ class Scores:
     unlike: Float64
     entry: Float64
     narrow: Float64
+    before: Float64
 
     @property
     def total(self) -> Float64:
@@ -66,7 +70,7 @@ class Scores:
         separation, edges, distal, ending, unlike, entry, narrow = _WEIGHTS
         found = separation * np.sqrt(self.shaft * self.distal) + edges * self.edges + distal * self.distal_edges
         found = found + ending * self.ending + unlike * self.unlike
-        return np.asarray(found + entry * self.entry - narrow * self.narrow)
+        return np.asarray(found + entry * self.entry - narrow * self.narrow + _BEFORE * self.before)
 
     @property
     def measures(self) -> Float64:
@@ -77,8 +81,13 @@ class Scores:
 class Appearance:
     """What one picture tells of candidate poses of an instrument, at a reduced size."""
 
-    def __init__(self, image: Image, camera: Camera, body: Body, outside: Bool) -> None:
-        """Sort the pixels of an image (H, W, 3) uint8 BGR; ``outside`` (H, W) do not count."""
+    def __init__(
+        self, image: Image, camera: Camera, body: Body, outside: Bool, foreground: Float32 | None = None
+    ) -> None:
+        """Sort the pixels of an image (H, W, 3) uint8 BGR; ``outside`` (H, W) do not count.
+
+        ``foreground`` (H, W) are log-odds of instrument by a known background.
+        """
         counts = ~outside
         assert body.instrument.shaft is not None
         self._radius, self._focal = body.instrument.shaft.radius, float(np.sqrt(camera.fx * camera.fy))
@@ -87,7 +96,9 @@ class Appearance:
         np.put_along_axis(channels, self.labels[None], counts[None].astype(np.float32), axis=0)
         edges = edge_scores(image, counts)
         within = cv2.erode(counts.astype(np.uint8), np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT, borderValue=0)
-        self._bins = PixelSums.of(np.concatenate([channels, (counts & (within == 0))[None]]))
+        before = np.zeros(counts.shape, np.float32) if foreground is None else np.where(counts, foreground, 0)
+        self._before = 1 / max(float(np.maximum(before, 0).sum()), 1.0)
+        self._bins = PixelSums.of(np.concatenate([channels, (counts & (within == 0))[None], before[None]]))
         self._edges = PixelSums.of(np.stack([edges, counts.astype(np.float32)]))
         self._whole = channels.sum(axis=(1, 2)) / max(float(counts.sum()), 1.0)
         self._longer = max(counts.shape)
@@ -98,9 +109,9 @@ class Appearance:
     def scores(self, at: Posed) -> Scores:
         """Measure C candidates."""
         drawn = self._all.sums(at.pose, at.joints, self._bins, to_pixel=True)
-        whole, at_border = drawn[:, :-1], drawn[:, -1]
+        whole, at_border, before = drawn[:, :-2], drawn[:, -2], drawn[:, -1]
         shaft, wide, wide_shaft = (
-            renderer.sums(at.pose, at.joints, self._bins, to_pixel=True)[:, :-1]
+            renderer.sums(at.pose, at.joints, self._bins, to_pixel=True)[:, :-2]
             for renderer in (self._shaft, self._wide, self._wide_shaft)
         )
         distal = np.maximum(whole - shaft, 0)
@@ -108,7 +119,7 @@ class Appearance:
         beside_distal = np.maximum(wide - wide_shaft - distal, 0)
         moved = at.pose.copy()
         moved[:, :3, 3] += _BEYOND * moved[:, :3, 2]
-        beyond = np.maximum(self._all.sums(moved, at.joints, self._bins, to_pixel=True)[:, :-1] - whole, 0)
+        beyond = np.maximum(self._all.sums(moved, at.joints, self._bins, to_pixel=True)[:, :-2] - whole, 0)
         outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in self._bounds]
         width = 2 * self._radius * self._focal / np.maximum(at.pose[:, 2, 3], 1e-3)
         return Scores(
@@ -120,6 +131,7 @@ class Appearance:
             np.minimum(self._separation(distal, shaft, _LEAST[1] * width**2) / _UNLIKE, 1),
             np.minimum(at_border / np.maximum(width, 1), 1),
             np.maximum(np.log(_USUAL * self._longer / width), 0),
+            before * self._before,
         )
 
     def _separation(self, inside: Float64, band: Float64, least: Float64) -> Float64:

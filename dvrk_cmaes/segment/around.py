@@ -157,12 +157,20 @@ def log_odds_beyond(distance: Float32, free: float | Float32 = FREE, steepness: 
 
 
 def segmentation_around(
-    image: Image, silhouette: Bool, prompts: Prompts, *, rough: bool = False, colours: Float32 | None = None
+    image: Image,
+    silhouette: Bool,
+    prompts: Prompts,
+    *,
+    rough: bool = False,
+    colours: Float32 | None = None,
+    local: bool = True,
+    free: float | Float32 = FREE,
 ) -> Segmentation:
     """Segment an image (H, W, 3) uint8 BGR around a silhouette (H, W), as `mask_around`, and assess the mask.
 
     A ``rough`` silhouette is a mask that was found at a reduced size, and is a shaft's with straight sides: it is first
-    refined, at half the size if the image is large. ``colours`` are of any size.
+    refined, at half the size if the image is large. ``colours`` are of any size; without ``local`` they count alone.
+    ``free`` is as there, of the size at which the mask is found, where the silhouette is not rough.
     """
     height, width = silhouette.shape
     longest = min(max(height, width), FINEST)
@@ -172,12 +180,20 @@ def segmentation_around(
         at, scale = size_within(silhouette.shape, size)
         return shrunk(image, size), prompts.resized(*at, scale) if scale < 1 else prompts
 
-    def around(expected: Bool, size: int, free: float, passes: int) -> Around | None:
+    def around(expected: Bool, size: int, free: float | Float32, passes: int) -> Around | None:
         small, fixed = reduced(size)
         at = small.shape[1], small.shape[0]
         known = None if colours is None else np.asarray(cv2.resize(colours, at), np.float32)
         return mask_around(
-            small, resized(expected, at), free, colours=known, straight=rough, prompts=fixed, passes=passes
+            small,
+            resized(expected, at),
+            free,
+            colours=known,
+            local=local,
+            edges=local,
+            straight=rough,
+            prompts=fixed,
+            passes=passes,
         )
 
     if rough:
@@ -185,11 +201,12 @@ def segmentation_around(
         first = around(silhouette, half, ROUGH * half / longest, _PASSES)
         found = None if first is None else around(first.mask, longest, _REFINED, 1)
     else:
-        found = around(silhouette, longest, FREE, _PASSES)
+        found = around(silhouette, longest, free, _PASSES)
     if found is None:
         return Segmentation(np.zeros_like(silhouette), None, 0.0, ("no instrument found",))
-    assert found.measured is not None
-    verdict = assess_mask(found.mask, found.window, found.by_colour, found.measured, prompts=reduced(longest)[1])
+    small, fixed = reduced(longest)
+    measured = found.measured or measure_colours(np.ascontiguousarray(small[found.window]))
+    verdict = assess_mask(found.mask, found.window, found.by_colour, measured, prompts=fixed)
     score = np.zeros(found.mask.shape, np.float32)
     score[found.window] = 1 / (1 + np.exp(-found.odds))
     score = np.asarray(cv2.resize(score, (width, height)), np.float32)

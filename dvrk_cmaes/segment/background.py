@@ -1,82 +1,87 @@
-"""Segmentation by what differs from the background: on a bench the instrument moves before a camera that stands still.
+"""What a camera that stands still sees behind the instrument, and the log-odds of instrument by what differs from it.
 
 The background of each pixel is the value that the images agree on most closely; images in which the instrument is near
-the pixel are then left out. Of a single image, it is a smooth surface that fits most pixels, as of paper under a lamp.
+the pixel are then left out. Images that are shifted by some pixels are registered first. Of a single image, it is a
+smooth surface that fits most pixels, as of paper under a lamp.
 
-A pixel belongs to the instrument if its brightness or colour is far from the background's. A shadow beside the
-instrument is less far, has no edge of its own, and is left out by a graph cut along the edges of the image.
+A pixel belongs to the instrument if its brightness or colour is farther from the background's than noise and shadows
+are. A pixel that is as the background is may still be the instrument's where that has the same colours, as a dark shaft
+before the dark squares of a board; there the shape of the instrument decides.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.evidence.gather import window_around
-from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
-from dvrk_cmaes.segment.around import log_odds_beyond
-from dvrk_cmaes.segment.colours import measure_colours
-from dvrk_cmaes.segment.confidence import assess_mask
-from dvrk_cmaes.segment.edge_colours import edge_log_odds
-from dvrk_cmaes.segment.graph_cut import cut
+from dvrk_cmaes.segment.around import segmentation_around
+from dvrk_cmaes.segment.colours import ColourTable, measure_colours
 from dvrk_cmaes.segment.prompts import Prompts
-from dvrk_cmaes.segment.regions import distance_to, fill_holes, instrument_region
-from dvrk_cmaes.segment.segmentation import Segmentation, noted
-from dvrk_cmaes.segment.shaft_sides import shaft_log_odds
-from dvrk_cmaes.segment.sizes import FINEST, SMALLEST, shrunk
+from dvrk_cmaes.segment.regions import distance_to, instrument_region
+from dvrk_cmaes.segment.segmentation import Segmentation
+from dvrk_cmaes.segment.sizes import FINEST, SMALLEST, resized, shrunk
 
-FEWEST: Final = 8
-"""Images from which a background, or what moves before it, is learned, at least."""
-MOST: Final = 40
+FEWEST: Final = 6
+"""Images from which a background is learned, at least."""
+MOST: Final = 24
 """Images from which a background is learned, at most."""
 
 _AGREEING: Final = 0.3  # share of the images whose closest values show a pixel's background
-_STANDING: Final = 0.6, 75.0, 4.0  # of share 0.6 of the images, 75 % of the pixels differ by at most 4 grey levels
+_STANDING: Final = 0.6, 75.0, 7.0  # of share 0.6 of the images, 75 % of the pixels differ by at most 7 grey levels
 _PASSES: Final = 2  # in which images with the instrument near a pixel are left out
 _MARGIN: Final = 0.03  # of the longer side; shadows reach that far
 _LEAST_FREE: Final = 3  # images without the instrument near a pixel
 _ROWS: Final = 64  # that are worked on at once, to bound memory
+_SHIFTED: Final = 0.006  # of the longer side, by which an image is shifted, at most
+_REGISTERED: Final = 0.98  # of the differences before, above which a shift is not taken
 
 _DARK: Final = 3.0  # grey levels added before logarithms, so that noise in the dark does not count
 _RATIO: Final = np.array([-0.7, -0.5, -0.38, -0.28, -0.12, -0.06, 0.06, 0.12, 0.3])
 _ODDS: Final = np.array([4.0, 3.0, 1.0, -0.3, -1.0, -4.0, -4.0, 0.0, 3.0])
 """Log-odds of instrument by the logarithm of brightness against the background's; shadows are about -0.25."""
-_LARGEST_PRIOR: Final = 2.0  # log-odds by sides or silhouette, which what surely differs outweighs
-_FAR: Final = 0.04  # of the longer side; farther from what surely differs there is no instrument
-_CUTS: Final = 3
-_GAP: Final = 0.04  # of the longer side, between pieces of an instrument
-_CLOSING: Final = 0.011  # of the longer side: highlights at the outline are closed
-_NEARBY: Final = 20  # px about the pixels that may be instrument, in which the image is looked at
-_WEIGHT: Final = 4.0
-"""Factor on the log-odds: in a window about the instrument edges are dense, and the graph cut takes each for weaker."""
-_EDGE: Final = 2.5  # px by which the outline is moved to an edge, at most
-_WINDOW: Final = 0.06  # of the longer side, about the mask, in which it is assessed
+_NOISE: Final = 2.0  # standard deviations of the differences, which say nothing
+_LEVELS: Final = 9  # limits of the bins of brightness, in which the noise is measured
+_LEAST_PIXELS: Final = 200  # in such a bin
+_SAME: Final = 0.6, 4.0  # log-odds against a pixel that is as the background: where the instrument has its colour, not
+_UNSEEN: Final = 0.05  # share of the instrument whose colours do not differ from the background anywhere
+_SMOOTH: Final = 0.7  # px, standard deviation of the Gaussian that smooths differences
+GAP: Final = 0.04
+"""Of the longer side, between pieces of an instrument."""
 _SURFACE: Final = 160  # px, longer side at which it is fitted
 _SURFACE_PASSES: Final = 8
 _NEAR_SURFACE: Final = 0.05  # logarithm of brightness
 _LEAST_SURFACE: Final = 0.4  # share of the pixels that a smooth background fits
 
 
-def learn_background(images: Sequence[Image]) -> Image | None:
+def learn_background(images: Sequence[Image]) -> Image | str:
     """Learn the background from images (H, W, 3) uint8 BGR of a camera that stands still.
 
-    Returns it at a size of at most 1000 px, (h, w, 3); None if the images are too few, of several sizes, or show no
-    background that stands still.
+    Returns it at a size of at most 1000 px, (h, w, 3); why there is none if the images are too few, of several sizes,
+    or show no background that stands still.
     """
-    if len(images) < FEWEST or len({image.shape for image in images}) > 1:
-        return None
+    if len(images) < FEWEST:
+        return f"{len(images)} images, fewer than {FEWEST}"
+    if len({image.shape for image in images}) > 1:
+        return "the images are of several sizes"
     stack = np.stack([shrunk(image, FINEST) for image in images])
+    usual = np.empty(stack.shape[1:], np.uint8)
+    for rows in _blocks(stack.shape[1]):
+        usual[rows] = np.sort(stack[:, rows], axis=0)[len(stack) // 2]
+    for k, image in enumerate(stack):
+        stack[k] = _shifted(image, *_shift(usual, image))
     found, spread = np.empty(stack.shape[1:], np.uint8), np.empty(stack.shape[1:3], np.float32)
     for rows in _blocks(stack.shape[1]):
         found[rows], spread[rows] = _closest_values(stack[:, rows])
     _, percentile, levels = _STANDING
-    if np.percentile(spread, percentile) > levels:
-        return None
+    differ = float(np.percentile(spread, percentile))
+    if differ > levels:
+        return f"the images do not show the same scene: a quarter of the pixels differ by {differ:.0f} grey levels"
     for _ in range(_PASSES):
         free = np.stack([_free_of_instrument(image, found) for image in stack])
         for rows in _blocks(stack.shape[1]):
@@ -106,60 +111,109 @@ def smooth_background(image: Image) -> Image | None:
     return np.asarray(np.clip(surface + 0.5, 0, 255), np.uint8)
 
 
-def segment_before(image: Image, background: Image, prompts: Prompts, silhouette: Bool | None = None) -> Segmentation:
-    """Segment what is before a background.
+def foreground_log_odds(image: Image, background: Image) -> Float32:
+    """Return log-odds of instrument (h, w) by what differs from a background (of any size), at most 1000 px wide.
 
     Parameters
     ----------
     image
         (H, W, 3) uint8, BGR.
     background
-        (h, w, 3), of any size.
+        (h, w, 3), of any size. It is registered with the image.
+    """
+    small = shrunk(image, FINEST)
+    behind = np.asarray(cv2.resize(background, small.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.uint8)
+    along, down = _shift(behind, small)
+    odds = _by_difference(small, _shifted(behind, -along, -down))
+    differs = differing_region(odds)
+    if not differs.any() or differs.all():
+        return odds
+    likely = ColourTable(measure_colours(small)).log_odds(differs, odds < -1, unseen=_UNSEEN)
+    return np.where(odds < 0, np.maximum(odds, np.clip(likely, -_SAME[1], -_SAME[0])), odds)
+
+
+def segment_before(image: Image, odds: Float32, prompts: Prompts, silhouette: Bool | None = None) -> Segmentation:
+    """Segment what is before a background in an image (H, W, 3) uint8 BGR.
+
+    Parameters
+    ----------
+    image
+        (H, W, 3) uint8, BGR.
+    odds
+        (h, w), `foreground_log_odds`.
     prompts
         Prompts in pixels of the image.
     silhouette
-        (H, W), neither empty nor full, around which the instrument is; by default the shaft's sides tell where.
+        (H, W), neither empty nor full, around which the instrument is; by default, what differs from the background.
     """
     height, width = image.shape[:2]
-    longer = max(height, width)
-    behind = cv2.resize(background, (width, height), interpolation=cv2.INTER_LINEAR)
-    ratio = _log_ratio(image, np.asarray(behind, np.uint8))
-    by_ratio = np.asarray(np.interp(ratio, _RATIO, _ODDS), np.float32)
-    nothing = Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
-    mask = instrument_region(_opened(by_ratio > 1), _GAP * longer, prompts)
-    if prompts.tool is not None:
-        mask |= prompts.tool
-    if not mask.any() or mask.all():
-        return nothing
-    away = distance_to(mask) > max(_FAR * longer, 2.0)
-    beyond = away if prompts.background is None else away | prompts.background
-    near = _window(~beyond, _NEARBY)
-    smooth = cv2.GaussianBlur(np.stack([np.log(image.mean(axis=2) + _DARK), ratio], axis=-1)[near], (0, 0), 1.0)
-    guide = np.asarray(smooth, np.float32)
-    inside = prompts.within(near)
-    odds = None if silhouette is None else log_odds_beyond(signed_distance(silhouette))
-    for _ in range(_CUTS):
-        known = shaft_log_odds(mask) if odds is None else odds
-        total = by_ratio if known is None else by_ratio + np.clip(known, -_LARGEST_PRIOR, _LARGEST_PRIOR)
-        before, mask = mask, np.zeros_like(mask)
-        mask[near] = cut(total[near], guide, background=beyond[near], tool=inside.tool, weight=_WEIGHT)
-        mask = fill_holes(instrument_region(mask, _GAP * longer, prompts))
-        if not mask.any() or mask.all():
-            return nothing
-        if odds is not None or (mask == before).all():
-            break  # another cut would be of the same log-odds
-    mask = fill_holes(_closed(mask, max(round(_CLOSING * longer), 1)))
-    mask[near] = _at_edges(image[near], mask[near], guide)
-    mask = fill_holes(mask)
-    if prompts.background is not None:
-        mask &= ~prompts.background
-    if not mask.any() or mask.all():
-        return nothing
-    window = _window(mask, max(round(_WINDOW * longer), 2))
-    colours = measure_colours(np.ascontiguousarray(image[window]))
-    verdict = assess_mask(mask, window, by_ratio[window], colours, prompts=prompts)
-    score = np.asarray(1 / (1 + np.exp(-total)), np.float32)
-    return noted(Segmentation(mask, score, verdict.confidence, verdict.notes))
+    small = prompts.resized(odds.shape[1], odds.shape[0], odds.shape[1] / width)
+    around = resized(differing_region(odds, small), (width, height)) if silhouette is None else silhouette
+    if not around.any() or around.all():
+        return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
+    return segmentation_around(image, around, prompts, rough=silhouette is None, colours=odds, local=False)
+
+
+def differing_share(mask: Bool, odds: Float32) -> float:
+    """Return the share of a mask (H, W) that clearly differs from a background, by log-odds (h, w); 0 if empty."""
+    small = resized(mask, odds.shape[1::-1])
+    return float((odds[small] > 1).mean()) if small.any() else 0.0
+
+
+def differing_region(odds: Float32, prompts: Prompts | None = None) -> Bool:
+    """Return the pixels (h, w) that most likely are the instrument, by log-odds (h, w) against a background."""
+    prompts = prompts or Prompts()
+    region = instrument_region(_opened(odds > 1), GAP * max(odds.shape), prompts)
+    return region if prompts.tool is None else region | prompts.tool
+
+
+def _by_difference(image: Image, background: Image) -> Float32:
+    """Return log-odds of instrument (h, w) by the difference of an image from the background of the same size."""
+    kernel = np.ones((3, 3), np.uint8)
+    near = np.clip(image, cv2.erode(background, kernel), cv2.dilate(background, kernel))
+    ratio = np.log((image.astype(np.float32) + _DARK) / (near.astype(np.float32) + _DARK))
+    most = np.abs(ratio).argmax(axis=2)[..., None]  # in a shadow all channels differ alike
+    ratio, level = (np.take_along_axis(each, most, axis=2)[..., 0] for each in (ratio, near))
+    noise = _noise(image, background)[level] / (level + _DARK)
+    beyond = np.sign(ratio) * np.maximum(np.abs(ratio) - _NOISE * noise, 0)
+    smooth = cv2.GaussianBlur(beyond.astype(np.float32), (0, 0), _SMOOTH)
+    return np.asarray(np.interp(smooth, _RATIO, _ODDS), np.float32)
+
+
+def _noise(image: Image, background: Image) -> Float32:
+    """Return the standard deviation of an image's noise by brightness (256,), grey levels, by its difference."""
+    away = np.abs(image.astype(np.float32) - background).mean(axis=2)
+    level = background.mean(axis=2)
+    limits = np.linspace(0, 256, _LEVELS)
+    bins = [(level >= low) & (level < high) for low, high in itertools.pairwise(limits)]
+    known = [k for k, each in enumerate(bins) if each.sum() > _LEAST_PIXELS]
+    if not known:
+        return np.ones(256, np.float32)
+    deviations = [1.48 * float(np.median(away[bins[k]])) for k in known]
+    middles = (limits[:-1] + limits[1:])[known] / 2
+    return np.maximum(np.interp(np.arange(256), middles, deviations), 1.0).astype(np.float32)
+
+
+def _shift(background: Image, image: Image) -> tuple[float, float]:
+    """Return by how much an image (h, w, 3) is shifted to the right and down against a background, px; 0 if unclear."""
+    first, second = (cv2.GaussianBlur(each.mean(axis=2, dtype=np.float32), (0, 0), 1.0) for each in (background, image))
+    window = cv2.createHanningWindow(first.shape[::-1], cv2.CV_32F)
+    (along, down), _ = cv2.phaseCorrelate(first, second, window)
+    if max(abs(along), abs(down)) > _SHIFTED * max(first.shape):
+        return 0.0, 0.0
+    before, after = (
+        float(np.percentile(np.abs(each - second), 75)) for each in (first, _shifted(first, -along, -down))
+    )
+    return (along, down) if after < _REGISTERED * before else (0.0, 0.0)
+
+
+def _shifted(image: NDArray[Any], along: float, down: float) -> Any:
+    """Return an image of which what is at ``along``, ``down`` px is at the origin."""
+    if along == down == 0:
+        return image
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    move = np.array([[1, 0, along], [0, 1, down]], np.float32)
+    return cv2.warpAffine(image, move, image.shape[1::-1], flags=how, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _closest_values(stack: Image) -> tuple[Image, Float32]:
@@ -176,8 +230,7 @@ def _closest_values(stack: Image) -> tuple[Image, Float32]:
 
 def _free_of_instrument(image: Image, background: Image) -> Bool:
     """Return the pixels (h, w) that are far from what differs from the background, and from what that encloses."""
-    odds = np.interp(_log_ratio(image, background), _RATIO, _ODDS)
-    mask = instrument_region(_opened(odds > 0.5), _GAP * max(odds.shape), Prompts())
+    mask = differing_region(_by_difference(image, background))
     if not mask.any():
         return np.ones(mask.shape, np.bool_)
     hull = np.zeros(mask.shape, np.uint8)
@@ -195,33 +248,6 @@ def _median_of_free(stack: Image, free: Bool, otherwise: Image) -> Image:
     return np.where((count >= _LEAST_FREE)[..., None], np.minimum(middle, 255), otherwise).astype(np.uint8)
 
 
-def _at_edges(image: Image, mask: Bool, guide: Float32) -> Bool:
-    """Move the outline of a mask (H, W), by at most a few pixels, to where the edges of the image are halfway."""
-    return cut(
-        edge_log_odds(image, mask),
-        guide,
-        background=distance_to(mask) > _EDGE,
-        tool=distance_to(~mask) > _EDGE,
-        weight=_WEIGHT,
-    )
-
-
-def _window(mask: Bool, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns of a mask (H, W), which is not empty, with a margin, px, within the image."""
-    left, top, across, down = window_around(mask, margin)
-    return np.s_[top : top + down, left : left + across]
-
-
-def _log_ratio(image: Image, background: Image) -> Float32:
-    """Return the logarithm (H, W) of an image's brightness against the background's, in the channel that differs most.
-
-    In a shadow all channels differ alike.
-    """
-    ratio = np.log((image.astype(np.float32) + _DARK) / (background.astype(np.float32) + _DARK))
-    chosen = np.abs(ratio).argmax(axis=2)
-    return np.asarray(np.take_along_axis(ratio, chosen[..., None], axis=2)[..., 0], np.float32)
-
-
 def _most_frequent(values: NDArray[np.float64]) -> float:
     """Return the centre of the fullest bin of a histogram."""
     counts, edges = np.histogram(values, bins=40)
@@ -236,11 +262,3 @@ def _blocks(rows: int) -> Iterator[slice]:
 def _opened(mask: Bool) -> Bool:
     """Remove what is thinner than three pixels."""
     return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0)
-
-
-def _closed(mask: Bool, size: int) -> Bool:
-    """Fill what is narrower than ``size`` px, also at the image's border."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    wide = cv2.copyMakeBorder(mask.astype(np.uint8), size, size, size, size, cv2.BORDER_REPLICATE)
-    closed = cv2.morphologyEx(wide, cv2.MORPH_CLOSE, kernel)[size:-size, size:-size]
-    return np.asarray(closed > 0)

@@ -12,11 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.frames.packed_mask import overlap_of
-from dvrk_cmaes.geometry import Bool, Float64, Image, Posed, frame_along, rotation_about_z, transform
+from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment.appearance import Appearance
 from dvrk_cmaes.segment.segmentation import GUESS
 from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs, pair_of_mask
@@ -61,6 +62,8 @@ _LOG_ODDS: Final = np.array([2.43, 2.5, -0.62, 0.67, 1.23, -5.28])
 
 Fitted by logistic regression to 119 candidates in 44 pictures drawn by rays, before tissue and things of a laboratory.
 """
+_NEAR_FOREGROUND: Final = 0.015  # of the longer side, from what differs from a background, where edges are looked for
+_CLEARLY_BEHIND: Final = -1.5  # log-odds of pixels that are background
 _SHARED: Final = 0.25  # of the smaller silhouette, that two candidates of different instruments may share
 
 
@@ -69,17 +72,21 @@ class Candidate:
     """An instrument found in a picture: where it is, and its silhouette (h, w).
 
     score : what the search makes large. measures : those of `appearance.Scores.measures`, (4,), and the margin of the
-    score over that of most places, from which its confidence follows.
+    score over that of most places, from which its confidence follows. explained : with a known background, the share of
+    what differs from it there that the silhouette covers, less where the silhouette covers more; the confidence then.
     """
 
     at: Posed
     score: float
     measures: Float64
     silhouette: Bool
+    explained: float | None = None
 
     @property
     def confidence(self) -> float:
         """Probability that it is an instrument, and this its silhouette."""
+        if self.explained is not None:
+            return self.explained
         return float(1 / (1 + np.exp(-(self.measures @ _LOG_ODDS[:-1] + _LOG_ODDS[-1]))))
 
 
@@ -97,20 +104,23 @@ def find_instruments(
     joints: Mapping[str, float] | None = None,
     most: int = 4,
     rough: Bool | None = None,
+    foreground: Float32 | None = None,
 ) -> list[Candidate]:
     """Find the instruments in an image (H, W, 3) uint8 BGR; their silhouettes do not share pixels.
 
     Those that are no guess are first, and of these the one with the largest score.
 
     ``outside`` (H, W) are pixels outside the picture; ``joints`` are the readings, rad, by name. ``rough`` is a mask of
-    any size found by other means: it is looked whether its sides are a shaft's, too.
+    any size found by other means: it is looked whether its sides are a shaft's, too. ``foreground`` are log-odds of
+    instrument by a known background, of any size.
     """
     instrument = body.instrument
     if instrument.shaft is None:
         return []
     (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, REDUCED))
     lines = shrunk(image, _LINES).max(axis=2)
-    pairs = find_pairs(lines, camera.scaled(*fine), instrument.shaft.radius, resized(outside, fine), _PAIRS)
+    seen = outside if foreground is None else outside | ~resized(_near_foreground(foreground), outside.shape[1::-1])
+    pairs = find_pairs(lines, camera.scaled(*fine), instrument.shaft.radius, resized(seen, fine), _PAIRS)
     if rough is not None:
         pair = pair_of_mask(rough, camera.scaled(rough.shape[1], rough.shape[0]), instrument.shaft.radius)
         pairs += [] if pair is None else [pair]
@@ -118,8 +128,8 @@ def find_instruments(
         return []
     coarse = camera.scaled(*size)
     meshes = [_with_few_faces(body, faces) for faces in _FACES]
-    ranked = _appearance(image, outside, meshes[0], camera, _RANKED)
-    appearance = _appearance(image, outside, meshes[1], camera, REDUCED)
+    ranked = _appearance(image, outside, meshes[0], camera, _RANKED, foreground)
+    appearance = _appearance(image, outside, meshes[1], camera, REDUCED, foreground)
     read = np.array([np.nan if joints is None else joints.get(name, np.nan) for name in instrument.joint_names])
     jaw = np.array([name == "jaw" for name in instrument.joint_names])
     straight = np.where(np.isnan(read), np.where(jaw, _JAW, 0.0), read)
@@ -157,7 +167,8 @@ def find_instruments(
         measures = np.c_[scores.measures, scores.total - usual]
         kept: list[list[Candidate]] = []
         for k in np.argsort(-scores.total, kind="stable").tolist():
-            found = Candidate(at[k], float(scores.total[k]), measures[k], masks[k])
+            explained = None if foreground is None else _explained(masks[k], foreground)
+            found = Candidate(at[k], float(scores.total[k]), measures[k], masks[k], explained)
             own = next((each for each in kept if _share(masks[k], each[0].silhouette)), None)
             if own is None and len(kept) < most and masks[k].any():
                 kept.append([found])
@@ -238,10 +249,39 @@ def _joined(sets: Sequence[Posed]) -> Posed:
     return Posed(np.concatenate([each.pose for each in sets]), np.concatenate([each.joints for each in sets]))
 
 
-def _appearance(image: Image, outside: Bool, drawn: Body, camera: Camera, longest: int) -> Appearance:
+def _appearance(
+    image: Image, outside: Bool, drawn: Body, camera: Camera, longest: int, foreground: Float32 | None
+) -> Appearance:
     """Return what an image tells at a size with at most some px as longer side, by some meshes of the instrument."""
     size, _ = size_within(image.shape, longest)
-    return Appearance(shrunk(image, longest), camera.scaled(*size), drawn, resized(outside, size))
+    before = None
+    if foreground is not None:
+        before = np.asarray(cv2.resize(foreground, size, interpolation=cv2.INTER_AREA), np.float32)
+    return Appearance(shrunk(image, longest), camera.scaled(*size), drawn, resized(outside, size), before)
+
+
+def _explained(silhouette: Bool, foreground: Float32) -> float:
+    """Return how well a silhouette (h, w) explains what differs from a background where it is, 0 to 1.
+
+    This is the share of these pixels that it covers, times the share of its own pixels that are not clearly background.
+    """
+    size = silhouette.shape[1::-1]
+    odds = np.asarray(cv2.resize(foreground, size, interpolation=cv2.INTER_AREA))
+    differs = (odds > 1).astype(np.uint8)
+    count, labels = cv2.connectedComponents(differs, connectivity=8)
+    touched = np.bincount(labels[silhouette], minlength=count) > 0
+    touched[0] = False
+    region = touched[labels]
+    if not region.any():
+        return 0.0
+    return float((region & silhouette).sum() / region.sum() * (odds[silhouette] > _CLEARLY_BEHIND).mean())
+
+
+def _near_foreground(foreground: Float32) -> Bool:
+    """Return the pixels (h, w) that are near those whose log-odds of instrument (h, w) are clear."""
+    size = 2 * round(_NEAR_FOREGROUND * max(foreground.shape)) + 1
+    clear = cv2.morphologyEx((foreground > 1).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    return np.asarray(cv2.dilate(clear, np.ones((size, size), np.uint8)) > 0)
 
 
 def _with_few_faces(body: Body, faces: int) -> Body:

@@ -26,12 +26,13 @@ from dvrk_cmaes.segment.prompts import Prompts, draw_prompts
 from dvrk_cmaes.segment.regions import distance_to
 from dvrk_cmaes.segment.segmentation import GUESS, Hints, Segmentation, noted
 from dvrk_cmaes.segment.shaft_pairs import pair_of_mask
-from dvrk_cmaes.segment.sizes import resized, shrunk, size_within
+from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
 
 _SIZE: Final = 480  # px, longer side at which masks are cut
 _FREE: Final = 0.1, 0.7  # widths of the shaft from the shaft, and from wrist and jaws, beyond which there is a prior
 _FREE_INSIDE: Final = 0.15  # widths from the outline of wrist and jaws, within it, likewise
+_FREE_BEFORE: Final = 0.1, 0.25  # likewise, before a background that is known
 _STEEPNESS: Final = 3.0  # log-odds for each width beyond
 _REACH: Final = 0.15, 1.5  # widths beyond, from which on nothing is instrument
 _BESIDE: Final = 0.15, 3.0  # widths around a mask, between which the colours of the surroundings are learned
@@ -96,6 +97,7 @@ def segment_by_model(
     hints: Hints,
     rough: Callable[[], Segmentation],
     otherwise: Callable[[], Segmentation],
+    foreground: Float32 | None = None,
 ) -> Segmentation:
     """Find instruments in an image (H, W, 3) uint8 BGR by their model, and the mask of the best one.
 
@@ -112,6 +114,9 @@ def segment_by_model(
         instrument is found. This mask is taken in place of that of a candidate which it shows, too, where it is surer,
         and where it is elsewhere and that of the best candidate is a guess. It is a guess itself, unless it has some
         likeness of an instrument. Where it is empty, the best candidate is taken as a guess.
+    foreground
+        (h, w), log-odds of instrument by a known background, by which candidates are chosen then and their masks cut;
+        ``rough`` is what differs from that.
     """
     height, width = image.shape[:2]
     camera = assumed_camera(width, height) if camera is None else camera
@@ -119,7 +124,9 @@ def segment_by_model(
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
     roughly = rough()
     sure = roughly.confidence >= GUESS
-    candidates = find_instruments(image, outside, body, camera, joints, rough=roughly.mask if sure else None)
+    about = roughly.mask if sure and roughly.mask.any() and not roughly.mask.all() else None
+    candidates = find_instruments(image, outside, body, camera, joints, rough=about, foreground=foreground)
+    sure = sure and foreground is None
     likely = [each for each in candidates if each.confidence >= GUESS]
     found = [each for each in likely if _fits(each, prompts, image)]
 
@@ -133,7 +140,7 @@ def segment_by_model(
         last, best = by_colours(), next((each for each in candidates if _fits(each, prompts, image)), None)
         if last.mask.any() or best is None or best.confidence < _POSSIBLE:
             return last
-        return mask_of_candidate(image, best, body, camera, prompts) or last
+        return mask_of_candidate(image, best, body, camera, prompts, foreground) or last
     other = by_colours() if sure else None
 
     def mask_of(each: Candidate) -> Segmentation | None:
@@ -142,7 +149,7 @@ def segment_by_model(
             same = replace(other, mask=other.mask & ~beside) if beside.any() else other
             if same.confidence > each.confidence:  # its own mask would be no surer than the candidate
                 return same
-        own = mask_of_candidate(image, each, body, camera, prompts.with_outside(outside | beside))
+        own = mask_of_candidate(image, each, body, camera, prompts.with_outside(outside | beside), foreground)
         return same if own is not None and same is not None and same.confidence > own.confidence else own
 
     masks: list[Segmentation] = []
@@ -186,12 +193,12 @@ def _overlap(found: Candidate, mask: Bool) -> float:
 
 
 def mask_of_candidate(
-    image: Image, found: Candidate, body: Body, camera: Camera, prompts: Prompts
+    image: Image, found: Candidate, body: Body, camera: Camera, prompts: Prompts, foreground: Float32 | None = None
 ) -> Segmentation | None:
     """Return the mask of a candidate in an image (H, W, 3), with its confidence; None if it is not in the picture."""
     instrument = body.instrument
     assert instrument.shaft is not None
-    size, scale = size_within(image.shape, _SIZE)
+    size, scale = size_within(image.shape, _SIZE if foreground is None else FINEST)
     own = camera.scaled(*size)
     root = Body(replace(instrument, links=instrument.links[:1], link_joints=instrument.link_joints[:1]))
     at = found.at[None]
@@ -199,11 +206,19 @@ def mask_of_candidate(
     if not whole.any() or whole.all():
         return None
     across = 2 * instrument.shaft.radius * float(np.sqrt(own.fx * own.fy)) / found.at.pose[2, 3]
-    rough, odds = _rough_mask(shrunk(image, _SIZE), shaft, whole, across, prompts.resized(*size, scale))
-    known = np.where(distance_to(~rough) > _DEEP, _KNOWN[1], _KNOWN[0]).astype(np.float32) * odds
-    rough = resized(rough, (image.shape[1], image.shape[0]))
-    mask = segmentation_around(image, rough, prompts, rough=True, colours=known)
+    if foreground is None:
+        rough, odds = _rough_mask(shrunk(image, _SIZE), shaft, whole, across, prompts.resized(*size, scale))
+        known = np.where(distance_to(~rough) > _DEEP, _KNOWN[1], _KNOWN[0]).astype(np.float32) * odds
+        rough = resized(rough, (image.shape[1], image.shape[0]))
+        mask = segmentation_around(image, rough, prompts, rough=True, colours=known)
+    else:
+        at_shaft = distance_to(whole & ~shaft) > distance_to(shaft) + 1
+        free = np.where(at_shaft, *_FREE_BEFORE).astype(np.float32) * np.float32(across)
+        whole = resized(whole, (image.shape[1], image.shape[0]))
+        mask = segmentation_around(image, whole, prompts, colours=foreground, local=False, free=free)
     agreed = min(_overlap(found, mask.mask) / _AGREES, 1.0)
+    if foreground is not None:  # dark before dark, colours and edges say little
+        return noted(replace(mask, confidence=agreed * (mask.confidence + found.confidence) / 2, notes=()))
     return noted(replace(mask, confidence=agreed * min(mask.confidence, found.confidence), before=None))
 
 

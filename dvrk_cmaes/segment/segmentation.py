@@ -55,12 +55,14 @@ class SegmentSettings:
     """How masks are found in images: the model, and the folder of its weights if it has any.
 
     ``backgrounds`` are those before which the instrument moves, (h, w, 3) uint8 BGR by name of the view, "" for the
-    only one; of views without one, masks are found in each image by itself.
+    only one; of views without one, masks are found in each image by itself. ``notes`` state which were learned, or why
+    there is none.
     """
 
     model: Model = "classic"
     weights: Path | None = None
     backgrounds: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict, compare=False)
+    notes: tuple[str, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True)

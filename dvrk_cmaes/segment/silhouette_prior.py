@@ -88,9 +88,9 @@ def segment_again(
     if background is None:
         segmentation = segmentation_around(image, silhouette, prompts)
     else:
-        from dvrk_cmaes.segment.background import segment_before
+        from dvrk_cmaes.segment.background import foreground_log_odds, segment_before
 
-        segmentation = segment_before(image, background, prompts, silhouette)
+        segmentation = segment_before(image, foreground_log_odds(image, background), prompts, silhouette)
     return segmentation if segmentation.mask.any() else None
 
 

@@ -10,12 +10,14 @@ import cv2
 import numpy as np
 import pytest
 from helpers.drawn_tools import Drawing, draw_tool
-from helpers.files import read_image
+from helpers.files import read_image, read_mask, write_image
 
 from dvrk_cmaes import InputError
-from dvrk_cmaes.runs.backgrounds import learned_backgrounds
+from dvrk_cmaes.frames.frame import FrameFiles
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.runs.backgrounds import learned_backgrounds, with_backgrounds
 from dvrk_cmaes.segment import segment
-from dvrk_cmaes.segment.background import learn_background, segment_before
+from dvrk_cmaes.segment.background import foreground_log_odds, learn_background, segment_before
 from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import GUESS, SegmentSettings
 
@@ -66,7 +68,7 @@ def drawn_on(ground: str) -> list[Drawing]:
 def learned_on(ground: str) -> np.ndarray:
     """Learn the background from all these drawings."""
     background = learn_background([each.image for each in drawn_on(ground)])
-    assert background is not None
+    assert isinstance(background, np.ndarray)
     background.setflags(write=False)
     return background
 
@@ -100,8 +102,9 @@ def test_other_light_and_noise_change_little(gain: float, offset: float, noise: 
         np.clip(gain * each.image + offset + rng.normal(0, noise, each.image.shape), 0, 255).astype(np.uint8)
         for each in drawn_on("paper")
     ]
-    background = learn_background(images)
-    assert background is not None or noise
+    learned = learn_background(images)
+    assert isinstance(learned, np.ndarray) or noise
+    background = learned if isinstance(learned, np.ndarray) else None
     for each, image in list(zip(drawn_on("paper"), images, strict=True))[::5]:
         found = segment(image, background=background)
         assert each.overlap(found.mask) > 0.9
@@ -116,16 +119,85 @@ def test_instrument_on_tissue_is_found_by_colours_as_before() -> None:
 
 def test_background_that_moves_or_is_seen_too_seldom_is_not_learned() -> None:
     images = [each.image for each in drawn_on("textured cloth")]
-    assert learn_background(images[:7]) is None
-    assert learn_background([np.roll(image, 9 * k, axis=1) for k, image in enumerate(images)]) is None
-    assert learn_background([*images, images[0][:100]]) is None
+    assert learn_background(images[:5]) == "5 images, fewer than 6"
+    moved = learn_background([np.roll(image, 9 * k, axis=1) for k, image in enumerate(images)])
+    assert isinstance(moved, str)
+    assert "do not show the same scene" in moved
+    assert learn_background([*images, images[0][:100]]) == "the images are of several sizes"
+
+
+@pytest.mark.parametrize("count", [6, 16])
+def test_images_shifted_by_some_pixels_are_registered(count: int) -> None:
+    rng = np.random.default_rng(0)
+    places = [np.float32([[1, 0, along], [0, 1, down]]) for along, down in rng.uniform(-1.2, 1.2, (16, 2))]
+    drawn = [*zip(drawn_on("textured cloth"), places, strict=True)][:count]
+    images = [
+        cv2.warpAffine(each.image, place, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REPLICATE) for each, place in drawn
+    ]
+    background = learn_background(images)
+    assert isinstance(background, np.ndarray)
+    for (each, place), image in list(zip(drawn, images, strict=True))[::5]:
+        shown = cv2.warpAffine(each.mask.astype(np.uint8), place, (WIDTH, HEIGHT)) > 0
+        found = segment(image, background=background).mask
+        assert (found & shown).sum() > 0.9 * (found | shown).sum()
+
+
+def test_what_is_the_same_in_all_images_is_a_guess() -> None:
+    resting = draw_tool(shadow=0.5, vignette=0.8, glare=15).image  # would be found by its colours
+    found = segment(resting, background=resting)
+    assert segment(resting).confidence > GUESS > found.confidence
+    assert "it looks like the background that the other images show" in found.notes
 
 
 def test_empty_table_has_no_instrument() -> None:
     background = learned_on("paper")
-    found = segment_before(background, background, Prompts())
+    found = segment_before(background, foreground_log_odds(background, background), Prompts())
     assert not found.mask.any()
     assert found.confidence == 0
+
+
+def test_backgrounds_are_learned_where_the_scene_stands_still(tmp_path: Path) -> None:
+    for name, drawn in (("bench", drawn_on("paper")), ("tissue", [draw_tool(seed=k) for k in range(8)])):
+        for k, each in enumerate(drawn):
+            write_image(tmp_path / name / f"{k}.png", each.image)
+    paths = {name: sorted((tmp_path / name).iterdir()) for name in ("bench", "tissue")}
+    (tmp_path / "bench" / "broken.png").write_bytes(b"no image")
+    paths["bench"].append(tmp_path / "bench" / "broken.png")
+    settings = learned_backgrounds(SegmentSettings(), paths)
+    assert list(settings.backgrounds) == ["bench"]
+    learned, not_learned = settings.notes
+    assert learned == "images of bench: a background was learned from 17 of them"
+    assert not_learned.startswith("images of tissue: no background was learned: the images do not show the same scene")
+    assert not learned_backgrounds(SegmentSettings("sam2"), paths).backgrounds
+
+
+def test_frames_of_one_posture_show_no_background(tmp_path: Path) -> None:
+    frames = []
+    for k, each in enumerate(drawn_on("paper")):
+        image = tmp_path / f"{k}.png"
+        write_image(image, each.image)
+        frames.append(FrameFiles(f"{k}", None, {"yaw": 0.1 * (k // 4), "insertion": 0.1}, image=image))
+    settings = with_backgrounds(SegmentSettings(), frames)
+    assert not settings.backgrounds
+    assert settings.notes == ("images: no background was learned: 4 images, fewer than 6",)
+
+
+@pytest.mark.parametrize("joints", [True, False], ids=["with readings", "without readings"])
+def test_instrument_before_a_printed_board_is_found(shared: Path, joints: bool) -> None:
+    session = read_session(shared / "frames" / "labs" / "berkeley")
+    images = [read_image(files.image) for files in session.frames if files.image is not None]
+    background = learn_background(images)
+    assert isinstance(background, np.ndarray)
+    overlaps = []
+    for image, files in list(zip(images, session.frames, strict=True))[1::4]:
+        readings = files.readings if joints else None
+        camera = session.rig.views[0].camera
+        found = segment(image, background=background, instrument="lnd", camera=camera, joints=readings)
+        assert files.mask is not None
+        mask = read_mask(files.mask)
+        overlaps.append((found.mask & mask).sum() / (found.mask | mask).sum())
+    assert min(overlaps) > 0.75
+    assert np.median(overlaps) > 0.85
 
 
 def test_wrong_background_is_refused() -> None:
@@ -141,6 +213,6 @@ def test_real_bench_is_segmented(shared: Path, eye: str) -> None:
         image = read_image(path)
         found = segment(image, background=settings.backgrounds[eye])
         alone = segment(image)
-        assert min(found.confidence, alone.confidence) > 0.85 > GUESS
+        assert min(found.confidence, alone.confidence) > 0.8 > GUESS
         both = found.mask & alone.mask
         assert both.sum() > 0.96 * (found.mask | alone.mask).sum()
