@@ -19,6 +19,7 @@ from dvrk_cmaes.cli.options import (
     FRAME,
     NO_READINGS,
     OUTPUT,
+    TWIN,
     CalibrationOptions,
     Flag,
     FrameCameraOptions,
@@ -30,7 +31,7 @@ from dvrk_cmaes.cli.options import (
     joint_files,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import answer, exit_code, warn
+from dvrk_cmaes.cli.terminal import answer, exit_code, note, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,8 +56,8 @@ class FrameOptions:
         found in the image. [--mask or --image required]
     joints
         Joint readings: a joints.csv, a dump of measured_js or jaw/measured_js, or another file of readings; or values
-        such as wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m); or none, if there are no readings. May
-        be given several times.
+        such as wrist_pitch=-0.68,wrist_yaw=-0.36,jaw=1.34 (rad; insertion in m); or none, as by default. May be given
+        several times.
     frame
         Name of the frame: its row in joints.csv, and its name in the output. By default the file name of the mask, or
         of the image without a mask.
@@ -88,7 +89,7 @@ class FrameOptions:
     """
 
     mask: Path | None = None
-    joints: Annotated[tuple[str, ...], Parameter(negative=())]
+    joints: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
     frame: str | None = None
     time: str | None = None
     image: Path | None = None
@@ -138,11 +139,11 @@ class FrameOptions:
         return replace(files, others={"right": right})
 
     def readings(self, known: Sequence[str], lag: Lag | None, read_as: ReadAs) -> FrameReadings:
-        """Read the readings of the frame; empty if ``--joints none`` is given."""
+        """Read the readings of the frame; empty without ``--joints``, or with none."""
         from dvrk_cmaes.joints.reading import FrameReadings, is_written_out, read_frame_joints
         from dvrk_cmaes.joints.times import parse_time
 
-        if self.joints == (NO_READINGS,) or self.named is None:
+        if self.joints in ((), (NO_READINGS,)) or self.named is None:
             return FrameReadings()
         texts = [text for text in self.joints if is_written_out(text)]
         files = joint_files([Path(text) for text in self.joints if text not in texts], read_as.arm) or ()
@@ -158,9 +159,12 @@ class FrameOptions:
         )
 
 
+DEFAULT_FRAME = FrameOptions()
+
+
 def estimate(
     *,
-    given: FrameOptions,
+    given: FrameOptions = DEFAULT_FRAME,
     model: SegmentOptions = DEFAULT_SEGMENT,
     prompts: PromptOptions = DEFAULT_PROMPTS,
     calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
@@ -223,6 +227,8 @@ def estimate(
     from dvrk_cmaes.segment.segmentation import hints_within
 
     settings = method.resolve()
+    if not given.joints:
+        note(f"no --joints, as with --joints none: {TWIN}")
     files = given.files(camera)
     if out is not None:
         from dvrk_cmaes.io.output import check_files

@@ -127,6 +127,9 @@ class VideoFiles:
         default found from the size of the camera's images.
     crop
         x,y,w,h: the part of the pictures of a video, or of a folder of pictures, that is the camera's, in pixels.
+    masks
+        Masks of the images: a folder of them, named as the rows of --joints or by the numbers of the images, a video of
+        masks, or a COCO file.
     interlaced
         The pictures of the video are interlaced: make an image of each field, the top or the bottom one first.
     """
@@ -136,6 +139,7 @@ class VideoFiles:
     video_start: float = 0.0
     layout: LayoutOption = None
     crop: str | None = None
+    masks: Path | None = None
     interlaced: Literal["top", "bottom"] | None = None
 
     def check(self) -> None:
@@ -232,8 +236,8 @@ def import_recording(
 ) -> int:
     """Convert a ROS recording (no ROS needed), a video with joint readings or a SurgSync clip to a session folder.
 
-    Readings are interpolated to the times of the images, and never extrapolated. The session folder has images, but no
-    masks.
+    Readings are interpolated to the times of the images, and never extrapolated. The session folder has images, and
+    those masks that --masks gives.
 
     Example:
 
@@ -297,6 +301,7 @@ def import_recording(
             tolerance=selected.tolerance,
             lag=taken,
             overwrite=overwrite,
+            masks=video.masks,
         )
     for source in summary.readings:
         if source.without:

@@ -40,6 +40,8 @@ MOST_THREADS = MOST_WORKERS = 1000
 MOST_SKIPPED = 1_000_000  # of --every
 AUTO = "auto"  # of --lag
 NO_READINGS = "none"  # of --joints
+TWIN = "poses may be those of a mirror twin, and are doubtful"
+"""What follows where there are no readings."""
 LATEST = 1e11  # s, of times since any clock's start
 
 LayoutOption = Literal["mono", "side-by-side", "top-bottom"] | None

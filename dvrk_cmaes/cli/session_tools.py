@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvrk_cmaes.cli.options import DEFAULT_READING, ReadingOptions, joint_files
-from dvrk_cmaes.cli.terminal import Line, answer, show, warn
+from dvrk_cmaes.cli.options import DEFAULT_READING, TWIN, ReadingOptions, joint_files
+from dvrk_cmaes.cli.terminal import Line, answer, note, show, warn
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import no_folder
 
@@ -72,7 +72,7 @@ class SessionTool:
         ``labelled``, may be in the folder labels. With ``ahead``, all images tell what lies over them.
         """
         from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
-        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, read_session
+        from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, NO_READINGS, read_session
         from dvrk_cmaes.frames.session_toml import CameraEntry
         from dvrk_cmaes.frames.tool_frames import frames_of_tool
         from dvrk_cmaes.runs.exchanged_tools import ArmInSession
@@ -98,9 +98,11 @@ class SessionTool:
         if entries is not None and entries.tools:
             session = frames_of_tool(session, entries, tool.arm)
         session = with_overlaid(session) if ahead else session
-        for note in session.notes:
-            if note.startswith((COUNTS_DIFFER, OVERLAID)):
-                warn(f"{folder}: {note}")
+        if files is not None and NO_READINGS in session.notes:
+            note(f"{folder}: no joints.csv, as with --joints none: {TWIN}")
+        for text in session.notes:
+            if text.startswith((COUNTS_DIFFER, OVERLAID)):
+                warn(f"{folder}: {text}")
         return ArmInSession(session, body, self.options.kinematics)
 
 

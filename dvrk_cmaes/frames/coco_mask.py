@@ -21,6 +21,7 @@ from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.io.image_header import MOST_PIXELS, foreign
 from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
+from dvrk_cmaes.joints.rows import number_of
 
 EXPECTED = "a mask as JSON (COCO's run lengths or polygons, or labelme's shapes)"
 ROBOFLOW = re.compile(r"_(?:jpe?g|png)\.rf\.[0-9a-zA-Z]+$")
@@ -94,7 +95,9 @@ def _of_data_set(
 ) -> tuple[tuple[int, int], list[tuple[Any, frozenset[str]]]]:
     """Return height and width of a frame's image in a data set, and its segmentations with their categories."""
     images = [image for image in document["images"] if isinstance(image, Mapping)]
-    found = [image for image in images if _stem(str(image.get("file_name"))) == name]
+    stems = {_stem(str(image.get("file_name"))): image for image in images}
+    numbered = [stems[one] for one in stems if name is not None and number_of(one) == number_of(name) is not None]
+    found = [stems[name]] if name in stems else numbered if len(numbered) == 1 else []
     image = found[0] if found else images[0] if len(images) == 1 else None
     if image is None:
         there = listed(str(image.get("file_name")) for image in images)

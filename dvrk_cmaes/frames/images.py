@@ -29,7 +29,7 @@ from dvrk_cmaes.io.image_header import MOST_PIXELS, ImageHeader, checked_png, fo
 from dvrk_cmaes.io.short_text import shown
 
 _LARGEST = 400_000_000  # bytes
-_THRESHOLD = 127
+THRESHOLD = 127  # above which a mask is instrument
 _MOST_OF_EDGE, _MOST_OF_IMAGE = 0.7, 0.6  # shares in a mask from which on it is taken for an inverted one
 _ASPECT, _ROUNDED_ASPECT = 0.005, 0.02  # by which the aspects of mask and calibration may differ, as a share
 _SKIPPED = re.compile(r"Corrupt JPEG data: \d+ extraneous bytes")  # libjpeg's words for bytes skipped without a loss
@@ -76,9 +76,9 @@ def read_mask(
         missing = "expected annotations of the instrument, got none"
     elif label is None:
         grey = _read_grey(path, "a mask")
-        mask = grey > _THRESHOLD
-        missing = f"expected pixels above {_THRESHOLD} on the instrument, got none (the largest value is {grey.max()}"
-        missing += "; of labels, say which: --label 1, or --label any)" if 0 < grey.max() <= _THRESHOLD else ")"
+        mask = grey > THRESHOLD
+        missing = f"expected pixels above {THRESHOLD} on the instrument, got none (the largest value is {grey.max()}"
+        missing += "; of labels, say which: --label 1, or --label any)" if 0 < grey.max() <= THRESHOLD else ")"
     else:
         wanted = parse_label(f"{path}: label", label)
         values = _read_labels(path, wanted)
@@ -92,7 +92,7 @@ def read_mask(
         raise InputError(f"{path}: mask is full: expected background around the instrument, got none")
     if label is None and not mask.all() and _is_inverted(mask):
         raise InputError(
-            f"{path}: mask is inverted: expected pixels above {_THRESHOLD} on the instrument, got most of the edge and "
+            f"{path}: mask is inverted: expected pixels above {THRESHOLD} on the instrument, got most of the edge and "
             f"{mask.mean():.0%} of the image: --label 0 takes the pixels of value 0 for the instrument"
         )
     return mask if pick is None else _component(path, mask, pick)
@@ -106,7 +106,7 @@ def read_ignore(path: str | Path) -> Bool:
     InputError
         The file is not an 8-bit grey image.
     """
-    return np.asarray(_read_grey(path, "a mask of ignored pixels") > _THRESHOLD)
+    return np.asarray(_read_grey(path, "a mask of ignored pixels") > THRESHOLD)
 
 
 def read_image(path: str | Path, *, halved: bool = False) -> NDArray[np.uint8]:

@@ -7,6 +7,8 @@ A session folder contains::
     masks/<frame>.png or images/<frame>.png|jpg, or both
     images.csv (frame, time), ignore/<frame>.png, keypoints.csv, boxes.csv, golden.json (each optional)
 
+Pictures that are not in a folder images lie in the session folder itself, if that has no folder masks.
+
 A stereo session has left.yaml, right.yaml, and masks/left, masks/right, images/left and so on.
 
 Instead of joints.csv, there may be files of the arm's topics, named after them: measured_js.yaml,
@@ -50,6 +52,9 @@ COUNTS_DIFFER = "rows and frames differ in number"
 """Beginning of the note of a session whose readings may be of more images than its frames."""
 
 NO_READINGS = "readings: none"
+
+UNCALIBRATED = "without a calibration: `dvrk-cmaes calibrate FOLDER`, and `dvrk-cmaes help uncalibrated`"
+"""What to do where there is no camera file."""
 
 _COUNTED = 3  # frames from which on their numbers may be those of every N-th image
 _MANY = 2  # times as many rows as frames that are the first of them
@@ -236,7 +241,7 @@ def read_session(
         )
     without = camera is None and not stereo and not (root / "camera.yaml").exists() and not guessed
     if without and notes[0] != "a session folder":
-        raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none")
+        raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none; {UNCALIBRATED}")
     if stereo:
         lens = fit.lens(_read_eyes(own, root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
@@ -245,6 +250,8 @@ def read_session(
             lens = guess.file(frame_size(frames[0]))
         else:
             path = own.check(camera or _camera_file(root))
+            if without_file:
+                raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
             lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
         frames = frames if video is None else video.fitted(frames, lens.camera)
         lens = fit.lens(lens, frames[0])
@@ -288,6 +295,11 @@ def is_session_layout(root: Path) -> bool:
     return (root / "masks").is_dir() or (root / "images").is_dir()
 
 
+def _image_folder(root: Path) -> Path:
+    """Return the folder of a session's images: images, or the session folder itself where it has pictures alone."""
+    return root if not is_session_layout(root) and image_files(root) else root / "images"
+
+
 def _masks_as_json(own: OwnFiles, root: Path, folder: Path) -> Mapping[str, Path]:
     """Find masks as JSON by frame name: a file for each frame, or one for all."""
     found = {path.stem: path for path in sorted(folder.glob("*.json"), key=lambda path: natural(path.name))}
@@ -307,7 +319,7 @@ def _session_frames(
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
     views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
-    folders = (mask_folder, root / "images", root / "ignore")
+    folders = (mask_folder, root / "images" if video is not None else _image_folder(root), root / "ignore")
     for folder in folders:
         own.check(folder)
         if folder.is_symlink() and not folder.exists():
@@ -329,7 +341,7 @@ def _session_frames(
     own.check_all(root / name for name in ("images.csv", "keypoints.csv", "boxes.csv"))
     named = set(images).union(*(file.rows for file in files if file.labels == "frame"))
     for kinds in of_views:
-        kinds[0] = _with_names_of(mask_folder, kinds[0], kinds[1], named)
+        kinds[0] = with_names_of(mask_folder, kinds[0], kinds[1], named)
     masks = of_views[0][0]
     # lexists: a broken link is an error, not a missing file
     times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
@@ -401,7 +413,7 @@ def _refuse_annotations(root: Path, folder: Path, masks: Mapping[str, Path]) -> 
         raise InputError(f"{path}: expected masks (PNG or JPEG, or masks.json), got {foreign(path.read_bytes())}")
 
 
-def _with_names_of(
+def with_names_of(
     folder: Path, masks: Mapping[str, Path], images: Mapping[str, Path], named: set[str]
 ) -> Mapping[str, Path]:
     """Return masks by the names of frames: as they are, or without an annotator's words, or by their equal numbers.
@@ -417,7 +429,7 @@ def _with_names_of(
     for key in (lambda name: _WORD.sub("", name), lambda name: ROBOFLOW.sub("", name), number_of):
         frames, own = {key(name): name for name in named}, {key(name): name for name in masks}
         met = {*frames} & {*own} - {None}
-        if met and len(frames) == len(named) and len({*masks.values()}) == len(own) == len(masks):
+        if met and len(frames) == len(named) and len(own) == len(masks):
             return {frames.get(key(name), name): path for name, path in masks.items()}
     if len(images) > 1 and 2 * len(images) >= len(masks):
         raise InputError(

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.joints.interpolation import TimedReadings
+from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.pose_table import PoseTable
 from dvrk_cmaes.recording.reading_table import read_timed_joints
 
 _DIGITS = 6  # number of digits of a frame's name
+_PLAIN = re.compile(r"[\w-][\w.-]*")  # a row's name that is also that of a file
 
 
 def frame_name(number: int) -> str:
@@ -34,10 +37,20 @@ class Asked:
     joints: Path | PoseTable | JointFile | None = None
     start: float = 0.0
 
+    def read(self) -> Asked:
+        """Return the same with the file of readings read."""
+        return replace(self, joints=read_joint_file(self.joints)) if isinstance(self.joints, Path) else self
+
+    def row_names(self, count: int) -> tuple[str, ...]:
+        """Return the names of frames that the rows of the readings have, if these were read and are ``count``."""
+        file = self.joints
+        names = tuple(file.rows) if isinstance(file, JointFile) and file.labels == "frame" else ()
+        return names if len(names) == count and all(map(_PLAIN.fullmatch, names)) else ()
+
     def given_readings(self) -> tuple[tuple[TimedReadings, ...], list[str]]:
         """Read ``joints``, and say which file each joint is from; none where no file is given."""
         readings = () if self.joints is None else read_timed_joints(self.joints)
-        return readings, [f"{' '.join(series.joints)}: {self.joints}" for series in readings]
+        return readings, [f"{' '.join(series.joints)}: {series.source}" for series in readings]
 
 
 @dataclass(frozen=True)
@@ -90,6 +103,8 @@ class Recording:
         Whether the images are rectified.
     has_images
         Whether there are images; a recording of readings alone has no camera either.
+    names
+        Names of the images, in their order, where the table of readings has as many rows with names of frames.
     """
 
     path: Path
@@ -103,3 +118,8 @@ class Recording:
     arms: Mapping[str, tuple[TimedReadings, ...]] = field(default_factory=dict)
     rectified: bool = False
     has_images: bool = True
+    names: tuple[str, ...] = ()
+
+    def name(self, number: int) -> str:
+        """Return the name in a session of the image of a number."""
+        return self.names[number] if number < len(self.names) else frame_name(number)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera.files import Side, read_camera_file
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.frames.session_folder import image_files
+from dvrk_cmaes.frames.session_folder import UNCALIBRATED, image_files
 from dvrk_cmaes.frames.video_frames import Layout, Window, eye_of, eye_window, open_capture
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
@@ -71,9 +71,12 @@ def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Ite
     check_file(path, expected=_EXPECTED)
     camera = asked.camera
     if camera is None or asked.joints is None:
-        missing = "--camera" if camera is None else "--joints"
-        raise InputError(f"{path}: {missing}: a video needs a camera file and a table of readings; got none")
-    lens, (readings, said) = read_camera_bytes(camera), asked.given_readings()
+        missing = ["--camera"] * (camera is None) + ["--joints"] * (asked.joints is None)
+        advice = f"; {UNCALIBRATED}" if camera is None else ""
+        needed = "a video needs a camera file and a table of readings"
+        raise InputError(f"{path}: {', '.join(missing)}: {needed}; got none{advice}")
+    lens, asked = read_camera_bytes(camera), asked.read()
+    readings, said = asked.given_readings()
     with open_capture(path, expected=_EXPECTED) as capture:
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
@@ -93,7 +96,9 @@ def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Ite
         if pictures.first_field is None and _is_interlaced(path):
             notes.append("images: they look interlaced: --interlaced top or bottom makes an image of each field")
         doubled = 1 if pictures.first_field is None else 2
-        yield Recording(path, recorded, doubled * total if total > 0 else None, lens, readings, tuple(notes))
+        images_there = doubled * total if total > 0 else None
+        names = asked.row_names(doubled * total)
+        yield Recording(path, recorded, images_there, lens, readings, tuple(notes), names=names)
 
 
 @contextmanager
@@ -107,7 +112,7 @@ def open_pictures(path: Path, asked: Asked, pictures: Pictures) -> Iterator[Reco
         raise InputError(f"{path}: expected pictures (PNG or JPEG), or a recording, got none")
     camera = asked.camera
     if camera is None:
-        raise InputError(f"{path}: --camera: a folder of pictures needs a camera file; got none")
+        raise InputError(f"{path}: --camera: a folder of pictures needs a camera file; got none; {UNCALIBRATED}")
     first = read_image(next(iter(files.values())))
     window = pictures.window(path, camera, (first.shape[1], first.shape[0]))
     readings, _ = asked.given_readings()

@@ -32,7 +32,8 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.recording.both_eyes import Pairing
-from dvrk_cmaes.recording.recording import RecordedImage, Recording, frame_name
+from dvrk_cmaes.recording.given_masks import write_masks
+from dvrk_cmaes.recording.recording import RecordedImage, Recording
 
 _ARM = re.compile(r"(?<![A-Za-z0-9])PSM[1-3](?![A-Za-z0-9])")
 
@@ -102,6 +103,7 @@ def write_session(
     tolerance: float,
     lag: Lag | None = None,
     overwrite: bool = False,
+    masks: Path | None = None,
 ) -> ImportSummary:
     """Write the session folder of a recording, with one image at a time in memory.
 
@@ -120,6 +122,8 @@ def write_session(
         earlier. By default none.
     overwrite
         Replace an existing session.
+    masks
+        Masks of the images, as of `given_masks.write_masks`; by default the session has none.
 
     Raises
     ------
@@ -134,14 +138,18 @@ def write_session(
     warnings: tuple[str, ...] = ()
     pairing: Pairing | None = None
     names, times, size = list[str](), list[int](), (0, 0)
-    numbers, lag = count(), lag if recording.has_images else None
+    numbers, lag, said = count(), lag if recording.has_images else None, list[str]()
+    if masks is not None and (recording.right is not None or not recording.has_images):
+        raise InputError(f"{masks}: --masks: expected a recording with images of one eye")
     with whole_folder(out, "import", overwrite=overwrite, source=recording.path) as folder:
         for name, data in recording.kept.items():
             write_bytes(folder / name, data)
         if recording.has_images:
             pairing = None if recording.right is None else Pairing(recording.right.images)
             images = (image for image, _ in zip(recording.images, numbers, strict=False))
-            names, times, size = _write_images(folder / "images", recording, selection.of(images), pairing)
+            of, times, size = _write_images(folder / "images", recording, selection.of(images), pairing)
+            names = [recording.name(number) for number in of]
+            said += [] if masks is None else [write_masks(masks, folder, names, of)]
             warnings = _check_times(recording.path, names, times)
             cells = zip(names, map(_seconds_text, times), strict=True)
             write_text(folder / "images.csv", csv_text(("frame", "time"), cells))
@@ -169,7 +177,8 @@ def write_session(
             write_text(folder / SESSION_FILE, session_toml(cameras, tools))
     seconds = 0.0 if lag is None else lag.in_unit("s")
     drift = f", drifting by {lag.drift:+z.3g} s a second" if lag is not None and lag.drift else ""
-    notes = (*recording.notes, f"readings of {seconds:g} s before each image{drift}") if seconds else recording.notes
+    late = [f"readings of {seconds:g} s before each image{drift}"] if seconds else []
+    notes = (*recording.notes, *said, *late)
     if pairing is not None:
         apart = f"images at most {1e3 * pairing.farthest / NANOSECONDS:.1f} ms after or before those of the left"
         notes = (*notes, f"right eye: {len(names) - pairing.without} of {len(names)} frames, {apart}")
@@ -232,25 +241,25 @@ def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:
 
 def _write_images(
     folder: Path, recording: Recording, images: Iterator[RecordedImage], pairing: Pairing | None
-) -> tuple[list[str], list[int], tuple[int, int]]:
-    """Write images as files named by number; return their names and times, ns, and width and height.
+) -> tuple[list[int], list[int], tuple[int, int]]:
+    """Write images as files; return their numbers and times, ns, and width and height.
 
     With a ``pairing``, those of the right eye are written beside them, into folders of both eyes.
     """
-    names, times, sizes = list[str](), list[int](), dict[Path, tuple[int, int]]()
+    numbers, times, sizes = list[int](), list[int](), dict[Path, tuple[int, int]]()
     left = folder if pairing is None else folder / "left"
     for image in images:
-        names.append(frame_name(image.number))
+        numbers.append(image.number)
         times.append(image.time)
         partner = None if pairing is None else pairing.partner(image.time)
         for own, to in ((image, left), (partner, folder / "right")):
             if own is not None:
-                _write_image(recording.path, own, to, names[-1], sizes)
-    if not names:
+                _write_image(recording.path, own, to, recording.name(image.number), sizes)
+    if not numbers:
         raise InputError(f"{recording.path}: expected images, got none (of those asked for)")
-    if pairing is not None and pairing.without == len(names):
+    if pairing is not None and pairing.without == len(numbers):
         raise InputError(f"{recording.path}: expected images of the right eye within 10 ms of the left one's, got none")
-    return names, times, sizes[left]
+    return numbers, times, sizes[left]
 
 
 def _write_image(path: Path, image: RecordedImage, folder: Path, name: str, sizes: dict[Path, tuple[int, int]]) -> None:

@@ -93,7 +93,6 @@ def test_reading_outside_limits_gives_warning(run: Run, quick: Path) -> None:
         (["estmate"], ["estmate", "estimate"]),
         (frame(mask=None), ["--mask"]),
         (frame(camera=None), ["--camera"]),
-        (frame(joints=None), ["--joints"]),
         (frame(sed=1), ["--sed", "--seed"]),
         (frame(arm="s"), ["--arm", "classic", "si"]),
         (frame(seed="x"), ["--seed", "x"]),

@@ -105,7 +105,7 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "no such command": (["guess"], r".*guess"),
     "no such option": (estimate_with(jont="a"), r".*--jont.*[Dd]id you mean --joints\?"),
     "option without value": (["estimate", "--mask"], r".*--mask requires an argument"),
-    "required option": (["estimate", "--mask", "a.png"], r"--joints: missing; it is required"),
+    "required option": (["estimate", "--mask", "a.png"], r"--camera: expected a camera file, got none"),
     "required argument": (["export", "--to", "tf"], r"RESULTS: missing; it is required"),
     "no such file": (estimate_with(mask="nothere.png"), r"nothere\.png: no such file"),
     "no such session": (["batch", "nothere"], r"nothere: no such"),

@@ -123,7 +123,7 @@ def test_session_with_poses_alone_gives_the_results_of_one_with_joints(
             shutil.copy(mask, Path(name, "masks", image.stem + ".png"))
         assert run_command(capsys, "batch", name, "--out", f"{name}-results").code in (0, 3)
     results = [list(read_results(f"{name}-results").frames.values()) for name in ("joints", "poses")]
-    assert [result.frame for result in results[0]] == [result.frame for result in results[1]]
+    assert [int(result.frame) for result in results[0]] == [int(result.frame) for result in results[1]]
     for one, other in zip(*results, strict=True):
         assert one.status == other.status
         assert one.readings == pytest.approx(other.readings, abs=1e-6)

@@ -1,0 +1,105 @@
+"""A user's own data: plain pictures, no camera file, masks beside a video under other names."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from helpers.made_recordings import HEIGHT, WIDTH, write_video
+
+from dvrk_cmaes import read_session
+from promises.program import DEMO, Ran, run
+
+FRAMES = 4
+SMALL = f"width: {WIDTH}\nheight: {HEIGHT}\nK: [70, 0, 32, 0, 70, 24, 0, 0, 1]\nD: []\n"
+
+
+def mask(number: int) -> np.ndarray:
+    picture = np.zeros((HEIGHT, WIDTH), np.uint8)
+    picture[10 : 20 + number, 20:40] = 255
+    return picture
+
+
+@pytest.fixture
+def video(tmp_path: Path) -> list[object]:
+    """The words that import a video of a few images with readings named from 0000."""
+    write_video(tmp_path / "v.avi", FRAMES, code="MJPG")
+    (tmp_path / "camera.yaml").write_text(SMALL)
+    rows = "".join(f"{k:04d},{0.04 * k},0.1\n" for k in range(FRAMES))
+    (tmp_path / "joints.csv").write_text(f"frame,time,jaw\n{rows}")
+    files = ("--camera", tmp_path / "camera.yaml", "--joints", tmp_path / "joints.csv")
+    return ["import", tmp_path / "v.avi", *files, "--out", tmp_path / "out"]
+
+
+def given_masks(folder: Path, kind: str) -> Path:
+    """Write masks of all images but the last, and give their place."""
+    if kind == "video":
+        writer = cv2.VideoWriter(str(folder / "m.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25, (WIDTH, HEIGHT))
+        for number in range(FRAMES - 1):
+            writer.write(cv2.cvtColor(mask(number), cv2.COLOR_GRAY2BGR))
+        writer.release()
+        return folder / "m.avi"
+    if kind == "COCO":
+        images = [{"id": k, "file_name": f"{k:05d}.jpg", "width": WIDTH, "height": HEIGHT} for k in range(FRAMES - 1)]
+        parts = [
+            {"id": k, "image_id": k, "category_id": 1, "segmentation": [[20, 10, 40, 10, 40, 20 + k, 20, 20 + k]]}
+            for k in range(FRAMES - 1)
+        ]
+        document = {"images": images, "annotations": parts, "categories": [{"id": 1, "name": "tool"}]}
+        (folder / "m.json").write_text(json.dumps(document))
+        return folder / "m.json"
+    (folder / "m").mkdir()
+    for number in range(FRAMES - 1):
+        cv2.imwrite(str(folder / "m" / f"frame_{number:06d}.png"), mask(number))
+    return folder / "m"
+
+
+@pytest.mark.parametrize("kind", ["folder", "video", "COCO"])
+def test_masks_are_imported_with_a_video_whose_frames_keep_the_names_of_the_rows(
+    video: list[object], tmp_path: Path, kind: str
+) -> None:
+    ran = run(*video, "--masks", given_masks(tmp_path, kind))
+    assert ran.code == 0, ran.err
+    assert "masks: 3 of 4 frames" in ran.out
+    frames = {frame.name: frame for frame in read_session(tmp_path / "out").frames}
+    assert [*frames] == [f"{k:04d}" for k in range(FRAMES)]
+    assert [frame.mask is not None for frame in frames.values()] == [True] * 3 + [False]
+    assert frames["0002"].readings["jaw"] == pytest.approx(0.1)
+
+
+def test_masks_of_no_image_are_refused(video: list[object], tmp_path: Path) -> None:
+    (tmp_path / "m").mkdir()
+    cv2.imwrite(str(tmp_path / "m" / "other.png"), mask(0))
+    assert "m: expected masks of the frames 0000, 0001" in run(*video, "--masks", tmp_path / "m").refusal
+    assert not (tmp_path / "out").exists()
+
+
+def test_all_that_a_video_lacks_is_named_at_once(video: list[object], tmp_path: Path) -> None:
+    refusal = run("import", tmp_path / "v.avi", "--out", tmp_path / "out").refusal
+    assert "--camera, --joints: a video needs" in refusal
+    assert "dvrk-cmaes help uncalibrated" in refusal
+
+
+def test_plain_pictures_are_a_session_without_readings(tmp_path: Path, quick: Path) -> None:
+    for name in ("0001.jpg", "0003.jpg"):
+        shutil.copy(DEMO / "images" / name, tmp_path / name)
+    ran = run("batch", tmp_path, "--camera", DEMO / "camera.yaml", "--config", quick, "--out", tmp_path / "out")
+    assert ran.code == 3
+    assert "no joints.csv, as with --joints none" in ran.err
+    assert sorted(path.stem for path in (tmp_path / "out" / "frames").iterdir()) == ["0001", "0003"]
+
+
+def test_camera_that_is_missing_says_what_to_do(tmp_path: Path) -> None:
+    shutil.copytree(DEMO / "masks", tmp_path / "masks")
+    picture = DEMO / "images" / "0001.jpg"
+
+    def said(ran: Ran) -> bool:
+        return "dvrk-cmaes calibrate FOLDER" in ran.refusal and "dvrk-cmaes help uncalibrated" in ran.refusal
+
+    assert said(run("batch", tmp_path, "--out", tmp_path / "out"))
+    assert said(run("estimate", "--image", picture, "--out", tmp_path / "out"))
+    assert said(run("import", DEMO / "images", "--out", tmp_path / "out"))
