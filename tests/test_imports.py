@@ -164,7 +164,7 @@ def test_commands_start_without_what_is_slow_to_import() -> None:
             sys.executable,
             "-c",
             "import sys, dvrk_cmaes.cli.app, dvrk_cmaes.runs.batch, dvrk_cmaes.runs.calibrate_folder, "
-            "dvrk_cmaes.cli.golden, dvrk_cmaes.runs.track_folder; "
+            "dvrk_cmaes.cli.golden, dvrk_cmaes.runs.track; "
             "print({'matplotlib', 'rerun', 'scipy.ndimage', 'scipy.stats', 'trimesh'} & {*sys.modules})",
         ],
         capture_output=True,

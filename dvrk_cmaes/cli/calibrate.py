@@ -102,7 +102,7 @@ class CalibrateOptions:
 
     def share(self, arm: ArmInSession) -> ArmInSession:
         """Return an arm with the frames of its session that match the pattern, and of these the keyframes."""
-        from dvrk_cmaes.runs.recorded_keyframes import with_keyframes
+        from dvrk_cmaes.runs.keyframes import with_keyframes
         from dvrk_cmaes.runs.worklist import chosen_frames
 
         chosen = replace(arm.session, frames=chosen_frames(arm.session.frames, self.frames))
@@ -111,7 +111,7 @@ class CalibrateOptions:
     def asked(self, config: Path | None) -> _Asked:
         """Return how sessions are solved."""
         from dvrk_cmaes.joints.lag import Lag
-        from dvrk_cmaes.track.keyframes import solved_with
+        from dvrk_cmaes.track.keyframe_problem import solved_with
 
         settings = MethodOptions(config=config).resolve()
         lag: Lag | Literal["auto"] | None = "auto" if self.lag == AUTO else None

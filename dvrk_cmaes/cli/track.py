@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -42,10 +42,7 @@ from dvrk_cmaes.io.short_text import listed
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.endoscope import Place
     from dvrk_cmaes.calibration.together import Begun
-    from dvrk_cmaes.results.tracked import TrackResult
-    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
-    from dvrk_cmaes.runs.track_folder import ArmToFollow, TrackSummary
-    from dvrk_cmaes.runs.track_frames import TrackSettings
+    from dvrk_cmaes.runs.track import TrackedArm
 
 
 AUTO = "auto"
@@ -84,7 +81,8 @@ class TrackOptions:
         Number of processes that fit the frames; by default the number of cores. With --causal, threads that solve
         keyframes.
     resume
-        --resume goes on after the keyframes of an interrupted run; --overwrite begins anew.
+        --resume does not follow a recording again that was followed to the end, but writes video and page anew.
+        --overwrite replaces all results.
     video
         --no-video leaves out the overlay video.
     page
@@ -142,15 +140,6 @@ class TrackOptions:
             raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
 
 
-@dataclass(frozen=True, eq=False)
-class _Recording:
-    """The arms of a recording in its session ``folder``, and how each is followed, by name."""
-
-    folder: Path
-    arms: dict[str, ArmInSession]
-    settings: dict[str, TrackSettings]
-
-
 DEFAULT_FOLLOW = TrackOptions()
 
 
@@ -175,7 +164,7 @@ def track(
     keyframes tell the arm's base.
 
     Exit codes: 0 all ok, 1 the work could not be done, 2 wrong usage or input, 3 finished, but a frame is doubtful or
-    lost, 130 interrupted; the same command then goes on after the keyframes, or begins anew with --causal.
+    lost, 130 interrupted; the same command then begins anew.
 
     Example:
 
@@ -210,20 +199,26 @@ def track(
     """
     follow.check()
     with output_folder(follow.out, session if session.is_dir() else session.parent, "tracks", "track") as target:
-        recording = _described(session, target, follow, place, calibrated, camera, instrument, config)
-        finished = _followed(recording, target, follow)
-        interrupted = len(finished) < len(recording.arms) or any(own.interrupted for own in finished.values())
-        doubts = _compared(recording, finished, target, follow, quiet=json) if not interrupted else []
-        counts = {name: summary.counts for name, summary in finished.items()}
-        answer_by_arm(counts, {name: _lines(own, target / name, follow) for name, own in finished.items()}, json=json)
-        _report(recording, finished, doubts)
+        source = Source.of(session, follow.evidence, target, camera=camera.camera, joints=follow.readings)
+        arms = _described(source, target, follow, place, calibrated, camera, instrument, config)
+        finished = _followed(arms)
+        interrupted = len(finished) < len(arms) or any(arm.interrupted for arm in finished.values())
+        doubts = [] if interrupted or len(arms) == 1 else _compared(source.folder, finished, target, quiet=json)
+        counts = {name: arm.counts for name, arm in finished.items()}
+        answer_by_arm(counts, {name: _lines(arm) for name, arm in finished.items()}, json=json)
+        for name, arm in finished.items():
+            own = () if arm.calibration is None else arm.calibration.warnings
+            for text in dict.fromkeys((*arm.session.rig.remarks, *own)):
+                warn(text, name)
+        for text in filter(None, doubts):
+            warn(text)
     if interrupted:
         return INTERRUPTED
     return DOUBTFUL if doubts or any(set(of_arm) - {"ok"} for of_arm in counts.values()) else 0
 
 
 def _described(
-    session: Path,
+    source: Source,
     target: Path,
     follow: TrackOptions,
     place: PlaceOptions,
@@ -231,14 +226,14 @@ def _described(
     camera: CameraFileOptions,
     instrument: InstrumentNameOptions,
     config: Path | None,
-) -> _Recording:
-    """Read the arms of a recording, and say how each is followed."""
+) -> dict[str, TrackedArm]:
+    """Read the arms of a recording, and say how each is followed; by name."""
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.track_frames import TrackSettings, used_session, with_first_mask, with_increasing_times
+    from dvrk_cmaes.runs.track import TrackedArm, TrackSettings
+    from dvrk_cmaes.runs.track_inputs import used_session, with_first_mask, with_increasing_times
     from dvrk_cmaes.runs.worker import hints_of
     from dvrk_cmaes.segment.segmentation import hints_within
 
-    source = Source.of(session, follow.evidence, target, camera=camera.camera, joints=follow.readings)
     named = InstrumentOptions(instrument=instrument.instrument, arm=instrument.arm)
     cameras = CameraOptions(camera=camera.camera, rectified=camera.rectified, side=camera.side)
     tools = session_tools(source.folder, named, follow.only)
@@ -247,98 +242,68 @@ def _described(
     read = follow.joints != NO_READINGS
     files = (() if follow.readings is None else (follow.readings,)) if read else None
     lag = None if follow.lag == AUTO else Lag.parse("--lag", follow.lag).in_seconds(follow.fps)
-    found = _Recording(source.folder, {}, {})
+    found: dict[str, TrackedArm] = {}
     for name, tool in tools.items():
         arm = source.read(tool, cameras, joints=files, ahead=not follow.causal)
         timed, doubled = with_increasing_times(arm.session)
         if doubled:
             warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
         used, evidence = used_session(timed, follow.evidence)
-        found.arms[name] = replace(arm, session=with_first_mask(used, follow.first_mask))
         hints = hints_of(used.frames[0]) if place == DEFAULT_PLACE else None
-        found.settings[name] = TrackSettings(
-            MethodOptions(config=config).resolve(),
-            arm.kinematics,
-            calibrated.read(arm.body, instrument.arm, tool.tool.arm),
-            lag,
-            follow.every,
+        settings = TrackSettings(
+            config=MethodOptions(config=config).resolve(),
+            arm=arm.kinematics,
+            calibration=calibrated.read(arm.body, instrument.arm, tool.tool.arm),
+            lag=lag,
             use_joints=read,
             frames_a_second=follow.fps,
-            causal=follow.causal,
             evidence=evidence,
             hints=hints or hints_within(place.resolve(), used.frames[0].crop),
-            workers=follow.workers,
+            **{
+                name: getattr(follow, name)
+                for name in ("every", "causal", "workers", "resume", "video", "page", "rerun")
+            },
+        )
+        own = with_first_mask(used, follow.first_mask)
+        found[name] = TrackedArm(
+            own, target / name, arm.body, settings, name, progress=_progress(name), notice=partial(_notice, name)
         )
     return found
 
 
-def _followed(recording: _Recording, target: Path, follow: TrackOptions) -> dict[str, TrackSummary]:
+def _followed(arms: Mapping[str, TrackedArm]) -> dict[str, TrackedArm]:
     """Follow the arms of a recording, whose keyframes are solved together; without those after an interruption."""
     from dvrk_cmaes.calibration.together import Begun, solved_together
-    from dvrk_cmaes.runs.track_folder import begin_tracking
 
-    def begin(name: str, places: Sequence[Place]) -> Begun[ArmToFollow | None]:
-        if stop.is_set() and name != next(iter(recording.arms)):
+    def begin(name: str, places: Sequence[Place]) -> Begun[TrackedArm | None]:
+        if stop.is_set() and name != next(iter(arms)):
             return Begun.of(None)
-        arm = recording.arms[name]
-        return begin_tracking(
-            arm.session,
-            target / name,
-            arm.body,
-            recording.settings[name],
-            resume=follow.resume,
-            video=follow.video,
-            page=follow.page,
-            rerun=follow.rerun,
-            stop=stop,
-            progress=_progress(name),
-            notice=partial(_notice, name),
-            arm=name,
-            places=places,
-        )
+        return arms[name].begin(places, stop)
 
     with stopping_on_interrupt() as stop:
-        found = solved_together({name: partial(begin, name) for name in recording.arms})
-        to_follow = {name: arm for name, arm in found.items() if arm is not None}
-        for arm_to_follow in to_follow.values():
-            arm_to_follow.write()
-        return {name: arm_to_follow.follow() for name, arm_to_follow in to_follow.items()}
+        begun = solved_together({name: partial(begin, name) for name in arms})
+        found = {name: arm for name, arm in begun.items() if arm is not None}
+        for arm in found.values():
+            arm.follow()
+        return found
 
 
-def _compared(
-    recording: _Recording, finished: Mapping[str, TrackSummary], target: Path, follow: TrackOptions, *, quiet: bool
-) -> list[str]:
-    """Write what several arms have in common; returns why they are doubtful together, "" where that is said already."""
-    if len(recording.arms) == 1:
-        return []
+def _compared(folder: Path, arms: Mapping[str, TrackedArm], target: Path, *, quiet: bool) -> list[str]:
+    """Write what several arms of a session have in common; returns why they are doubtful, "" if that was said."""
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.results.track_files import VIDEO
-    from dvrk_cmaes.runs.track_arms import exchanged_while_followed, write_track_arms
+    from dvrk_cmaes.runs.track_outputs import exchanged_while_followed, write_track_arms
 
-    doubts = list(exchanged_while_followed(target, {name: own.readings for name, own in finished.items()}))
-    setup = read_setup_joints(recording.folder / SETUP)
-    if follow.video:
-        seen = {
-            name: replace(arm, session=replace(arm.session, frames=arm.session.frames[:: follow.every]))
-            for name, arm in recording.arms.items()
-        }
-        write_track_arms(target, seen, next(iter(finished.values())).frames_a_second)
+    doubts = list(exchanged_while_followed(arms))
+    setup = read_setup_joints(folder / SETUP)
+    if next(iter(arms.values())).settings.video:
+        write_track_arms(target, arms)
         if not quiet:
             show([Line(f"all arms: {target / VIDEO}")])
-    known = {name: own.calibration for name, own in finished.items() if own.calibration is not None}
-    if len(known) == len(recording.arms) and not write_bases(known, setup, target, quiet=quiet):
+    known = {name: arm.calibration for name, arm in arms.items() if arm.calibration is not None}
+    if len(known) == len(arms) and not write_bases(known, setup, target, quiet=quiet):
         doubts.append("")
     return doubts
-
-
-def _report(recording: _Recording, finished: Mapping[str, TrackSummary], doubts: Sequence[str]) -> None:
-    """Warn of what concerns whole arms."""
-    for name, summary in finished.items():
-        own = () if summary.calibration is None else summary.calibration.warnings
-        for text in dict.fromkeys((*recording.arms[name].session.rig.remarks, *own)):
-            warn(text, name)
-    for text in filter(None, doubts):
-        warn(text)
 
 
 def _notice(arm: str, text: str) -> None:
@@ -346,48 +311,42 @@ def _notice(arm: str, text: str) -> None:
     note(f"{arm}: {text}" if arm else text)
 
 
-def _progress(arm: str) -> Callable[[int, int, TrackResult | None], None]:
+def _progress(arm: str) -> Callable[[int, int], None]:
     """Return a function that prints the rate on stderr from time to time; ``arm`` is named if it is not empty."""
     started = last = time.monotonic()
-    before = 0
-    name = f"{arm}: " if arm else ""
 
-    def report(done: int, total: int, result: TrackResult | None) -> None:
-        nonlocal last, before
-        if result is None:
-            before = done
-            return
+    def report(done: int, total: int) -> None:
+        nonlocal last
         now = time.monotonic()
-        if now - last >= _REPORT_EVERY or done == total:
+        if done and (now - last >= _REPORT_EVERY or done == total):
             last = now
-            rate = (done - before) / max(now - started, 1e-9)
-            note(f"{name}{done} of {total} frames, {rate:.1f} a second")
+            _notice(arm, f"{done} of {total} frames, {done / max(now - started, 1e-9):.1f} a second")
 
     return report
 
 
-def _lines(done: TrackSummary, out: Path, follow: TrackOptions) -> Iterator[Line]:
-    """Yield the lines of a summary."""
+def _lines(arm: TrackedArm) -> Iterator[Line]:
+    """Yield the lines about an arm that was followed."""
     import numpy as np
 
     from dvrk_cmaes.results.track_files import VIDEO
 
-    total = len(done.rows)
-    counts = ", ".join(f"{done.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if done.counts.get(name))
-    yield Line(f"{frames_text(total)}: {counts}", "bold")
-    yield from reason_lines(done.rows)
-    if done.calibration is not None:
-        lag = done.calibration.lag
+    counts = ", ".join(f"{arm.counts[name]} {name}" for name in ("ok", "doubtful", "lost") if arm.counts.get(name))
+    yield Line(f"{frames_text(len(arm.rows))}: {counts}", "bold")
+    yield from reason_lines(arm.rows)
+    if arm.calibration is not None:
+        lag = arm.calibration.lag
         yield Line("lag: not determined" if lag is None else f"lag: {lag.describe()}")
-        offsets = ", ".join(f"{name} {np.degrees(v):+z.1f}" for name, v in list(done.calibration.offsets.items())[1:])
+        offsets = ", ".join(f"{name} {np.degrees(v):+z.1f}" for name, v in list(arm.calibration.offsets.items())[1:])
         yield Line(f"offsets, deg (true = reading + offset): {offsets}")
-    yield Line(f"written: {out / 'tracks.jsonl'}")
-    if (out / VIDEO).is_file() and not done.interrupted:
-        yield Line(f"video: {out / VIDEO}")
-    if follow.page and not done.interrupted:
-        yield Line(f"page: {out / 'report.html'}")
-    if follow.rerun is not None and not done.interrupted:
-        yield Line(f"for the Rerun viewer: {follow.rerun}")
+    yield Line(f"written: {arm.out / 'tracks.jsonl'}")
+    if not arm.interrupted:
+        if (arm.out / VIDEO).is_file():
+            yield Line(f"video: {arm.out / VIDEO}")
+        if arm.settings.page:
+            yield Line(f"page: {arm.out / 'report.html'}")
+        if arm.settings.rerun is not None:
+            yield Line(f"for the Rerun viewer: {arm.settings.rerun}")
 
 
 def reason_lines(rows: Sequence[Mapping[str, Any]]) -> Iterator[Line]:

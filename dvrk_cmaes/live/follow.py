@@ -29,7 +29,7 @@ from dvrk_cmaes.live.repeated_lines import RepeatedLines
 from dvrk_cmaes.live.solutions import LiveSolutions
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.solution_schedule import Solver
+from dvrk_cmaes.track.keyframe_problem import Solver
 from dvrk_cmaes.track.tracker import Tracker
 
 _MOST_LISTED = 8  # topics

@@ -11,7 +11,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import DvrkCmaesError, one_line
 from dvrk_cmaes.live.connection import Report
-from dvrk_cmaes.track.solution_schedule import Solver
+from dvrk_cmaes.track.keyframe_problem import Solver
 from dvrk_cmaes.track.tracker import Tracker
 
 _AFTER_A_FAULT: Final = 60.0  # s without solving, after the solver has failed

@@ -13,8 +13,8 @@ base_agreement, exchanged_tools : what all frames of a session tell together: fr
 other's masks or readings.
 batch : `run_batch`, which estimates the frames of a session that have no result, and `finish`, which writes tables and
 page.
-track_folder, track_frames, track_clock, track_pictures : an instrument followed through a session folder.
-track_arms : what the followed arms of a session have in common.
+track, track_inputs, track_outputs : instruments followed through a session folder.
+keyframes, recording : a recording that is solved by its keyframes, and by all its frames.
 calibrate_folder : calibration of a session folder.
 calibration_pictures : drawings of a frame of a calibrated session.
 """

@@ -25,10 +25,8 @@ from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.terms.outline_term import Derivatives, OutlineTerm
 from dvrk_cmaes.pose.terms.readings_term import ReadingsTerm
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.track.clearance import MOST_CLEARANCE
-from dvrk_cmaes.track.drawn_outline import DrawnOutline
 from dvrk_cmaes.track.histogram_ratio import REACH, ColourModel, EdgeModel, bins_of, changes_along
-from dvrk_cmaes.track.outline_model import OutlineModel
+from dvrk_cmaes.track.outlines import MOST_CLEARANCE, DrawnOutline, OutlineModel
 
 PARTS: Final = 2
 """Parts of the instrument whose colours are learned apart: the shaft, and what follows it."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import prod
@@ -66,30 +64,6 @@ class HistogramRatio:
         """Return the model with a share of another one's histograms."""
         keep, new = np.float32(1 - share), np.float32(share)
         return self.of(keep * self.inside + new * other.inside, keep * self.outside + new * other.outside)
-
-    def as_text(self) -> dict[str, str]:
-        """Return the histograms as text."""
-        sides = {"inside": self.inside, "outside": self.outside}
-        return {name: base64.b64encode(zlib.compress(side.tobytes())).decode() for name, side in sides.items()}
-
-    @classmethod
-    def restored(cls, saved: Mapping[str, str]) -> Self:
-        """Return the model of the texts of `as_text`; KeyError, TypeError or ValueError if they are not those."""
-        inside, outside = (_numbers(saved[name]).reshape(-1, prod(cls.shape)) for name in ("inside", "outside"))
-        if len(outside) != 1 or not len(inside):
-            raise ValueError("expected one histogram of the surroundings")
-        return cls.of(inside, outside[0])
-
-
-def _numbers(text: str) -> Float32:
-    """Return the numbers of a text of `HistogramRatio.as_text`."""
-    try:
-        values = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.float32)
-    except zlib.error:
-        raise ValueError("expected histograms") from None
-    if not (np.isfinite(values) & (values >= 0)).all():
-        raise ValueError("expected finite shares")
-    return values
 
 
 _BINS = 20  # of a channel

@@ -7,7 +7,7 @@ silhouette, whose outline may be off by as much as the prediction is uncertain.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -145,13 +145,3 @@ def _by_colours(image: Image, colours: ColourModel) -> Float32:
     """Return the log-odds (H, W) of the pixels' colours."""
     odds = colours.log_odds[0].take(bins_of(image))
     return np.asarray(_COLOURS_WEIGHT * cv2.GaussianBlur(odds, (0, 0), _NOISE), np.float32)
-
-
-def colours_document(colours: Mapping[str, ColourModel]) -> dict[str, dict[str, str]]:
-    """Return the colours of views, by name, as plain values."""
-    return {name: model.as_text() for name, model in colours.items()}
-
-
-def read_colours(document: Mapping[str, Mapping[str, str]]) -> dict[str, ColourModel]:
-    """Return the colours of the values of `colours_document`; KeyError, TypeError or ValueError if they are others."""
-    return {name: ColourModel.restored(saved) for name, saved in document.items()}

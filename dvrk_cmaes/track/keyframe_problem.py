@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +30,14 @@ from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.keyframes import solved_with
+
+if TYPE_CHECKING:
+    from dvrk_cmaes.track.tracker import Tracker
+
+
+def solved_with(config: EstimateConfig) -> EstimateConfig:
+    """Return the settings with which keyframes are solved: they are far from each other, so each counts."""
+    return replace(config, session=replace(config.session, alike_seconds=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,3 +197,75 @@ def _unpacked(masks: Mapping[str, NDArray[np.uint8]], rig: Rig) -> dict[str, Boo
         flat = np.unpackbits(bits, count=camera.height * camera.width)
         found[name] = flat.reshape(camera.height, camera.width).astype(np.bool_)
     return found
+
+
+_FEW: Final = 20
+SECONDS_OF_FEW: Final = 1.0
+"""Time, s, from the image after which up to 20 keyframes are given to be solved to the one that their solution is used
+from."""
+SECONDS_OF_MANY: Final = 2.0
+"""The same of more keyframes."""
+
+
+class Solver(Protocol):
+    """Solves keyframes beside the steps: what is asked for first is solved first."""
+
+    def begin(self, problem: KeyframeProblem) -> None:
+        """Begin with a problem, after those before it; returns at once."""
+
+    def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
+        """Estimate keyframes by themselves ahead of a problem that has them, each once; returns at once.
+
+        The solutions are the same without; they are there sooner.
+        """
+
+    @property
+    def ready(self) -> bool:
+        """Whether the next solution is there."""
+
+    def solution(self) -> Solution:
+        """Return the next solution, for which this waits."""
+
+
+@dataclass
+class SolutionSchedule:
+    """Gives keyframes to a solver when that is due, and each solution to the tracker a fixed time of images later.
+
+    What a step returns therefore does not depend on how long the solver takes: where it is not done in time, the next
+    step waits for it.
+    """
+
+    tracker: Tracker
+    solver: Solver
+    _due: deque[float] = field(default_factory=deque)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether keyframes are being solved whose solution is not used yet."""
+        return bool(self._due)
+
+    def before_step(self, time: float) -> None:
+        """Use the solutions whose time has come, before the step to the image of a time, s."""
+        while self._due and time >= self._due[0]:
+            self._use_next()
+
+    def after_step(self, time: float) -> None:
+        """Begin to solve the keyframes if that is due after the step to the image of a time, s.
+
+        Until it is, new ones are estimated by themselves.
+        """
+        if self.tracker.solution_due:
+            problem = self.tracker.problem()
+            self.solver.begin(problem)
+            due = time + (SECONDS_OF_FEW if len(problem.keyframes) <= _FEW else SECONDS_OF_MANY)
+            self._due.append(max(due, self._due[-1]) if self._due else due)
+        self.solver.prepare(self.tracker.unsolved_keyframes)
+
+    def finish(self) -> None:
+        """Wait for the solutions of all keyframes that are being solved, and use them."""
+        while self._due:
+            self._use_next()
+
+    def _use_next(self) -> None:
+        self._due.popleft()
+        self.tracker.use(self.solver.solution())

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.prediction import FoundLag, calibration_covariance, lag_and_std, lag_of
+from dvrk_cmaes.calibration.mask_growth import changes_by_masks, covariance_of_masks
+from dvrk_cmaes.calibration.prediction import (
+    WRIST_ERROR,
+    FoundLag,
+    Prediction,
+    calibration_covariance,
+    endoscope_at,
+    lag_and_std,
+    lag_of,
+)
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
@@ -22,18 +32,66 @@ from dvrk_cmaes.pose.doubts import (
     calibration_unconfirmed,
     readings_too_sparse,
     reasons,
+    tips_not_accurate,
     too_few_keyframes,
 )
+from dvrk_cmaes.pose.expected_error import expected_error
+from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.tracked import BaseKnown, TrackResult, doubted
-from dvrk_cmaes.track.confirmed_image import confirmed_by
-from dvrk_cmaes.track.followed import Followed
-from dvrk_cmaes.track.following import Following
+from dvrk_cmaes.track.follower import Followed, Follower
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
-from dvrk_cmaes.track.keyframe_store import NEW_AT_MOST, SOLVED_AT, KeyframeStore
+from dvrk_cmaes.track.keyframes import NEW_AT_MOST, SOLVED_AT, KeyframeStore
 from dvrk_cmaes.track.reading_buffer import ReadingAt, ReadingBuffer
 from dvrk_cmaes.track.view_segmenter import Seen
+from dvrk_cmaes.track.window import mean_of_tips_mm
+
+_KNOWN: Final = 2.5  # of the error of the tips that is ok: largest of those that are expected but for the lag
+
+
+def confirmed_by(
+    calibration: SessionCalibration,
+    result: TrackResult,
+    reading: ReadingAt,
+    lag_std: float,
+    given: Followed,
+) -> TrackResult | None:
+    """Return the result of an image with the error that is expected of it, if a calibration expects it there.
+
+    ``reading`` is that of the time of the image less the calibration's lag, whose standard deviation is ``lag_std``, s.
+    The error by the margin of the masks is added, as far as the keyframes tell it. None if the calibration expects the
+    instrument elsewhere, or too little is known to say.
+    """
+    instrument, trust = given.instrument, given.config.trust
+    if result.camera_from_root is None or result.covariance is None or not reading.has_outer or reading.still:
+        return None
+    at = posed(result, instrument.joint_names)
+    readings, names = (reading.outer[None], reading.joints[None]), instrument.joint_names
+    endoscope = endoscope_at(calibration, result.time, reading.ecm)
+    expected = Prediction.of(calibration, *readings, names, wrist=WRIST_ERROR, endoscope=endoscope)
+    if expected_error(instrument, expected.at[0], expected.spread[0]).of_tips_mm > _KNOWN * trust.tip_mm:
+        return None
+    moved = lag_std * reading.rates[None]
+    late = Prediction.of(calibration, *readings, names, late=moved, wrist=WRIST_ERROR, endoscope=endoscope)
+    apart = at.minus(expected.at[0])
+    spread = late.spread[0] + result.covariance
+    if float(apart @ np.linalg.solve(spread, apart)) > INLIER_MISFIT * len(apart):
+        return None
+    camera = calibration.corrected(given.rig.views[0].camera)
+    covariance = result.covariance + covariance_of_masks(calibration.masks, changes_by_masks(at, camera, instrument))
+    error = expected_error(instrument, at, covariance)
+    probability = tip_probability(error.of_tips_mm, trust.tip_mm)
+    reason = tips_not_accurate(error, trust)
+    return replace(
+        result,
+        status="ok" if reason is None else "doubtful",
+        reasons=() if reason is None else (reason,),
+        covariance=covariance,
+        tip_std_mm=mean_of_tips_mm(instrument, error),
+        tip_probability=probability,
+    )
+
 
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
 _TOLD_LAG = 0.055  # s, largest standard deviation of a lag that keyframes tell
@@ -182,10 +240,10 @@ class CalibratedFollower:
         same = float(apart @ np.linalg.solve(before + after, apart)) <= _SAME_BASE**2 * len(apart)
         return not same or float(np.trace(after[:3, :3])) < float(np.trace(before[:3, :3]))
 
-    def _by(self, calibration: SessionCalibration) -> Following:
+    def _by(self, calibration: SessionCalibration) -> Follower:
         """Return what follows by a calibration."""
         lag = lag_of(calibration, self._given.config.track.lag_std)
-        return Following(self._given, calibration, lag, uncertain=self._is_of_few)
+        return Follower(self._given, calibration, lag, uncertain=self._is_of_few)
 
     def can_follow(self, time: float, readings: ReadingBuffer, seen: Seen) -> bool:
         """Whether an image of a time, s, can be followed by a calibration.
@@ -256,7 +314,7 @@ class CalibratedFollower:
             self.store.clear()
         self._own, self._agreeing, self._confirms = False, None, None
 
-    def offer(self, time: float, reading: ReadingAt, seen: Seen, following: Following | None) -> bool:
+    def offer(self, time: float, reading: ReadingAt, seen: Seen, following: Follower | None) -> bool:
         """Keep an image as a keyframe, if it is worth that; returns whether it is.
 
         Where it has no masks, they are found about the pose to which it was followed, if that explains it. Where

@@ -28,7 +28,7 @@ from dvrk_cmaes.results.tracked import TrackResult, doubted
 from dvrk_cmaes.segment.segmentation import Hints
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.track.followed import Followed
+from dvrk_cmaes.track.follower import Followed
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 from dvrk_cmaes.track.known_base import CalibratedFollower
 from dvrk_cmaes.track.reading_buffer import ReadingBuffer

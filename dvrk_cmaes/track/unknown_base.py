@@ -32,11 +32,9 @@ from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result, modes_of
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.segment.segmentation import Box
-from dvrk_cmaes.track.followed import Followed
-from dvrk_cmaes.track.following import Following, has_moved
-from dvrk_cmaes.track.images import Mask
+from dvrk_cmaes.track.follower import Followed, Follower, has_moved
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.view_segmenter import Seen
+from dvrk_cmaes.track.view_segmenter import Mask, Seen
 
 _MOST_IMAGES: Final = 90  # that come during a search, after which it is given up
 _FIRST_WAIT, _MORE_WAIT = 3, 30  # images without support until the first search, and most between two of them
@@ -105,7 +103,7 @@ class _Mode:
     at: Posed
     covariance: Float64
     cost: float
-    following: Following | None = None
+    following: Follower | None = None
     reads: bool = False
     """Whether readings of a moving arm have told how it moves since it was based on them."""
     counted: Posed | None = None
@@ -133,7 +131,7 @@ class UnknownBase:
         return self._search is not None
 
     @property
-    def following(self) -> Following | None:
+    def following(self) -> Follower | None:
         """The window of the best mode, at the last image; None without one."""
         return self._modes[0].following if self._modes else None
 
@@ -248,7 +246,7 @@ class UnknownBase:
         if mode.following is None or not (reads and mode.reads):
             walked = mode.covariance + _walk(max(image.time - mode.time, 0.0), len(names))
             wide = wide_calibration(mode.at, walked, used, self.given)
-            mode.following = Following(self.given, wide, None if reads else FoundLag(0.0, 0.0), uncertain=True)
+            mode.following = Follower(self.given, wide, None if reads else FoundLag(0.0, 0.0), uncertain=True)
             mode.reads = reads
         result = mode.following.follow(image.time, used, image.seen)
         assert result.covariance is not None

@@ -1,15 +1,22 @@
 """The window: images whose deviations from a calibration's predictions are estimated together, and their results.
 
 A recording on disk is one window of all its frames; while images come, the window is the last fifteen.
+
+The deviations of a frame (slack of the arm, errors of roll and joints) are those of the calibration's model. A part of
+them changes slowly, the rest from frame to frame: both are Gauss-Markov processes of first order. The outline states
+each frame's deviation by a quadratic term. The most probable deviations of all frames together follow from one
+block-tridiagonal system.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
+from dvrk_cmaes import _kernel
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
@@ -22,7 +29,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.pose.doubts import pose_lost, reasons
+from dvrk_cmaes.pose.doubts import FOLLOWED, pose_lost, reasons
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.judge import doubts_of_agreement
 from dvrk_cmaes.pose.terms.shared_errors import MEAN_ERRORS
@@ -30,8 +37,96 @@ from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit
-from dvrk_cmaes.track.deviations import smoothed_deviations
-from dvrk_cmaes.track.recorded_frames import JudgedFrame
+from dvrk_cmaes.track.frame_fits import JudgedFrame
+
+SLOW_SHARE: Final = 0.8
+"""Share of a deviation's variance that changes slowly."""
+SLOW_SECONDS: Final = 0.5
+FAST_SECONDS: Final = 0.1
+"""Correlation times, s, of both parts."""
+
+_JITTER = 1e-9  # of a covariance, so that it can be inverted
+
+
+def smoothed_deviations(
+    times: Float64,
+    prior: Float64,
+    information: Float64,
+    optimum: Float64,
+    jacobian: Float64,
+    by_masks: Float64,
+    *,
+    only_last: bool = False,
+) -> tuple[Float64, Float64, Float64]:
+    """Find the most probable deviations of all frames, or of the last one only, N = 1, given all.
+
+    They are the sums of slow and fast parts, M = 2 D, of a block-tridiagonal system.
+
+    Parameters
+    ----------
+    times : (N,)
+        Times of the frames, s, increasing.
+    prior : (N, D, D)
+        Covariance of each frame's deviation.
+    information : (N, D, D)
+        What each outline tells: the matrix of its quadratic term; zero for a frame without one.
+    optimum : (N, D)
+        The information times the deviation at which that term is least.
+    jacobian : (N, D, K)
+        Change of the predictions with the calibration.
+    by_masks : (N, D, E)
+        Change of ``optimum`` per px of E errors that all masks share.
+    only_last
+        Whether only the last deviation is found.
+
+    Returns
+    -------
+    deviations : (N, D)
+        Those of the frames from their predictions.
+    covariance : (N, D, D)
+        That of the deviations.
+    response : (N, D, K + E)
+        Change of the frames' poses and joints with the calibration, and per px of the masks' errors.
+    """
+    size, parts = optimum.shape[1], np.array([SLOW_SHARE, 1 - SLOW_SHARE])
+    left = np.exp(
+        -np.diff(times)[:, None] / np.array([SLOW_SECONDS, FAST_SECONDS])
+    )  # of both parts, from a frame to the next one
+    noise = parts * (1 - left**2 + _JITTER)
+    # A covariance is carried to the next frame as its Cholesky factor, since it may be another one there.
+    inverse_root = np.linalg.inv(np.linalg.cholesky(prior))
+    turned = inverse_root.swapaxes(1, 2)
+    own, across = turned @ inverse_root, turned[:-1] @ inverse_root[1:]
+    factors = np.concatenate([1 / parts[None], 1 / noise])
+    factors[:-1] += left**2 / noise
+    diagonal = np.tile(information, (1, 2, 2))  # the deviation is the sum of both parts
+    beside = np.zeros((len(left), 2 * size, 2 * size))  # between a frame and the next one
+    for k, part in enumerate((slice(0, size), slice(size, None))):
+        diagonal[:, part, part] += factors[:, k, None, None] * own
+        beside[:, part, part] = -(left / noise)[:, k, None, None] * across
+    right = np.concatenate([optimum[:, :, None], -information @ jacobian, by_masks], axis=2)
+    both = np.tile(np.eye(size), 2)
+    pivots, sides = _kernel.eliminate_chain(diagonal, beside, np.tile(right, (1, 2, 1)))
+    if only_last:
+        pivots, found = pivots[-1:], pivots[-1:] @ sides[-1:]
+    else:
+        found, pivots = _substituted(pivots, sides, beside)
+    found = both @ found
+    moves = np.concatenate([jacobian, np.zeros_like(by_masks)], axis=2)[-len(found) :]
+    return found[:, :, 0], both @ pivots @ both.T, moves + found[:, :, 1:]
+
+
+def _substituted(pivots: Float64, sides: Float64, beside: Float64) -> tuple[Float64, Float64]:
+    """Solve a system whose frames were eliminated, for columns (N, M, C).
+
+    Also returns the diagonal blocks (N, M, M) of the inverse.
+    """
+    solution, blocks = pivots @ sides, pivots.copy()
+    for k in range(len(pivots) - 2, -1, -1):
+        gain = pivots[k] @ beside[k]
+        solution[k] -= gain @ solution[k + 1]
+        blocks[k] += gain @ blocks[k + 1] @ gain.T
+    return solution, blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,122 +168,124 @@ class FitEvidence:
 
 @dataclass(frozen=True, eq=False)
 class WindowImage:
-    """An image of the window: its time, s, what is expected of it, as in `Prediction`, and what its fit tells."""
+    """An image of the window: its time, s, what its fit states, and its prediction, the ``k``-th of some."""
 
     time: float
-    at: Posed
-    prior: Float64
-    jacobian: Float64
-    told: FitEvidence
+    predicted: Prediction
+    k: int
+    fit: FitEvidence
+
+    @property
+    def at(self) -> Posed:
+        """Where the calibration expects the instrument."""
+        return self.predicted.at[self.k]
 
 
-def solve_window(
-    images: Sequence[WindowImage], calibration: SessionCalibration, camera: Camera, *, only_last: bool = False
-) -> list[tuple[Posed, Float64]]:
-    """Find the poses and joints of N images by what all of them tell, with their covariances (D, D).
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The status of an image's pose by the image alone, the reasons, and its expected error, None if it shows nothing.
 
-    The covariances include those of the calibration. With ``only_last``, the list has the last image alone.
+    ``residual_px`` is the standard deviation of the contour or the edges about the outline, None without any.
+    ``explained`` is whether the pose explains the image well.
     """
-    corrected = calibration.corrected(camera)
-    deviations, covariances, responses = smoothed_deviations(
-        np.array([image.time for image in images]),
-        np.array([image.prior for image in images]),
-        np.array([image.told.information for image in images]),
-        np.array([image.told.optimum for image in images]),
-        np.array([image.jacobian for image in images]),
-        np.array([image.told.by_masks for image in images]),
-        only_last=only_last,
-    )
-    calibrated, found = calibration_covariance(calibration), []
-    solved = images[-len(deviations) :]
-    for image, deviation, own, response in zip(solved, deviations, covariances, responses, strict=True):
-        at, (by_calibration, by_masks) = image.at.moved(deviation), np.split(response, [len(calibrated)], axis=1)
-        covariance = own + by_calibration @ calibrated @ by_calibration.T
-        covariance += covariance_of_masks(calibration.masks, by_masks, by_calibration)
-        found.append((at, covariance + covariance_of_camera(calibration.camera, at, corrected)))
-    return found
+
+    status: TrackStatus
+    reasons: list[str]
+    error: ExpectedError | None = None
+    residual_px: float | None = None
+    explained: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """What images are followed by: a calibration, the camera as its file has it, the instrument, and all settings."""
+
+    calibration: SessionCalibration
+    camera: Camera
+    instrument: Instrument
+    config: EstimateConfig
+
+    def solve(self, images: Sequence[WindowImage], *, only_last: bool = False) -> list[tuple[Posed, Float64]]:
+        """Find the poses and joints of N images by what all of them state, with their covariances (D, D).
+
+        The covariances include those of the calibration. With ``only_last``, the list has the last image alone.
+        """
+        calibration = self.calibration
+        corrected = calibration.corrected(self.camera)
+        deviations, covariances, responses = smoothed_deviations(
+            np.array([image.time for image in images]),
+            np.array([image.predicted.prior[image.k] for image in images]),
+            np.array([image.fit.information for image in images]),
+            np.array([image.fit.optimum for image in images]),
+            np.array([image.predicted.jacobian[image.k] for image in images]),
+            np.array([image.fit.by_masks for image in images]),
+            only_last=only_last,
+        )
+        calibrated, found = calibration_covariance(calibration), []
+        solved = images[-len(deviations) :]
+        for image, deviation, own, response in zip(solved, deviations, covariances, responses, strict=True):
+            at, (by_calibration, by_masks) = image.at.moved(deviation), np.split(response, [len(calibrated)], axis=1)
+            covariance = own + by_calibration @ calibrated @ by_calibration.T
+            covariance += covariance_of_masks(calibration.masks, by_masks, by_calibration)
+            found.append((at, covariance + covariance_of_camera(calibration.camera, at, corrected)))
+        return found
+
+    def judged(self, shown: JudgedFrame | None, misfit: float, source: str = "mask") -> Judged:
+        """Judge an image by how its pose explains the masks, None if these show nothing; ``source`` names the evidence.
+
+        ``misfit`` is the squared misfit per parameter of its fit and the prediction.
+        """
+        no_support = pose_lost(source, None if shown is None else shown.quality.iou)
+        if shown is None:
+            return Judged("lost", reasons(no_support))
+        error, residual_px, iou = shown.error, shown.residual_px, shown.quality.iou
+        explained = iou >= self.calibration.iou - FOLLOWED.overlap_loss
+        if no_support is not None:
+            return Judged("lost", reasons(no_support), error, residual_px, explained)
+        usual, scale = (self.calibration.iou, self.calibration.contour_px_95), self.camera.pixel_scale
+        agreement = doubts_of_agreement("followed", misfit, self.config.session, shown.quality, usual, scale)
+        doubts = [*shown.reasons, *agreement]
+        return Judged("doubtful" if doubts else "ok", doubts, error, residual_px, explained)
+
+    def result(
+        self,
+        image: WindowImage,
+        found: tuple[Posed, Float64],
+        judged: Judged,
+        doubts: Sequence[str],
+        *,
+        seconds: float = 0.0,
+        remarks: tuple[str, ...] = (),
+    ) -> TrackResult:
+        """Describe an image of the window; one for whose pose there is any reason to doubt it is not ok.
+
+        ``found`` are pose and joints with their covariance (D, D), ``doubts`` all reasons, those of ``judged`` among
+        them; ``seconds`` and ``remarks`` are as in `TrackResult`.
+        """
+        (at, covariance), instrument = found, self.instrument
+        tips, _ = locate_tips(instrument, self.camera, at)
+        error = expected_error(instrument, at, covariance) if judged.error is None else judged.error
+        lost = judged.status == "lost"
+        result = TrackResult(
+            time=image.time,
+            status="doubtful" if doubts and judged.status == "ok" else judged.status,
+            reasons=tuple(doubts),
+            camera_from_root=at.pose,
+            joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
+            covariance=covariance,
+            tips=np.array(tips),
+            tip_std_mm=mean_of_tips_mm(instrument, error),
+            camera_from_base=np.asarray(at.pose @ inverse(image.predicted.base_from_root[image.k])),
+            offsets=image.predicted.offsets(image.k, at, instrument.joint_names),
+            seconds=seconds,
+            residual_px=judged.residual_px,
+            tip_probability=None if lost else tip_probability(error.of_tips_mm, self.config.trust.tip_mm),
+            remarks=remarks,
+        )
+        return resting_on(result, self.calibration)
 
 
 def mean_of_tips_mm(instrument: Instrument, error: ExpectedError) -> float | None:
     """Return the mean of the tips' expected errors, mm; None for an instrument without tips."""
     each = [value for name, value in error.tip_mm.items() if name != "mean"]
     return float(np.mean(each)) if instrument.jaw_tips else None
-
-
-def status_of(
-    judged: JudgedFrame | None,
-    misfit: float,
-    calibration: SessionCalibration,
-    config: EstimateConfig,
-    pixel_scale: float,
-    source: str = "mask",
-) -> tuple[TrackStatus, list[str]]:
-    """Return the status of an image by its mask alone, and the reasons; ``source`` names the evidence.
-
-    ``pixel_scale`` is that of the camera.
-    """
-    no_support = pose_lost(source, None if judged is None else judged.quality.iou)
-    if judged is None or no_support is not None:
-        return "lost", reasons(no_support)
-    usual = calibration.iou, calibration.contour_px_95
-    agreement = doubts_of_agreement("followed", misfit, config.session, judged.quality, usual, pixel_scale)
-    found = [*judged.reasons, *agreement]
-    return "doubtful" if found else "ok", found
-
-
-def result_of(
-    time: float,
-    status: TrackStatus,
-    reasons: Sequence[str],
-    found: tuple[Posed, Float64],
-    error: ExpectedError | None,
-    predicted: Prediction,
-    number: int,
-    calibration: SessionCalibration,
-    instrument: Instrument,
-    camera: Camera,
-    within_mm: float,
-    *,
-    seconds: float = 0.0,
-    residual_px: float | None = None,
-    remarks: tuple[str, ...] = (),
-) -> TrackResult:
-    """Describe an image of the window; one for whose pose there is any reason to doubt it is not ok.
-
-    Parameters
-    ----------
-    time, status, reasons, seconds, residual_px, remarks
-        As in `TrackResult`; the reasons are those of the status and any others.
-    found
-        Pose and joints, and their covariance (D, D).
-    error
-        The error that is expected of the pose, if that is known already.
-    predicted, number
-        What was expected of some images, and the number of this one among them.
-    calibration
-        The calibration on which the result rests.
-    instrument, camera
-        The instrument, and the camera as its file has it.
-    within_mm
-        Distance of the tips from the truth whose probability is stated.
-    """
-    at, covariance = found
-    tips, _ = locate_tips(instrument, camera, at)
-    error = expected_error(instrument, at, covariance) if error is None else error
-    result = TrackResult(
-        time=time,
-        status="doubtful" if reasons and status == "ok" else status,
-        reasons=tuple(reasons),
-        camera_from_root=at.pose,
-        joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
-        covariance=covariance,
-        tips=np.array(tips),
-        tip_std_mm=mean_of_tips_mm(instrument, error),
-        camera_from_base=np.asarray(at.pose @ inverse(predicted.base_from_root[number])),
-        offsets=predicted.offsets(number, at, instrument.joint_names),
-        seconds=seconds,
-        residual_px=residual_px,
-        tip_probability=None if status == "lost" else tip_probability(error.of_tips_mm, within_mm),
-        remarks=remarks,
-    )
-    return resting_on(result, calibration)

@@ -21,7 +21,7 @@ from dvrk_cmaes.pose.terms.coverage import Coverage
 from dvrk_cmaes.pose.terms.shared_errors import image_axis
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 from dvrk_cmaes.pose.terms.term import Quadratic
-from dvrk_cmaes.track.recorded_frames import views_that_show
+from dvrk_cmaes.track.frame_fits import views_that_show
 
 RIGHT = 2
 """Index of what faces right in the image."""

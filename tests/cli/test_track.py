@@ -14,7 +14,7 @@ from helpers.moving_worlds import SMALL
 from dvrk_cmaes import EstimateConfig, prepare, read_session
 from dvrk_cmaes.cli.track import reason_lines
 from dvrk_cmaes.results.track_files import read_tracks
-from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.runs.track import TrackSettings
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan
@@ -63,7 +63,7 @@ def test_video_and_page_can_be_left_out(recording: Path, tmp_path: Path, capsys:
 def test_interrupted_run_begins_anew_with_same_results(recording: Path, tracks: Path, tmp_path: Path) -> None:
     session, body, stop = read_session(recording), prepare("lnd"), threading.Event()
 
-    def interrupt(done: int, total: int, result: object) -> None:
+    def interrupt(done: int, total: int) -> None:
         if done == 3:
             stop.set()
 
@@ -73,7 +73,7 @@ def test_interrupted_run_begins_anew_with_same_results(recording: Path, tracks: 
     with open(tmp_path / "tracks.jsonl", "a", encoding="utf-8") as file:
         file.write('{"frame": "00')  # as if the process was killed while writing
     done = []
-    track_folder(session, tmp_path, body, SETTINGS, video=False, progress=lambda k, total, result: done.append(k))
+    track_folder(session, tmp_path, body, SETTINGS, video=False, progress=lambda k, total: done.append(k))
     assert done == list(range(FRAMES + 1))  # from the first frame
     assert without_seconds(tmp_path) == without_seconds(tracks)
 

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+import threading
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from dvrk_cmaes.calibration.together import solved_alone
-from dvrk_cmaes.runs.track_folder import TrackSummary, begin_tracking
+from dvrk_cmaes.frames.session_folder import Session
+from dvrk_cmaes.runs.track import TrackedArm, TrackSettings
+from dvrk_cmaes.silhouette import Body
 
 
-def track_folder(*given: Any, **options: Any) -> TrackSummary:
-    """Follow the only arm of a recording; parameters and errors as of `begin_tracking`."""
-    one = solved_alone(begin_tracking(*given, **options))
-    one.write()
-    return one.follow()
+def track_folder(
+    session: Session,
+    out: Path,
+    body: Body,
+    settings: TrackSettings,
+    *,
+    video: bool = True,
+    page: bool = True,
+    stop: threading.Event | None = None,
+    **told: Any,
+) -> TrackedArm:
+    """Follow the only arm of a recording; other parameters and errors as of `TrackedArm`."""
+    arm = TrackedArm(session, out, body, replace(settings, video=video, page=page), **told)
+    solved_alone(arm.begin(stop=stop)).follow()
+    return arm

@@ -11,7 +11,7 @@ import numpy as np
 from dvrk_cmaes import Body, Camera, EstimateConfig, Rig, Tracker, TrackResult, prepare
 from dvrk_cmaes.synth.moving_arm import FRAMES_A_SECOND, MotionLevel, moving_arm, read_moving
 from dvrk_cmaes.synth.truth import Truth, exact_mask
-from dvrk_cmaes.track.followed import Followed
+from dvrk_cmaes.track.follower import Followed
 from dvrk_cmaes.track.view_segmenter import ViewSegmenter
 from helpers.transforms import moved
 

@@ -25,7 +25,7 @@ from helpers.made_surgpose import (
 
 from dvrk_cmaes import EstimateConfig, prepare, read_session
 from dvrk_cmaes.frames.markers import read_detections
-from dvrk_cmaes.runs.recorded_images import segment_task
+from dvrk_cmaes.runs.keyframes import segment_task
 from dvrk_cmaes.segment.segmentation import Hints
 
 Run = Callable[..., Ran]

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from helpers.files import write_json
 from helpers.followed_folder import track_folder
 from helpers.session_worlds import SMALL, make_frames_in_memory, write_folder
 
-from dvrk_cmaes import EstimateConfig, FrameData, InputError, prepare, read_calibration, read_session
-from dvrk_cmaes.io.json_file import read_json_object
+from dvrk_cmaes import EstimateConfig, FrameData, prepare, read_calibration, read_session
 from dvrk_cmaes.results.track_files import read_tracks
-from dvrk_cmaes.runs.track_frames import TrackSettings, used_session
+from dvrk_cmaes.runs.track import TrackSettings
+from dvrk_cmaes.runs.track_inputs import used_session
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.synth.truth import Truth
 
@@ -103,28 +101,6 @@ def test_images_that_do_not_show_the_instrument_are_not_ok_and_teach_nothing(mad
     used = read_calibration(tracks / "session.json").frames
     assert not {GONE, OTHER} & {*used}
     assert len(used) >= 10
-
-
-def test_run_that_was_interrupted_goes_on_with_the_colours_of_its_keyframes(
-    made: Recording, tracks: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(tracks, out)
-    (out / "tracks.jsonl").unlink()
-    kept = out / "keyframes_images.json"
-    assert follow(made[0], out) == [f"keyframes: solved by an interrupted run ({kept})", f"fitting {FRAMES} frames"]
-    again, before = (read_tracks(place / "tracks.jsonl") for place in (out, tracks))
-    assert [{**row, "seconds": 0} for row in again] == [{**row, "seconds": 0} for row in before]
-
-
-def test_damaged_colours_are_named(made: Recording, tracks: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(tracks, out)
-    (out / "tracks.jsonl").unlink()
-    kept = out / "keyframes_images.json"
-    write_json(kept, {**read_json_object(kept, expected="keyframes"), "colours": {"left": 3}})
-    with pytest.raises(InputError, match=r"keyframes_images\.json: colours: expected those of a recording's views"):
-        follow(made[0], out)
 
 
 def test_given_calibration_needs_images_only_for_colours(made: Recording, tracks: Path, tmp_path: Path) -> None:

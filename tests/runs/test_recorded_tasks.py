@@ -13,8 +13,8 @@ import pytest
 
 from dvrk_cmaes import Camera, FrameFiles, Rig
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.runs import recorded
-from dvrk_cmaes.track.recorded_frames import PredictedFrame
+from dvrk_cmaes.runs import recording
+from dvrk_cmaes.track.frame_fits import PredictedFrame
 
 RIG = Rig.of_camera(Camera(640, 480, 880, 880, 330, 250))
 
@@ -33,13 +33,13 @@ def tasks_of(count: int, monkeypatch: pytest.MonkeyPatch) -> list[tuple[Predicte
         sent.extend(tasks)
         return [[None] * len(task) for task in tasks]
 
-    fitted = recorded.RecordedSolution(whole, session).fits(predicted, run)
+    fitted = recording.RecordedSolution(whole, session).fits(predicted, run)
     assert len(fitted) == count
     return sent
 
 
 def test_task_is_as_large_in_a_long_recording_as_in_a_short_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    short, long = (tasks_of(count, monkeypatch) for count in (recorded.BLOCK, 40 * recorded.BLOCK))
+    short, long = (tasks_of(count, monkeypatch) for count in (recording.BLOCK, 40 * recording.BLOCK))
     assert len(long) == 40 * len(short)
     assert len(pickle.dumps(long[0])) == len(pickle.dumps(short[0]))
 

@@ -19,7 +19,7 @@ from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.runs import inputs, solver_process
 from dvrk_cmaes.runs.pool import Pool
-from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.runs.track import TrackSettings
 from dvrk_cmaes.synth.levels import LEVELS
 from dvrk_cmaes.synth.recording import write_recording
 from dvrk_cmaes.synth.session import SessionPlan
@@ -96,7 +96,7 @@ def test_solution_is_written_and_shown_on_the_page(tracks: Path) -> None:
 def test_interrupted_run_begins_anew_with_the_same_results(recording: Path, tracks: Path, tmp_path: Path) -> None:
     session, body, stop = read_session(recording), prepare("lnd"), threading.Event()
 
-    def interrupt(done: int, total: int, result: object) -> None:
+    def interrupt(done: int, total: int) -> None:
         if done == INTERRUPTED_AFTER:
             stop.set()
 

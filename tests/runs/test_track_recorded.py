@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.files import write_json
 from helpers.followed_folder import track_folder
 from helpers.session_worlds import make_frames_in_memory, write_folder
 from helpers.transforms import change_between
@@ -19,9 +18,7 @@ from dvrk_cmaes import (
     Body,
     EstimateConfig,
     FrameData,
-    InputError,
     Result,
-    SessionCalibration,
     prepare,
     read_calibration,
     read_session,
@@ -30,14 +27,14 @@ from dvrk_cmaes.calibration.session_state import SessionProblem
 from dvrk_cmaes.calibration.together import solved_alone
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.track_files import read_tracks
-from dvrk_cmaes.runs import recorded_keyframes
-from dvrk_cmaes.runs.recorded_keyframes import (
-    RecordedFrames,
+from dvrk_cmaes.runs import keyframes
+from dvrk_cmaes.runs.keyframes import (
     RecordedKeyframe,
     begin_keyframes,
 )
-from dvrk_cmaes.runs.track_clock import TrackClock, series_of
-from dvrk_cmaes.runs.track_frames import TrackSettings
+from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution
+from dvrk_cmaes.runs.track import TrackSettings
+from dvrk_cmaes.runs.track_inputs import TrackClock, series_of
 from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = 14
@@ -102,18 +99,6 @@ def test_calibration_of_the_keyframes_is_kept_beside_the_tracks(tracks: Path) ->
     assert len(calibration.frames) >= 10
 
 
-def test_run_that_was_interrupted_after_the_keyframes_does_not_solve_them_again(
-    made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
-) -> None:
-    out, said = tmp_path / "out", []
-    shutil.copytree(tracks, out)
-    (out / "tracks.jsonl").unlink()
-    track_folder(read_session(made[0]), out, prepare("lnd"), SETTINGS, video=False, page=False, notice=said.append)
-    assert said == [f"keyframes: solved by an interrupted run ({out / 'keyframes.json'})", f"fitting {FRAMES} frames"]
-    again, before = (read_tracks(place / "tracks.jsonl") for place in (out, tracks))
-    assert [{**row, "seconds": 0} for row in again] == [{**row, "seconds": 0} for row in before]
-
-
 def test_finished_recording_is_not_followed_again(
     made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
 ) -> None:
@@ -128,17 +113,6 @@ def test_finished_recording_is_not_followed_again(
     assert (out / "tracks.jsonl").read_bytes() == (tracks / "tracks.jsonl").read_bytes()
 
 
-def test_damaged_solution_of_keyframes_is_named(
-    made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(tracks, out)
-    (out / "tracks.jsonl").unlink()
-    write_json(out / "keyframes.json", {"refused": None, "calibration": 3})
-    with pytest.raises(InputError, match=r"keyframes\.json: calibration: expected a session's calibration, got none"):
-        track_folder(read_session(made[0]), out, prepare("lnd"), SETTINGS, video=False, page=False)
-
-
 def test_given_calibration_is_used_instead_of_keyframes(
     made: tuple[Path, dict[str, Truth]], tracks: Path, tmp_path: Path
 ) -> None:
@@ -147,7 +121,6 @@ def test_given_calibration_is_used_instead_of_keyframes(
     said: list[str] = []
     track_folder(read_session(made[0]), tmp_path, prepare("lnd"), given, video=False, page=False, notice=said.append)
     assert said == [f"fitting {FRAMES} frames"]
-    assert not (tmp_path / "keyframes.json").exists()
     pairs = zip(read_tracks(tmp_path / "tracks.jsonl"), read_tracks(tracks / "tracks.jsonl"), strict=True)
     assert all(np.allclose(own["tips"], other["tips"], atol=2e-4) for own, other in pairs)
     rows = read_tracks(tmp_path / "tracks.jsonl")
@@ -159,15 +132,15 @@ def test_given_calibration_is_used_instead_of_keyframes(
 def test_keyframes_start_from_where_the_first_of_them_expect_them(
     made: tuple[Path, dict[str, Truth]], tracks: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recorded_keyframes, "SEARCHED", 7)
+    monkeypatch.setattr(keyframes, "SEARCHED", 7)
     tried: list[RecordedKeyframe] = []
-    alone = recorded_keyframes.alone_task
+    alone = keyframes.alone_task
 
     def noted(body: Body, config: EstimateConfig, keyframe: RecordedKeyframe, *, arm: Arm) -> Result:
         tried.append(keyframe)
         return alone(body, config, keyframe, arm=arm)
 
-    monkeypatch.setattr(recorded_keyframes, "alone_task", noted)
+    monkeypatch.setattr(keyframes, "alone_task", noted)
     body = prepare("lnd")
     session = read_session(made[0])
     clock = TrackClock.of(session, session.frames, 30.0)
@@ -181,11 +154,11 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
 
     problem = SessionProblem(recorded.series, body.instrument, "classic", config, run)
     solved = solved_alone(begin_keyframes(recorded, problem))
-    assert isinstance(solved, SessionCalibration)
+    assert isinstance(solved, RecordedSolution)
     assert [task.start is None for task in tried] == [True] * 7 + [False] * (len(tried) - 7)
     for task in tried[7:]:
         assert task.start is not None
         truth = made[1][task.files.name]
         assert np.linalg.norm(task.start.pose[:3, 3] - truth.camera_from_root[:3, 3]) < 5e-3
     of_searches = read_calibration(tracks / "session.json").camera_from_base
-    assert np.linalg.norm(change_between(solved.camera_from_base, of_searches)[3:]) < np.deg2rad(0.5)
+    assert np.linalg.norm(change_between(solved.calibration.camera_from_base, of_searches)[3:]) < np.deg2rad(0.5)

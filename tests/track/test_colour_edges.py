@@ -16,9 +16,8 @@ from dvrk_cmaes.joints.prior import LIMIT_SIGMA
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.track.colour_edges import ColourEdges, EdgeAppearance, EdgeFit, ImageEvidence, fit_edges, learned
-from dvrk_cmaes.track.drawn_outline import DrawnOutline
-from dvrk_cmaes.track.histogram_ratio import ColourModel, EdgeModel
-from dvrk_cmaes.track.outline_model import OutlineModel
+from dvrk_cmaes.track.histogram_ratio import EdgeModel
+from dvrk_cmaes.track.outlines import DrawnOutline, OutlineModel
 
 TOOL, TISSUE, UNKNOWN = (90, 88, 86), (60, 70, 170), (200, 40, 20)  # BGR
 HEIGHT, WIDTH = 80, 160
@@ -100,17 +99,6 @@ def test_edge_to_a_shadow_of_a_colour_that_the_instrument_has_too_is_told_by_the
 
 
 # the models of colours and changes
-
-
-def test_colours_are_restored_from_their_document() -> None:
-    colours = model_of().colours
-    restored = ColourModel.restored(colours.as_text())
-    assert np.array_equal(restored.log_odds, colours.log_odds)
-
-
-def test_damaged_colours_are_refused() -> None:
-    with pytest.raises(ValueError, match="expected"):
-        ColourModel.restored(model_of().colours.as_text() | {"inside": "AAAA"})
 
 
 # the term, of a real outline

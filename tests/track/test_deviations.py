@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.track.deviations import smoothed_deviations
+from dvrk_cmaes.track.window import FAST_SECONDS, SLOW_SECONDS, SLOW_SHARE, smoothed_deviations
 
 COUNT, SIZE, CONSTANTS, MASKS = 6, 3, 2, 2
 NO_MASKS = np.zeros((3, SIZE, 0))
 TIMES = np.array([0.0, 0.1, 0.2, 0.5, 0.6, 1.0])
 
 
-def spread(values: np.ndarray, times: np.ndarray, slow: float, fast: float, share: float) -> np.ndarray:
+def spread(values: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return the covariance (N D, N D) of all deviations together."""
     apart = np.abs(times[:, None] - times)
-    correlation = share * np.exp(-apart / slow) + (1 - share) * np.exp(-apart / fast)
+    correlation = SLOW_SHARE * np.exp(-apart / SLOW_SECONDS) + (1 - SLOW_SHARE) * np.exp(-apart / FAST_SECONDS)
     return np.asarray(np.kron(correlation, values))
 
 
@@ -28,14 +28,12 @@ def test_result_is_that_of_the_dense_system() -> None:
     jacobian, by_masks = rng.standard_normal((COUNT, SIZE, CONSTANTS)), rng.standard_normal((COUNT, SIZE, MASKS))
     stacked = np.tile(prior, (COUNT, 1, 1))
     of_frames = TIMES, stacked, information, optimum, jacobian, by_masks
-    found, last = (
-        smoothed_deviations(*of_frames, only_last=kind, slow_share=0.7, slow=1.0, fast=0.1) for kind in (False, True)
-    )
+    found, last = (smoothed_deviations(*of_frames, only_last=kind) for kind in (False, True))
     deviations, covariances, responses = found
     told = np.zeros((COUNT * SIZE, COUNT * SIZE))
     for k in range(COUNT):
         told[k * SIZE : (k + 1) * SIZE, k * SIZE : (k + 1) * SIZE] = information[k]
-    covariance = np.linalg.inv(np.linalg.inv(spread(prior, TIMES, 1.0, 0.1, 0.7)) + told)
+    covariance = np.linalg.inv(np.linalg.inv(spread(prior, TIMES)) + told)
     for of_last, of_all in zip(last, found, strict=True):
         assert of_last == pytest.approx(of_all[-1:], rel=1e-9, abs=1e-12)
     assert deviations.ravel() == pytest.approx(covariance @ optimum.ravel(), abs=1e-6)

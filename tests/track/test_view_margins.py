@@ -18,8 +18,7 @@ from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.synth.truth import exact_mask
-from dvrk_cmaes.track.image_frames import fit_block
-from dvrk_cmaes.track.recorded_frames import PredictedFrame, fit_near, views_that_show
+from dvrk_cmaes.track.frame_fits import PredictedFrame, fit_block, fit_near, views_that_show
 
 RIGHT = Camera(320, 240, 513, 513, 159, 121)
 RIGHT_FROM_LEFT = transform(np.eye(3), [-0.0053, 0.0, 0.0])

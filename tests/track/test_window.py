@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from helpers.session_worlds import BASE, NAMES, OFFSETS, SMALL, make_world
 
-from dvrk_cmaes import Body, Instrument, SessionCalibration
+from dvrk_cmaes import Body, EstimateConfig, Instrument, SessionCalibration
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OUTER_OFFSETS
 from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.calibration.prediction import Prediction
 from dvrk_cmaes.calibration.session_masks import SessionMasks
-from dvrk_cmaes.track.window import FitEvidence, WindowImage, solve_window
+from dvrk_cmaes.track.window import FitEvidence, Window, WindowImage
 
 IMAGES, SIDE = 6, 1
 INFORMATION = np.diag([1e6] * 3 + [1e4] * 3 + [1e3] * 3)
@@ -50,8 +50,12 @@ def images(of: SessionCalibration, instrument: Instrument, px: float = 0.0) -> l
     for k in range(IMAGES):
         by_masks = INFORMATION @ changes_by_masks(predicted.at[k], SMALL, instrument)
         told = FitEvidence(INFORMATION, px * by_masks[:, SIDE], by_masks, 0.0)
-        shown.append(WindowImage(0.1 * k, predicted.at[k], predicted.prior[k], predicted.jacobian[k], told))
+        shown.append(WindowImage(0.1 * k, predicted, k, told))
     return shown
+
+
+def window(of: SessionCalibration, instrument: Instrument) -> Window:
+    return Window(of, SMALL, instrument, EstimateConfig())
 
 
 @pytest.mark.parametrize("only_last", [False, True])
@@ -61,10 +65,10 @@ def test_error_of_the_masks_is_in_the_covariance_as_far_as_the_poses_follow_it(
     """The covariance that the error adds is that of the distance by which the window moves with it."""
     instrument, response = bundled_body.instrument, np.zeros((11, 7))
     found, without = (
-        solve_window(images(own, instrument), own, SMALL, only_last=only_last)
+        window(own, instrument).solve(images(own, instrument), only_last=only_last)
         for own in (calibration(response), calibration(response, px=0.0))
     )
-    off = solve_window(images(calibration(response), instrument, 0.5), calibration(response), SMALL)
+    off = window(calibration(response), instrument).solve(images(calibration(response), instrument, 0.5))
     for (at, covariance), (_, alone), (moved, _) in zip(found, without, off[-len(found) :], strict=True):
         change = moved.minus(at)
         np.testing.assert_allclose(covariance - alone, np.outer(change, change), rtol=0.02, atol=1e-10)
@@ -77,9 +81,9 @@ def test_base_that_has_moved_with_the_masks_takes_the_pose_along(bundled_body: B
     still, along = (np.zeros((11, 7)) for _ in range(2))
     image = images(calibration(still), instrument)[0]
     moves = changes_by_masks(image.at, SMALL, instrument)
-    along[:, SIDE] = np.linalg.lstsq(image.jacobian, moves[:, SIDE], rcond=None)[0]
-    held, followed = (solve_window([image], calibration(response), SMALL)[0][1] for response in (still, along))
+    along[:, SIDE] = np.linalg.lstsq(image.predicted.jacobian[0], moves[:, SIDE], rcond=None)[0]
+    held, followed = (window(calibration(response), instrument).solve([image])[0][1] for response in (still, along))
     whole = 0.25 * np.outer(moves[:, SIDE], moves[:, SIDE])
     assert np.trace((followed - held)[:3, :3]) > 0
-    assert np.trace(held[:3, :3]) < np.trace(whole[:3, :3]) + np.trace(image.prior[:3, :3])
+    assert np.trace(held[:3, :3]) < np.trace(whole[:3, :3]) + np.trace(image.predicted.prior[0][:3, :3])
     assert np.trace(followed[:3, :3]) > np.trace(whole[:3, :3])

@@ -1,121 +1,95 @@
-"""Following an instrument through the frames of a session, without writing anything."""
+"""The frames of a session that are followed: which are used, their times, masks and images, and the readings."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 import cv2
 import numpy as np
 
-from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.camera import Camera, Rig
-from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.geometry import Bool, Image
-from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.pose.doubts import NO_READINGS
-from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.runs.track_clock import FRAMES_A_SECOND, TrackClock
-from dvrk_cmaes.segment.segmentation import Hints
-from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track import Tracker
-from dvrk_cmaes.track.solution_schedule import SolutionSchedule
+from dvrk_cmaes.geometry import Bool, Float64, Image
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.joints.gaps import unbroken
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, straight_line
+from dvrk_cmaes.joints.lag import Unit
+from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.track.view_segmenter import EvidenceKind
 
-Mask = Bool
-
-_SAME_TIME = 1e-9  # s
+FRAMES_A_SECOND: Final = 30.0
+"""Images a second of a session whose images have no times."""
 
 
 @dataclass(frozen=True, eq=False)
-class TrackSettings:
-    """What is followed and how: as the options of ``dvrk-cmaes track``.
+class TrackClock:
+    """Times of images and readings in seconds.
 
-    ``workers`` is the number of processes that fit a recording with its own calibration; by default that of the cores.
-    ``outer_read`` is whether the recording has readings of the outer joints, which alone tell of a base.
+    times : of the images, by frame. unit : of the times in the session; where images are only counted, their times
+    follow from the number of images a second. interval : s, between consecutive images. readings : with their times,
+    in order.
     """
 
-    config: EstimateConfig
-    arm: Arm = "classic"
-    calibration: SessionCalibration | None = None
-    lag: float | None = None
-    every: int = 1
-    use_joints: bool = True
-    frames_a_second: float = FRAMES_A_SECOND
-    causal: bool = False
-    evidence: EvidenceKind | None = None
-    hints: Hints | None = None
-    workers: int | None = None
-    outer_read: bool = True
+    times: Mapping[str, float]
+    unit: Unit
+    interval: float
+    readings: tuple[tuple[float, dict[str, float]], ...]
 
     @property
-    def keeps_keyframes(self) -> bool:
-        """Whether a tracker's keyframes are solved beside its steps: there are readings that tell of a base."""
-        return self.use_joints and self.outer_read
+    def outer_read(self) -> bool:
+        """Whether each of the outer joints has a reading."""
+        return set(OUTER_JOINTS) <= {name for _, row in self.readings for name in row}
 
-    def tracker(self, rig: Rig, body: Body) -> Tracker:
-        """Return a tracker with these settings."""
-        return Tracker(
-            rig,
-            body,
-            self.calibration,
-            self.config,
-            arm=self.arm,
-            lag=self.lag,
-            evidence=self.evidence,
-            hints=self.hints,
+    def readings_at(self, times: Float64, gap: float) -> dict[str, Float64]:
+        """Interpolate the readings of each joint at times (F,), s; NaN before the first, after the last and in gaps.
+
+        ``gap`` s is the longest time between two readings without a gap between them.
+        """
+        found = {}
+        for joint in sorted({name for _, row in self.readings for name in row}):
+            known = [(stamp, row[joint]) for stamp, row in self.readings if joint in row]
+            stamps, values = np.array(known, dtype=np.float64).T
+            series = TimedReadings((joint,), stamps, values[:, None])
+            found[joint] = series.at(times, unbroken(gap), straight_line)[:, 0]
+        return found
+
+    @staticmethod
+    def of(
+        session: Session, frames: Sequence[FrameFiles], frames_a_second: float, *, use_joints: bool = True
+    ) -> TrackClock:
+        """Find the times of frames and readings: the session's own, or else from the order of its frames."""
+        series = series_of(session)
+        if series is None:
+            return TrackClock({files.name: 0.0 for files in frames}, "frames", 1 / frames_a_second, ())
+        factor = 1.0 if series.unit == "s" else 1 / frames_a_second
+        rows: dict[float, dict[str, float]] = {}
+        for name, stamps in series.times.items() if use_joints else ():
+            for stamp, value in zip(stamps.tolist(), series.values[name].tolist(), strict=True):
+                rows.setdefault(stamp, {})[name] = value
+        return TrackClock(
+            {files.name: series.frames[files.name] * factor for files in frames},
+            series.unit,
+            series.interval * factor,
+            tuple((stamp * factor, rows[stamp]) for stamp in sorted(rows)),
         )
 
 
-@dataclass(frozen=True, eq=False)
-class TrackRun:
-    """A run that follows an instrument through the frames of a session.
-
-    Its inputs, of which ``frames`` are those that are followed, its folder, and where its progress goes: ``progress``
-    is called with the frames done, all frames, and the last result, ``notice`` with lines. ``stop`` ends it soon.
-    ``arm`` is the name of one of several arms, ``places`` are those at which another one found the endoscope.
-    """
-
-    session: Session
-    out: Path
-    body: Body
-    settings: TrackSettings
-    frames: tuple[FrameFiles, ...]
-    clock: TrackClock
-    stop: threading.Event | None
-    progress: Callable[[int, int, TrackResult | None], None]
-    notice: Callable[[str], None]
-    arm: str = ""
-    places: Sequence[Place] = ()
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the run is to end."""
-        return self.stop is not None and self.stop.is_set()
-
-    @property
-    def frames_a_second(self) -> float:
-        """Frames a second that are followed."""
-        return 1 / (self.clock.interval * self.settings.every)
-
-    def notice_stage(self, stage: str, frames: int) -> None:
-        """Say at which stage the run is."""
-        self.notice(f"{stage}: {frames} frames")
-
-    def row(self, files: FrameFiles, result: TrackResult) -> dict[str, Any]:
-        """Return the row of a frame in tracks.jsonl; without any readings, it says that nothing tells the mode."""
-        if not self.clock.readings and self.body.instrument.has_twin and result.status == "doubtful":
-            result = replace(result, reasons=(NO_READINGS, *result.reasons))
-        return result.to_dict(files.name, timed=self.clock.unit == "s")
+def series_of(session: Session) -> ReadingSeries | None:
+    """Return all readings of a session with the times of all its frames; None for a single frame without a clock."""
+    series = session.reading_series()
+    names = [files.name for files in session.frames]
+    if series is not None and all(name in series.frames for name in names):
+        return series
+    given = session.image_times
+    times = {name: None if (time := given.get(name)) is None else time / NANOSECONDS for name in names}
+    return ReadingSeries.of_frames({files.name: files.readings for files in session.frames}, times)
 
 
 def used_session(session: Session, evidence: EvidenceKind | None) -> tuple[Session, EvidenceKind | None]:
@@ -199,46 +173,7 @@ def files_of_views(files: FrameFiles, rig: Rig) -> dict[str, FrameFiles]:
     return there or {rig.names[0]: files}
 
 
-def followed(
-    tracker: Tracker,
-    frames: Sequence[FrameFiles],
-    clock: TrackClock,
-    rig: Rig,
-    *,
-    with_images: bool = False,
-    schedule: SolutionSchedule | None = None,
-) -> Iterator[tuple[FrameFiles, TrackResult]]:
-    """Follow the frames; readings are given to the tracker when their time has come.
-
-    ``rig`` has the views of the frames; ``with_images`` tells to give the tracker the images of frames that have a
-    mask, too. ``schedule`` has the tracker's keyframes solved beside the steps.
-
-    Raises
-    ------
-    InputError
-        A file of a frame is wrong, or a mask is not of the camera's size.
-    """
-    fed = 0
-    for files in frames:
-        time = clock.times[files.name]
-        while fed < len(clock.readings) and clock.readings[fed][0] <= time + _SAME_TIME:
-            tracker.add_readings(*clock.readings[fed])
-            fed += 1
-        if files.problem is not None:
-            raise InputError(files.problem)
-        masks, images, ignored = {}, {}, {}
-        for name, of_view in files_of_views(files, rig).items():
-            image, masks[name], ignored[name] = read_arrays(of_view, rig.view(name).camera)
-            images[name] = image if with_images or of_view.mask is None else None
-        if schedule is not None:
-            schedule.before_step(time)
-        result = tracker.step(time, masks, images, ignored)
-        if schedule is not None:
-            schedule.after_step(time)
-        yield files, result
-
-
-def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Mask | None, Mask | None]:
+def read_arrays(files: FrameFiles, camera: Camera) -> tuple[Image | None, Bool | None, Bool | None]:
     """Read the image (H, W, 3), if there is one, the mask and the ignored pixels (H, W) of a view of a frame.
 
     Raises

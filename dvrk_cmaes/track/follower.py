@@ -1,6 +1,6 @@
 """Following by a calibration while images come: the last fifteen are the window that is solved.
 
-The terms of an image are those of a recording on disk (`recorded_frames`). The base and the offsets stay as they are.
+The terms of an image are those of a recording on disk (`frame_fits`). The base and the offsets stay as they are.
 """
 
 from __future__ import annotations
@@ -15,10 +15,13 @@ import numpy as np
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.mask_growth import changes_by_masks
 from dvrk_cmaes.calibration.prediction import WRIST_ERROR, FoundLag, Prediction, endoscope_at
+from dvrk_cmaes.camera import Rig
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.seen_view import seen_views
 from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.pose.doubts import (
-    FOLLOWED,
     MOST_DISAGREEING,
     NO_OUTER_READINGS,
     calibration_contradicted,
@@ -29,14 +32,29 @@ from dvrk_cmaes.pose.doubts import (
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.judge import doubts_in_view, doubts_of_agreement
 from dvrk_cmaes.pose.terms.expected import Expected
-from dvrk_cmaes.results.result import ExpectedError
-from dvrk_cmaes.results.tracked import TrackResult, TrackStatus, without_pose
-from dvrk_cmaes.track.followed import Followed
-from dvrk_cmaes.track.images import Mask
+from dvrk_cmaes.results.tracked import TrackResult, without_pose
+from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.frame_fits import fit_near, judged, views_that_show
 from dvrk_cmaes.track.reading_buffer import ReadingAt
-from dvrk_cmaes.track.recorded_frames import fit_near, judged, views_that_show
-from dvrk_cmaes.track.view_segmenter import Seen
-from dvrk_cmaes.track.window import FitEvidence, WindowImage, result_of, solve_window, status_of
+from dvrk_cmaes.track.view_segmenter import Mask, Seen, ViewSegmenter
+from dvrk_cmaes.track.window import FitEvidence, Judged, Window, WindowImage
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """The views, the instrument, the kinematics of its arm, all settings, and what finds masks in the images."""
+
+    rig: Rig
+    body: Body
+    arm: Arm
+    config: EstimateConfig
+    segmenter: ViewSegmenter
+
+    @property
+    def instrument(self) -> Instrument:
+        """The instrument that is followed."""
+        return self.body.instrument
+
 
 _WINDOW = 15  # images whose deviations are estimated together
 _SEEN_MOTION = (2e-4, 5e-3, 2e-2)  # m, rad of the shaft and rad of a joint, beyond which two masks differ
@@ -47,27 +65,13 @@ _DISAGREES = 4  # images in a row that disagree, from which on the keyframes are
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
-    """The status of an image's pose by the image, reasons, the error that is expected of it, None if it shows nothing.
-
-    ``explained`` is whether the pose explains the image well.
-    """
-
-    status: TrackStatus
-    reasons: list[str]
-    error: ExpectedError | None
-    residual_px: float | None = None
-    explained: bool = False
-
-
-@dataclass(frozen=True, eq=False)
 class _FitOfImage:
-    """What an image tells, ``score`` and ``deviation`` as in `LastImage`, and how its pose is then judged."""
+    """What the fit of an image states, ``score`` and ``deviation`` as in `LastImage`, and how its pose is judged."""
 
-    told: FitEvidence
+    evidence: FitEvidence
     score: float
     deviation: Float64 | None
-    judge: Callable[[tuple[Posed, Float64]], _Judged]
+    judge: Callable[[tuple[Posed, Float64]], Judged]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +94,7 @@ class LastImage:
     unexplained: int = 0
 
 
-class Following:
+class Follower:
     """Follows an instrument by a calibration.
 
     Parameters
@@ -114,6 +118,7 @@ class Following:
         self.calibration, self.lag, self.last = calibration, lag, LastImage()
         self._given, self._uncertain = given, uncertain
         self._views = calibration.corrected_views(given.rig.views)
+        self._window = Window(calibration, given.rig.views[0].camera, given.instrument, given.config)
         self._images: deque[WindowImage] = deque(maxlen=_WINDOW)
         self._lengths: dict[str, float] = {}  # px, correlation lengths of the contours' errors, by view
         self._read: tuple[Float64 | None, Float64 | None] = (None, None)  # by the outer joints and the endoscope's arm
@@ -201,44 +206,35 @@ class Following:
             seen = seen.without_frozen()
         masks = given.segmenter.given(seen)
         fit = self._by_masks(at, spread, seen, masks) if masks else self._by_edges(at, spread, seen)
-        self._images.append(WindowImage(time, at, predicted.prior[0], predicted.jacobian[0], fit.told))
-        camera = given.rig.views[0].camera
-        (found,) = solve_window(list(self._images), self.calibration, camera, only_last=True)
-        of_image = fit.judge(found)
-        last, explained = self.last, False
-        disagreeing, unexplained = last.disagreeing, last.unexplained
-        if of_image.error is not None:
-            disagrees = of_image.status == "lost" or fit.told.misfit > given.config.session.largest_misfit
-            in_view = not masks or shows_well(masks)
-            told_by_readings = reading.has_outer and not reading.still
-            disagreeing = disagreeing + in_view if disagrees and told_by_readings else 0
-            explained = of_image.explained and not disagrees
-            unexplained = 0 if explained else unexplained + in_view
-            if explained and time - self._learned >= _LEARNED_EVERY:
-                self._learned = time
-                given.segmenter.learn(seen, self._views, found[0])
-        self.last = LastImage(masks, fit.score, fit.told.misfit, explained, fit.deviation, disagreeing, unexplained)
-        still = reading.still and of_image.error is not None
+        image = WindowImage(time, predicted, 0, fit.evidence)
+        self._images.append(image)
+        (found,) = self._window.solve(list(self._images), only_last=True)
+        judged = fit.judge(found)
+        self._remember(masks, fit, judged, reading, in_view=not masks or shows_well(masks))
+        if self.last.explained and time - self._learned >= _LEARNED_EVERY:
+            self._learned = time
+            given.segmenter.learn(seen, self._views, found[0])
+        still = reading.still and judged.error is not None
         doubts = [
-            *reasons(calibration_contradicted(disagreeing)),
-            *of_image.reasons,
+            *reasons(calibration_contradicted(self.last.disagreeing)),
+            *judged.reasons,
             *reasons(readings_missing(reading.has_outer, still, seen.source)),
         ]
-        return result_of(
-            time,
-            of_image.status,
-            doubts,
-            found,
-            of_image.error,
-            predicted,
-            0,
-            self.calibration,
-            given.instrument,
-            camera,
-            given.config.trust.tip_mm,
-            seconds=clock.perf_counter() - started,
-            residual_px=of_image.residual_px,
-        )
+        return self._window.result(image, found, judged, doubts, seconds=clock.perf_counter() - started)
+
+    def _remember(
+        self, masks: Mapping[str, Mask], fit: _FitOfImage, judged: Judged, reading: ReadingAt, *, in_view: bool
+    ) -> None:
+        """Keep what the image leaves behind; ``in_view`` is whether it shows enough to contradict the calibration."""
+        misfit, last = fit.evidence.misfit, self.last
+        disagreeing, unexplained, explained = last.disagreeing, last.unexplained, False
+        if judged.error is not None:
+            disagrees = judged.status == "lost" or misfit > self._given.config.session.largest_misfit
+            read = reading.has_outer and not reading.still
+            disagreeing = disagreeing + in_view if disagrees and read else 0
+            explained = judged.explained and not disagrees
+            unexplained = 0 if explained else unexplained + in_view
+        self.last = LastImage(masks, fit.score, misfit, explained, fit.deviation, disagreeing, unexplained)
 
     def masks_of(self, seen: Seen) -> dict[str, Mask]:
         """Find masks in the last image, which has none, about the pose to which it was followed."""
@@ -255,18 +251,15 @@ class Following:
             return _nothing(at, spread, seen)
         expected = Expected.of(at, spread)
         fit, own = fit_near(views, given.config, expected, before, self.calibration.masks, self._lengths)
-        pixel_scale = views[0].evidence.camera.pixel_scale
-        told = FitEvidence.of(fit, at, spread, inflation=own.noises[0].inflation(pixel_scale), holds=fit.explains_mask)
+        inflation = own.noises[0].inflation(self._window.camera.pixel_scale)
+        evidence = FitEvidence.of(fit, at, spread, inflation=inflation, holds=fit.explains_mask)
         if fit.explains_mask:
             self._lengths |= {view.name: length for view, length in zip(views, own.lengths, strict=True)}
 
-        def judge(found: tuple[Posed, Float64]) -> _Judged:
-            quality = judged(views, *found, given.body, given.config)
-            status, doubts = status_of(quality, told.misfit, self.calibration, given.config, pixel_scale)
-            explained = quality.quality.iou >= self.calibration.iou - FOLLOWED.overlap_loss
-            return _Judged(status, doubts, quality.error, quality.residual_px, explained)
+        def judge(found: tuple[Posed, Float64]) -> Judged:
+            return self._window.judged(judged(views, *found, given.body, given.config), evidence.misfit)
 
-        return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.explains_mask else None, judge)
+        return _FitOfImage(evidence, fit.score, fit.at.minus(at) if fit.explains_mask else None, judge)
 
     def _by_edges(self, at: Posed, spread: Float64, seen: Seen) -> _FitOfImage:
         """Fit the edges that the colours of an image without masks show, as `_by_masks` does."""
@@ -280,24 +273,24 @@ class Following:
         moves = changes_by_masks(fit.at, camera, instrument)
         edges = fit.with_margin(_EDGES_PX * moves[:, 0])
         edges = replace(edges, by_masks=edges.information @ moves)
-        told = FitEvidence.of(edges, at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
+        evidence = FitEvidence.of(edges, at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
 
-        def judge(found: tuple[Posed, Float64]) -> _Judged:
+        def judge(found: tuple[Posed, Float64]) -> Judged:
             error = expected_error(instrument, *found)
             if not fit.holds:
-                return _Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma)
+                return Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma)
             doubts = fit.doubts + doubts_in_view("edges", found[0], instrument, camera, error, given.config.trust)
-            doubts += doubts_of_agreement("edges", told.misfit, given.config.session)
-            return _Judged("doubtful" if doubts else "ok", doubts, error, fit.sigma, explained=not fit.doubts)
+            doubts += doubts_of_agreement("edges", evidence.misfit, given.config.session)
+            return Judged("doubtful" if doubts else "ok", doubts, error, fit.sigma, explained=not fit.doubts)
 
-        return _FitOfImage(told, fit.score, fit.at.minus(at) if fit.holds else None, judge)
+        return _FitOfImage(evidence, fit.score, fit.at.minus(at) if fit.holds else None, judge)
 
 
 def _nothing(at: Posed, spread: Float64, seen: Seen) -> _FitOfImage:
     """Return what an image tells that shows nothing."""
     lost = seen.problem is None or (seen.masks[seen.main] is not None and not seen.any_same)
     doubts = reasons(pose_lost(seen.source, None)) if seen.problem is None else [seen.problem]
-    nothing = _Judged("lost" if lost else "doubtful", doubts, None)
+    nothing = Judged("lost" if lost else "doubtful", doubts, None)
     return _FitOfImage(FitEvidence.of(None, at, spread, holds=False), np.inf, None, lambda found: nothing)
 
 

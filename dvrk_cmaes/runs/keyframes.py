@@ -1,6 +1,6 @@
-"""A recording without masks: masks found in some of its images, its keyframes among them, and the fits of all images.
+"""The calibration by which a recording is followed: solved from keyframes, or the reason that there is none.
 
-The masks of the keyframes are found in each image by the colours of what moves in the recording. Those that show
+Where frames have no masks, those of the keyframes are found in each image by the colours of what moves. Masks that show
 something else than the instrument do not agree with the others, and are left out as the keyframes are solved together.
 From the keyframes' poses the colours of instrument and surroundings are learned, by which the masks of all images are
 found around what is expected of them.
@@ -8,7 +8,8 @@ found around what is expected of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -16,23 +17,30 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from dvrk_cmaes.calibration.calibrate import SolvedSession
+from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import Place
-from dvrk_cmaes.calibration.session_state import SessionProblem
+from dvrk_cmaes.calibration.first_frames import predict_from_first
+from dvrk_cmaes.calibration.frame_task import SessionFrame
+from dvrk_cmaes.calibration.session_doubts import bad_predictions
+from dvrk_cmaes.calibration.session_state import SessionProblem, SessionState
 from dvrk_cmaes.calibration.together import Begun, solved_alone
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
+from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame_image
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.packed_mask import PackedMask
 from dvrk_cmaes.frames.seen_view import SeenView
+from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Posed
+from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.recorded import RecordedSolution, predict, read_seen
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, RecordedKeyframe, begin_chosen
+from dvrk_cmaes.runs.frame import estimate_frame
+from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
+from dvrk_cmaes.runs.track_inputs import series_of
 from dvrk_cmaes.runs.worker import hints_of
 from dvrk_cmaes.segment.moving_colours import MOST, reduced
 from dvrk_cmaes.segment.prompts import Prompts
@@ -40,17 +48,161 @@ from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
+from dvrk_cmaes.track.frame_fits import around_task, learn_task, with_outside
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import around_task, learn_task, with_outside
 from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
+from dvrk_cmaes.track.keyframe_problem import solved_with
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, choose_keyframes
 
+SEARCHED: Final = 16  # keyframes that are searched for; the others start from where these expect them
+_OVERLAP_LOSS: Final = 0.06  # below the overlap of the frames that were searched for, from which on one is as well
+_REFUSED: Final = "session: "  # begins what `calibrate_session` says of a session that it cannot solve
 _SEGMENTED: Final = 60  # images, at most, that are segmented by themselves
 _FEWEST: Final = 6  # keyframes whose masks were found, with which a recording is solved
 _ENOUGH: Final = 20  # that agree; of fewer, masks are found again in the other images, and solved again
 _MORE: Final = 1.3  # times as many keyframes as agreed, from which on they are solved again
 _NO_COLOURS: Final = "no image shows enough of the instrument where it is expected"
 _KEYFRAMES: Final = 40  # of these, at most, that are solved together
+
+
+def with_keyframes(session: Session, most: int) -> Session:
+    """Return a session with at most some of its frames: those well in view, far from each other.
+
+    Raises
+    ------
+    InputError
+        A file of a frame is wrong; no frame is well in view and has readings of all outer joints.
+    """
+    series = series_of(session)
+    times = np.array([0.0 if series is None else series.frames[own.name] for own in session.frames])
+    recorded = RecordedFrames.of(session.frames, session.rig, series, times)
+    frames = tuple(session.frames[i] for i in recorded.keyframes(most))
+    if not frames:
+        raise InputError(
+            f"{session.folder}: --keyframes: expected frames well in view with readings of all outer joints, got none"
+        )
+    return replace(session, frames=frames)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedKeyframe:
+    """A keyframe: its number in the recording, its files, and the function that reads its data, which is picklable.
+
+    ``start`` is where its instrument is expected, if that is known. A pose found from there counts if its overlap with
+    the mask is at least ``least_iou``.
+    """
+
+    number: int
+    files: FrameFiles
+    read: Callable[[], FrameData]
+    start: Posed | None = None
+    least_iou: float = 0.0
+
+
+def alone_task(body: Body, config: EstimateConfig, keyframe: RecordedKeyframe, *, arm: Arm) -> Result:
+    """Estimate a keyframe by itself, as `batch` does: from where it is expected, or else by a search."""
+    files, data, method = keyframe.files, keyframe.read(), FrameMethod(arm, config)
+    if keyframe.start is not None:
+        started = replace(files, start=_as_result(keyframe.start, body, files.name))
+        result = estimate_frame(started, data, body, method)
+        if result.quality is not None and result.quality.iou >= keyframe.least_iou:
+            return result
+    return estimate_frame(files, data, body, method)
+
+
+def _as_result(at: Posed, body: Body, name: str) -> Result:
+    """Return an expected pose as a result that an estimate may start from."""
+    instrument = body.instrument
+    return Result(
+        frame=name,
+        status="doubtful",
+        reasons=("expected",),
+        **instrument.stated,
+        camera_from_root=at.pose,
+        joints=dict(zip(instrument.joint_names, at.joints.tolist(), strict=True)),
+        readings={},
+    )
+
+
+def begin_keyframes(
+    recorded: RecordedFrames, work: SessionProblem, places: Sequence[Place] = ()
+) -> Begun[RecordedSolution | str | None]:
+    """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
+
+    Finish it by `solved_together` or `solved_alone`; ``places`` are as in `begin_arm`.
+    """
+    chosen = {i: recorded.files[i] for i in recorded.keyframes()}
+    keyframes = [RecordedKeyframe(i, own, partial(read_frame, own, recorded.rig)) for i, own in chosen.items()]
+    begun = _begin_chosen(recorded, keyframes, work, places=places)
+    return begun.then(
+        lambda solved: solved if isinstance(solved, str) else RecordedSolution(recorded, solved.calibration)
+    )
+
+
+def _begin_chosen(
+    recorded: RecordedFrames,
+    keyframes: Sequence[RecordedKeyframe],
+    work: SessionProblem,
+    least: int = LEAST_KEYFRAMES,
+    places: Sequence[Place] = (),
+) -> Begun[SolvedSession | str]:
+    """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used.
+
+    ``least`` is the number of keyframes that are needed, ``places`` are as in `begin_arm`.
+    """
+    if len(keyframes) < least:
+        since = recorded.files[int(recorded.frozen.argmax())].name
+        frozen = f" (readings frozen since frame {since})" if recorded.frozen.any() else ""
+        return Begun.of(f"{len(keyframes)} frames are well in view and have readings{frozen}, fewer than {least}")
+    work.progress("estimating keyframes", len(keyframes))
+    problem = replace(work, series=recorded.series, gathered={})
+    frames = _estimated(recorded, keyframes, problem)
+    problem = replace(problem, config=solved_with(work.config), gathered={})
+    begun: Begun[SolvedSession | str]
+    with _texts_of_refusals() as refused:
+        begun = begin_arm(frames, problem, places).then(lambda found: bad_predictions(found[0].calibration) or found[0])
+    return Begun.of(refused[0]) if refused else Begun(partial(_finished_or_refused, begun), begun.state)
+
+
+def _finished_or_refused(begun: Begun[SolvedSession | str], others: Sequence[SessionState]) -> SolvedSession | str:
+    """Finish keyframes that are solved by themselves; a text says why that is not possible."""
+    with _texts_of_refusals() as refused:
+        return begun.finish(others)
+    return refused[0]
+
+
+@contextmanager
+def _texts_of_refusals() -> Iterator[list[str]]:
+    """Keep why a session cannot be solved in the list; an error of a file that is missing or damaged is raised."""
+    texts: list[str] = []
+    try:
+        yield texts
+    except InputError as error:
+        if not str(error).startswith(_REFUSED):
+            raise
+        texts.append(str(error).removeprefix(_REFUSED))
+
+
+def _estimated(
+    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], problem: SessionProblem
+) -> list[SessionFrame]:
+    """Estimate keyframes alone: some by a search, the others from where these expect them."""
+
+    def in_session(one: RecordedKeyframe, result: Result) -> SessionFrame:
+        return SessionFrame(one.files.name, one.read, result, one.files.keypoints, one.files.time)
+
+    searched = set(recorded.keyframes(SEARCHED))
+    some, rest = ([one for one in keyframes if (one.number in searched) == kind] for kind in (True, False))
+    alone = partial(alone_task, arm=problem.arm)
+    results = problem.run(alone, some)
+    first = {one.number: in_session(one, result) for one, result in zip(some, results, strict=True)}
+    readings = {one.files.name: one.files.readings for one in rest}
+    expected = predict_from_first(list(first.values()), readings, problem)
+    overlaps = [result.quality.iou for result in results if result.quality is not None]
+    least = float(np.median(overlaps)) - _OVERLAP_LOSS if overlaps else 1.0
+    rest = [replace(one, start=expected.get(one.files.name), least_iou=least) for one in rest]
+    others = {one.number: in_session(one, result) for one, result in zip(rest, problem.run(alone, rest), strict=True)}
+    return [frame for _, frame in sorted((first | others).items())]
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,19 +306,18 @@ def begin_images(
     hints: Hints,
     work: SessionProblem,
     places: Sequence[Place] = (),
-) -> Begun[tuple[RecordedFrames, RecordedSolution | str]]:
+) -> Begun[RecordedSolution | str | None]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
 
     With a calibration that is ``given``, the masks only tell the colours. Where few keyframes agree, masks are found in
     the other images around what they expect, and all are solved again. ``hints`` hold for the first frame, ``places``
-    are as in `begin_arm`. Also returns the frames with what was measured of the masks. Raises InputError for a file
-    that is wrong.
+    are as in `begin_arm`. Raises InputError for a file that is wrong.
     """
     files, times, names, readings = recorded.files, recorded.times, recorded.names, recorded.readings
     there = np.array([own.has_image or own.has_mask for own in files]) & recorded.trusted
     chosen = choose_keyframes(there, times, names, readings, _SEGMENTED)
     if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to tell masks of another tool from the right ones
-        return Begun.of((recorded, f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}"))
+        return Begun.of(f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}")
     work.progress("finding masks", len(chosen))
     segmented = partial(segment_task, rig=recorded.rig, colours=_moving_colours(recorded, chosen))
     of_frames = {i: hints if i == 0 and hints != Hints() else hints_of(files[i]) or Hints() for i in chosen}
@@ -174,8 +325,8 @@ def begin_images(
     found: dict[int, PackedFrame | None] = dict(zip(chosen, work.run(segmented, tasks), strict=True))
     recorded = _measured(recorded, found)
     if given is not None:
-        return Begun.of((recorded, _with_colours(RecordedSolution(recorded, given, {}), work, found=found)))
-    begun = begin_chosen(recorded, _keyframes(recorded, found), work, _FEWEST, places)
+        return Begun.of(_with_colours(RecordedSolution(recorded, given, {}), work, found=found))
+    begun = _begin_chosen(recorded, _keyframes(recorded, found), work, _FEWEST, places)
     return begun.then(partial(_with_more_masks, recorded, found, work))
 
 
@@ -184,22 +335,22 @@ def _with_more_masks(
     found: Mapping[int, PackedFrame | None],
     work: SessionProblem,
     solved: SolvedSession | str,
-) -> tuple[RecordedFrames, RecordedSolution | str]:
+) -> RecordedSolution | str:
     """Return a solution with colours; where few keyframes agree, one by itself with masks around what they expect."""
     if isinstance(solved, str):
-        return recorded, solved
-    solution = _with_colours(RecordedSolution(recorded, solved.calibration, {}), work, results=solved.results)
+        return solved
+    solution = _with_colours(RecordedSolution.of(recorded, solved), work, results=solved.results)
     few = len(solved.calibration.frames) < _ENOUGH and len(recorded.rig.views) == 1
     if isinstance(solution, RecordedSolution) and few:
         more = _found_around(solution, found, work)
         more_measured = _measured(recorded, more)
         keyframes = _keyframes(more_measured, more)
         if len(keyframes) > _MORE * len(solved.calibration.frames):
-            again = solved_alone(begin_chosen(more_measured, keyframes, work, _FEWEST))
+            again = solved_alone(_begin_chosen(more_measured, keyframes, work, _FEWEST))
             if not isinstance(again, str) and len(again.calibration.frames) > len(solved.calibration.frames):
-                better = RecordedSolution(more_measured, again.calibration, {})
-                return more_measured, _with_colours(better, work, results=again.results)
-    return recorded, solution
+                better = RecordedSolution.of(more_measured, again)
+                return _with_colours(better, work, results=again.results)
+    return solution
 
 
 def _keyframes(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None]) -> list[RecordedKeyframe]:

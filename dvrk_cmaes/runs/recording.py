@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
 
+from dvrk_cmaes.calibration.calibrate import SolvedSession
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import ecm_readings, outer_readings
@@ -25,17 +26,104 @@ from dvrk_cmaes.pose.doubts import readings_frozen, readings_missing, readings_t
 from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.runs.recorded_keyframes import RecordedFrames, read_shown
+from dvrk_cmaes.track.frame_fits import FittedFrame, PredictedFrame, fit_block, judge_frame
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_frames import fit_block
-from dvrk_cmaes.track.reading_buffer import frozen_since
-from dvrk_cmaes.track.recorded_frames import FittedFrame, PredictedFrame, judge_frame
-from dvrk_cmaes.track.window import FitEvidence, WindowImage, result_of, solve_window, status_of
+from dvrk_cmaes.track.keyframes import MOST_KEYFRAMES, MaskShape, choose_keyframes, has_outer_joints, well_in_view
+from dvrk_cmaes.track.reading_buffer import frozen_frames, frozen_since
+from dvrk_cmaes.track.window import FitEvidence, Window, WindowImage
 
 BLOCK: Final = 10
 """Consecutive frames that are fitted one after the other by one process."""
 
 _CONTINUED: Final = 6  # frames beyond the first or last readings, as far as these are taken to go on
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFrames:
+    """The frames of a recording that are followed, with what is measured once.
+
+    ``shapes`` are those of the masks, ``times`` (N,) s, ``names`` the K joints that are read, ``readings`` (N, K), NaN
+    without one; ``frozen`` (N,) tells where the outer joints' readings stand still while the mask moves. ``centres``
+    (N, 2) are those of the masks, px, NaN without one.
+    """
+
+    files: tuple[FrameFiles, ...]
+    rig: Rig
+    series: ReadingSeries | None
+    times: Float64
+    shapes: list[MaskShape]
+    names: tuple[str, ...]
+    readings: Float64
+    frozen: Bool
+    centres: Float64
+
+    @classmethod
+    def of(
+        cls, files: tuple[FrameFiles, ...], rig: Rig, series: ReadingSeries | None, times: Float64
+    ) -> RecordedFrames:
+        """Measure the masks of frames; InputError names a file that is wrong."""
+        shown = ((i, read_shown(own, rig)) for i, own in enumerate(files))
+        masks = ((i, None if data is None else data.mask) for i, data in shown)
+        return cls.of_readings(files, rig, series, times).measured(masks)
+
+    @classmethod
+    def of_readings(
+        cls, files: tuple[FrameFiles, ...], rig: Rig, series: ReadingSeries | None, times: Float64
+    ) -> RecordedFrames:
+        """Return frames of whose masks nothing is known."""
+        names = tuple(dict.fromkeys(name for own in files for name in own.readings))
+        readings = np.array([[own.readings.get(name, np.nan) for name in names] for own in files])
+        shapes, still = [MaskShape(0.0, 1.0)] * len(files), np.zeros(len(files), np.bool_)
+        return cls(files, rig, series, times, shapes, names, readings, still, np.full((len(files), 2), np.nan))
+
+    def measured(self, masks: Iterable[tuple[int, Bool | None]]) -> RecordedFrames:
+        """Return the frames with the shapes of masks, which are given with the numbers of their frames."""
+        shapes, centres = [MaskShape(0.0, 1.0)] * len(self.files), np.full((len(self.files), 2), np.nan)
+        for i, mask in masks:
+            if mask is not None and mask.any():
+                shapes[i], (rows, columns) = MaskShape.of(mask), np.nonzero(mask)
+                centres[i] = columns.mean(), rows.mean()
+        outer = outer_readings([own.readings for own in self.files])
+        frozen = frozen_frames(outer, centres, self.rig.views[0].camera.width)
+        return replace(self, shapes=shapes, frozen=frozen, centres=centres)
+
+    @property
+    def trusted(self) -> Bool:
+        """Which frames (N,) have readings of all outer joints that are not frozen."""
+        return has_outer_joints(self.names, self.readings) & ~self.frozen
+
+    def keyframes(self, most: int = MOST_KEYFRAMES) -> list[int]:
+        """Choose at most some keyframes: well in view, with readings that are not frozen, far from each other."""
+        usable = well_in_view(self.shapes) & self.trusted
+        return choose_keyframes(usable, self.times, self.names, self.readings, most)
+
+
+def read_shown(files: FrameFiles, rig: Rig) -> FrameData | None:
+    """Read a frame without its images; None if no view has a mask that shows something."""
+    if files.problem is not None:
+        raise InputError(files.problem)
+    masks = [own.mask for own in files.of_views(rig).values() if own.mask is not None]
+    if not masks:
+        return None
+    without = files.changed(image=None)
+    try:
+        return read_frame(without, rig, blank=True)
+    except InputError as error:
+        if len(rig.views) > 1 and "mask is empty" in str(error):
+            return None
+        raise
+
+
+def read_seen(files: FrameFiles, rig: Rig) -> FrameData | None:
+    """Read a frame by its masks, where it has any, or else its images; None if it has neither.
+
+    InputError for a file that is wrong.
+    """
+    if files.problem is not None:
+        raise InputError(files.problem)
+    if not files.has_mask and image_path(files) is None:
+        return None
+    return read_frame(files, rig, blank=True) if files.has_mask else read_frame_image(files, rig)
 
 
 def predict(
@@ -116,6 +204,11 @@ class RecordedSolution:
     calibration: SessionCalibration
     colours: Mapping[str, ColourModel] | None = None
 
+    @classmethod
+    def of(cls, recorded: RecordedFrames, solved: SolvedSession) -> RecordedSolution:
+        """Return a solution of keyframes in the digits of session.json, by which a recording can be followed again."""
+        return cls(recorded, SessionCalibration.from_dict(solved.calibration.to_dict()))
+
     @cached_property
     def rig(self) -> Rig:
         """The cameras of the calibration; a task needs no more of the recording and its calibration."""
@@ -139,65 +232,36 @@ class RecordedSolution:
         return [fitted for block in run(fit, blocks) for fitted in block]
 
 
-def read_seen(files: FrameFiles, rig: Rig) -> FrameData | None:
-    """Read a frame by its masks, where it has any, or else its images; None if it has neither.
-
-    InputError for a file that is wrong.
-    """
-    if files.problem is not None:
-        raise InputError(files.problem)
-    if not files.has_mask and image_path(files) is None:
-        return None
-    return read_frame(files, rig, blank=True) if files.has_mask else read_frame_image(files, rig)
-
-
 def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[TrackResult]:
     """Fit all frames, solve them as one window, judge their poses, and describe them, in order."""
     recorded, session, instrument = solution.recorded, solution.calibration, work.instrument
-    source, joint_names = "mask" if solution.colours is None else "image", instrument.joint_names
+    source = "mask" if solution.colours is None else "image"
     predicted, sparse = predict(recorded, session, instrument.joint_names)
     fits, config, run = solution.fits(predicted, work.run), work.config, work.run
     camera, images = recorded.rig.views[0].camera, []
+    window = Window(session, camera, instrument, config)
     for i, fitted in enumerate(fits):
         at, spread = predicted.at[i], predicted.spread[i]
-        told = FitEvidence.of(None, at, spread, holds=False)
+        evidence = FitEvidence.of(None, at, spread, holds=False)
         if fitted is not None:
             inflation, holds = fitted.stored.own.noises[0].inflation(camera.pixel_scale), fitted.fit.explains_mask
-            told = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=holds)
-        images.append(WindowImage(float(recorded.times[i]), at, predicted.prior[i], predicted.jacobian[i], told))
-    found = solve_window(images, session, camera)
+            evidence = FitEvidence.of(fitted.fit, at, spread, inflation=inflation, holds=holds)
+        images.append(WindowImage(float(recorded.times[i]), predicted, i, evidence))
+    found = window.solve(images)
     shown = [(fitted.stored, own) for fitted, own in zip(fits, found, strict=True) if fitted is not None]
-    judged = iter(run(judge_frame, shown))
-    names = [own.name for own in recorded.files]
-    frozen = frozen_since(recorded.frozen, names)
+    qualities = iter(run(judge_frame, shown))
+    frozen = frozen_since(recorded.frozen, [own.name for own in recorded.files])
     results = []
     for i, (fitted, image) in enumerate(zip(fits, images, strict=True)):
-        quality = None if fitted is None else next(judged)
-        status, doubts = status_of(quality, image.told.misfit, session, config, camera.pixel_scale, source)
-        doubts += () if fitted is None else fitted.doubts
+        judged = window.judged(None if fitted is None else next(qualities), image.fit.misfit, source)
+        doubts = [*judged.reasons, *(() if fitted is None else fitted.doubts)]
         if solution.colours is not None:
-            doubts += far_joints(found[i][0], image.at, predicted.spread[i], joint_names)
+            doubts += far_joints(found[i][0], image.at, predicted.spread[i], instrument.joint_names)
         doubts += reasons(
             readings_missing(bool(predicted.told[i]), still=False, source=source),
             readings_too_sparse(sparse[i]),
             readings_frozen(frozen[i]),
         )
-        results.append(
-            result_of(
-                image.time,
-                status,
-                doubts,
-                found[i],
-                None if quality is None else quality.error,
-                predicted,
-                i,
-                session,
-                instrument,
-                camera,
-                config.trust.tip_mm,
-                seconds=0.0 if fitted is None else fitted.seconds,
-                residual_px=None if quality is None else quality.residual_px,
-                remarks=recorded.rig.remarks,
-            )
-        )
+        seconds = 0.0 if fitted is None else fitted.seconds
+        results.append(window.result(image, found[i], judged, doubts, seconds=seconds, remarks=recorded.rig.remarks))
     return results
