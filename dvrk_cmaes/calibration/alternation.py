@@ -34,7 +34,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, solution_at, solve, solve_wi
 from dvrk_cmaes.calibration.starts import first_starts, next_starts
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.packed_mask import PackedMask
+from dvrk_cmaes.frames.seen_view import PackedMask
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.expected import Expected
 

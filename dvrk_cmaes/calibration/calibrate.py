@@ -32,7 +32,7 @@ from dvrk_cmaes.calibration.together import Begun, solved_alone, with_others
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.frames.packed_mask import PackedMask
+from dvrk_cmaes.frames.seen_view import PackedMask
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded

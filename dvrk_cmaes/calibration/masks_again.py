@@ -15,7 +15,7 @@ from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_v
 from dvrk_cmaes.camera import View
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.packed_mask import PackedMask, overlap_of
+from dvrk_cmaes.frames.seen_view import PackedMask, overlap_of
 from dvrk_cmaes.geometry import Bool, Float64, Posed, change_between
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number

@@ -19,8 +19,8 @@ from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.joints.interpolation import LEAST_ERROR
 from dvrk_cmaes.joints.prior import Readings
-from dvrk_cmaes.joints.sparse import LEAST_ERROR
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement

@@ -24,7 +24,7 @@ from dvrk_cmaes.calibration.solve import FrameFits, Solved, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.packed_mask import PackedMask
+from dvrk_cmaes.frames.seen_view import PackedMask
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm

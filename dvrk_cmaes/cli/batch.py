@@ -50,8 +50,8 @@ from dvrk_cmaes.errors import InputError
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.runs.agreement import ArmInSession
     from dvrk_cmaes.runs.batch import BatchSummary
-    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
     from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 _MOST_LISTED = 10
@@ -123,7 +123,7 @@ class BatchOptions:
 
     def with_masks(self, arm: ArmInSession, prompts: PromptOptions) -> ArmInSession:
         """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
-        from dvrk_cmaes.frames.boxes import FramePrompts
+        from dvrk_cmaes.frames.keypoints import FramePrompts
         from dvrk_cmaes.frames.label import parse_label
 
         session = arm.session
@@ -241,8 +241,8 @@ def batch(
         Print only summary.json, on stdout.
     """
     from dvrk_cmaes.cli.session_tools import output_folder, session_tools
+    from dvrk_cmaes.runs.agreement import FoundFrame, exchanged_arms
     from dvrk_cmaes.runs.arms import write_arms
-    from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
 
     wanted.check(calibrated.calibration)
     settings = MethodOptions(config=config).resolve()

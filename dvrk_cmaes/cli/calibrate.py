@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+    from dvrk_cmaes.runs.agreement import ArmInSession
 
 _DOUBT = STATUS_STYLES["doubtful"].removeprefix("bold ")  # style of a line about a part
 _MOST_LISTED = 10
@@ -103,7 +103,7 @@ class CalibrateOptions:
     def share(self, arm: ArmInSession) -> ArmInSession:
         """Return an arm with the frames of its session that match the pattern, and of these the keyframes."""
         from dvrk_cmaes.runs.keyframes import with_keyframes
-        from dvrk_cmaes.runs.worklist import chosen_frames
+        from dvrk_cmaes.runs.output import chosen_frames
 
         chosen = replace(arm.session, frames=chosen_frames(arm.session.frames, self.frames))
         return replace(arm, session=chosen if self.keyframes is None else with_keyframes(chosen, self.keyframes))
@@ -229,8 +229,8 @@ def _compared(
     ``setup`` are the poses of the arms by the set-up joints.
     """
     from dvrk_cmaes.cli.session_tools import write_bases
+    from dvrk_cmaes.runs.agreement import FoundFrame, exchanged_arms
     from dvrk_cmaes.runs.arms import write_arms
-    from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
 
     exchanged = exchanged_arms(
         {

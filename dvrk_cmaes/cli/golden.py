@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.session_folder import Session
     from dvrk_cmaes.results.result import Result
-    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+    from dvrk_cmaes.runs.agreement import ArmInSession
 
 TOLERANCE = Group.create_ordered("Tolerance")
 

@@ -375,13 +375,12 @@ def _opened(
     """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.frames.session_folder import is_session_layout
     from dvrk_cmaes.recording.bag import open_bag
-    from dvrk_cmaes.recording.both_eyes import both_eyes
     from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
     from dvrk_cmaes.recording.pose_table import PoseTable
+    from dvrk_cmaes.recording.recording import both_eyes
     from dvrk_cmaes.recording.stereo_videos import has_stereo_videos, open_stereo_videos
     from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
-    from dvrk_cmaes.recording.surgsync import is_surgsync, open_surgsync
-    from dvrk_cmaes.recording.surgsync_packed import is_packed, open_packed
+    from dvrk_cmaes.recording.surgsync import is_packed, is_surgsync, open_packed, open_surgsync
     from dvrk_cmaes.recording.topics import SUFFIXES, TopicRequest, is_bag
     from dvrk_cmaes.recording.video import Pictures, open_pictures, open_video
 

@@ -272,8 +272,8 @@ def live(
     """
     if not output.seconds > 0:
         raise InputError(f"--seconds: expected a time above 0, got {output.seconds:g}")
+    from dvrk_cmaes.live.connection import RepeatedLines
     from dvrk_cmaes.live.follow import follow
-    from dvrk_cmaes.live.repeated_lines import RepeatedLines
     from dvrk_cmaes.runs.live_session import prepare_long_run
 
     connection = server.connection(RepeatedLines(note))  # of the connection; follow has its own

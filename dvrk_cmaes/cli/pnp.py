@@ -22,7 +22,7 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.results.result import Result
-    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+    from dvrk_cmaes.runs.agreement import ArmInSession
 
 
 def pnp(

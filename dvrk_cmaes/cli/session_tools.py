@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.frames.session_video import SessionVideo
     from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.instrument.arm import Arm
-    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+    from dvrk_cmaes.runs.agreement import ArmInSession
     from dvrk_cmaes.silhouette import Body
 
 
@@ -75,7 +75,7 @@ class SessionTool:
         from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, NO_READINGS, read_session
         from dvrk_cmaes.frames.session_toml import CameraEntry
         from dvrk_cmaes.frames.tool_frames import frames_of_tool
-        from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+        from dvrk_cmaes.runs.agreement import ArmInSession
 
         body, tool, entries = self.options.load(), self.tool, self.entries
         files = None if joints is None else joint_files(joints, tool.arm or None)

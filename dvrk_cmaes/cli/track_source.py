@@ -13,7 +13,7 @@ from dvrk_cmaes.io.short_text import no_folder
 if TYPE_CHECKING:
     from dvrk_cmaes.cli.options import CameraOptions
     from dvrk_cmaes.cli.session_tools import SessionTool
-    from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+    from dvrk_cmaes.runs.agreement import ArmInSession
 
 _IMPORTED = "session"
 _TOLERANCE = 0.05  # s, as of import

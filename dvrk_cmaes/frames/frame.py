@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.camera.fields import Size
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.boxes import FramePrompts
 from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.images import match_size, read_ignore, read_image, read_mask
+from dvrk_cmaes.frames.keypoints import FramePrompts
 from dvrk_cmaes.frames.label import Label
 from dvrk_cmaes.frames.seen_view import Mask, SeenView, seen_by, seen_views
 from dvrk_cmaes.frames.video_frames import VideoFrame

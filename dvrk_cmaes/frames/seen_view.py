@@ -1,4 +1,4 @@
-"""A view of a frame in memory: a camera of the rig, and its mask, image, ignored pixels and jaw tips."""
+"""A view of a frame in memory: a camera of the rig, and its mask, image, ignored pixels and jaw tips; packed masks."""
 
 from __future__ import annotations
 
@@ -12,6 +12,38 @@ from dvrk_cmaes.camera import Camera, Rig, View
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Bool, Float64
 from dvrk_cmaes.io.arguments import checked_array, checked_mask
+
+
+@dataclass(frozen=True)
+class PackedMask:
+    """A mask with one bit a pixel."""
+
+    shape: tuple[int, int]
+    bits: bytes
+
+    @classmethod
+    def of(cls, mask: Bool) -> PackedMask:
+        """Pack a mask (H, W).
+
+        Parameters
+        ----------
+        mask
+            (H, W) bool.
+        """
+        return cls((mask.shape[0], mask.shape[1]), np.packbits(mask).tobytes())
+
+    def restored(self) -> Bool:
+        """Return the mask (H, W)."""
+        height, width = self.shape
+        bits = np.unpackbits(np.frombuffer(self.bits, np.uint8), count=height * width)
+        return bits.reshape(height, width).astype(np.bool_)
+
+
+def overlap_of(first: Bool, second: Bool) -> float:
+    """Return the intersection over union of two masks; 1 if both are empty."""
+    either = int((first | second).sum())
+    return float((first & second).sum()) / either if either else 1.0
+
 
 Mask = Bool | Mapping[str, Bool | None]
 """The mask (H, W) of a camera, or those of a rig's views by name; None for a view without one."""

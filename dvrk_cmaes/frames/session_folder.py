@@ -29,10 +29,9 @@ from dvrk_cmaes.camera.files import CameraFile, Side, read_camera_file
 from dvrk_cmaes.camera.guess import CameraGuess
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
 from dvrk_cmaes.frames.coco_mask import FILES, ROBOFLOW, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
-from dvrk_cmaes.frames.keypoints import read_keypoints
+from dvrk_cmaes.frames.keypoints import FramePrompts, read_boxes, read_keypoints
 from dvrk_cmaes.frames.own_files import OwnFiles
 from dvrk_cmaes.frames.picture_fit import WHOLE, PictureFit
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout

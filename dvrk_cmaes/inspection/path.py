@@ -21,10 +21,9 @@ from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.camera.files import read_intrinsics
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.boxes import read_boxes
 from dvrk_cmaes.frames.coco_mask import frames_of
 from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
-from dvrk_cmaes.frames.keypoints import read_keypoints
+from dvrk_cmaes.frames.keypoints import read_boxes, read_keypoints
 from dvrk_cmaes.frames.markers import read_detections
 from dvrk_cmaes.frames.published_layout import is_published_layout
 from dvrk_cmaes.frames.session_folder import Session, read_session

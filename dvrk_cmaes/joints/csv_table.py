@@ -3,27 +3,232 @@
 These formats are read:
 
 - joints.csv of a session: columns ``frame`` (text: "0026" is not "26"), ``time`` in seconds, or both, and any joints.
+  A large one that has times and numbers alone is read by columns: an hour at 1 kHz is 3.6 million rows.
 - a topic written by jhu-dvrk's data_collection: comment lines ``# Topic:`` and ``# Type:``, then the columns
   ``timestamp`` (ns) and a message's fields, ``name.0 ...`` and ``position.0 ...``.
 - a table with a column of times (``time``, ``timestamp``, ``time_ms``) or no labels at all, and columns of joints,
   which may have ROS prefixes. Without a header, the columns are named by the user.
-- tables of other tools, see `other_tables`.
+- tables of other tools: `rostopic echo -p` (``%time``, ``field.name0``, ``field.position0``), PlotJuggler (``__time``,
+  ``/PSM1/measured_js/yaw/position``), tables with units in the names (``yaw_deg``, ``insertion [mm]``), with two
+  columns of a time (``sec``, ``nanosec``), with each image's file in place of a frame's name, and with columns without
+  names.
 - a table with the columns ``measured_q1`` to ``measured_q6``, without the jaw. Its columns ``measured_x, y, z`` are a
   point of the arm, not the tip, and are not used.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import PurePath
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.csv_file import Rows, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.names import ARM_ORDER, IN_ORDER, joints_by_count, joints_of_arm, without_positions
-from dvrk_cmaes.joints.other_tables import usual
-from dvrk_cmaes.joints.rows import JointFile, JointRow
+from dvrk_cmaes.joints.rows import JointFile, JointRow, TableRows
 from dvrk_cmaes.joints.times import parse_time, parse_times, time_column
+
+_FIELD: Final = re.compile(r"field\.(name|position)(\d+)")
+_PLOTTED: Final = re.compile(r"/(?:(\w+)/)?(?:\w+/)*?(\w+)/position")
+_PLOTTED_BESIDE: Final = re.compile(r"/.*/(?:velocity|effort)")
+_UNIT: Final = re.compile(r"(\w+?)(?:_| *\[| *\()(deg|degrees?|rad|mm|cm|m|s|sec|ms|us|ns)[\])]?", re.IGNORECASE)
+_ANGLES: Final = {"deg": math.pi / 180, "rad": 1.0}
+_LENGTHS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_TIMES: Final = ("time", "timestamp", "stamp", "t")
+_SECONDS: Final = re.compile(r"((?:.*\.)?)(secs?)")
+_REST: Final = ("nanosec", "nsecs", "nsec", "nanosecs")
+_FRAMES: Final = ("filename", "file_name", "file", "image", "image_name", "img", "frame_name", "frame_number")
+_PICTURE: Final = re.compile(r"(.*)\.(?:png|jpe?g|bmp|tiff?)", re.IGNORECASE | re.DOTALL)
+_WITHOUT_NAME: Final = re.compile(r"|Unnamed: \d+")
+
+
+def usual(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
+    """Return header and rows of a table with the names, units and cells that `csv_table` reads; others as they are."""
+    if "%time" in header:
+        header, rows = _renamed(header, rows, _of_rostopic)
+    elif "__time" in header:
+        header, rows = _renamed(header, rows, _of_plotjuggler)
+    header, rows = _renamed(header, rows, lambda name: None if _WITHOUT_NAME.fullmatch(name) else name)
+    header, rows = _one_time(header, rows)
+    header, rows = _with_frames(header, rows)
+    return _in_radians_and_metres(header, rows)
+
+
+def _renamed(header: Sequence[str], rows: Rows, new: Callable[[str], str | None]) -> tuple[list[str], Rows]:
+    """Return a table with other names of its columns, without those for which there is none."""
+    names = {name: new(name) for name in header}
+    if all(name == other for name, other in names.items()):
+        return list(header), rows
+    kept = [(name, other) for name, other in names.items() if other is not None]
+    return [other for _, other in kept], [
+        (where, {other: cells[name] for name, other in kept}) for where, cells in rows
+    ]
+
+
+def _of_rostopic(name: str) -> str | None:
+    """Return the name of a column of `rostopic echo -p` as data_collection has it; None for one that is not read."""
+    field = _FIELD.fullmatch(name)
+    return "timestamp" if name == "%time" else None if field is None else f"{field[1]}.{field[2]}"
+
+
+def _of_plotjuggler(name: str) -> str | None:
+    """Return the name of a column of PlotJuggler; None for one that is not read."""
+    plotted = _PLOTTED.fullmatch(name)
+    if plotted is not None:
+        arm = plotted[1] or ""
+        return f"{arm}_{plotted[2]}" if arm.upper().startswith(("PSM", "ECM", "MTM")) else plotted[2]
+    return "time" if name == "__time" else None if _PLOTTED_BESIDE.fullmatch(name) else name
+
+
+def _one_time(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
+    """Join a column of seconds and one of nanoseconds, where there is no column of times."""
+    if any(name.lower() in _TIMES for name in header):
+        return list(header), rows
+    for name in header:
+        match = _SECONDS.fullmatch(name)
+        rest = None if match is None else next((match[1] + end for end in _REST if match[1] + end in header), None)
+        if rest is None:
+            continue
+        others = [other for other in header if other not in (name, rest)]
+        whole = [cells[name].isdecimal() and cells[rest].isdecimal() and len(cells[rest]) <= 9 for _, cells in rows]
+        if all(whole):
+            joined = (f"{cells[name]}.{cells[rest]:0>9}" for _, cells in rows)
+            return ["time", *others], [
+                (where, {"time": time, **{other: cells[other] for other in others}})
+                for time, (where, cells) in zip(joined, rows, strict=True)
+            ]
+    return list(header), rows
+
+
+def _with_frames(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
+    """Take the column of images' files for that of frames, and leave the folders and suffixes of files out."""
+    column = "frame" if "frame" in header else next((name for name in header if name.lower() in _FRAMES), None)
+    if column is None:
+        return list(header), rows
+    header, rows = _renamed(header, rows, lambda name: "frame" if name == column else name)
+    pictures = [_PICTURE.fullmatch(cells["frame"]) for _, cells in rows]
+    if not all(pictures):
+        return header, rows
+    stems = [PurePath(match[1].replace("\\", "/")).name for match in pictures if match is not None]
+    return header, [(where, {**cells, "frame": stem}) for stem, (where, cells) in zip(stems, rows, strict=True)]
+
+
+def _in_radians_and_metres(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
+    """Convert columns whose names have a unit, of which that of a time stays at the end of its name."""
+    units = {name: match for name in header if (match := _UNIT.fullmatch(name)) is not None}
+    names, factors = {}, {}
+    for name, match in units.items():
+        short = match[2].lower().removesuffix("rees").removesuffix("ree")
+        factor = (_LENGTHS if match[1].endswith("insertion") else _ANGLES).get(short)
+        if match[1].lower() in _TIMES:
+            names[name] = f"{match[1]}_{short}"
+        elif factor is not None:
+            names[name], factors[name] = match[1], factor
+    converted = [
+        (where, {name: _times(cell, factors.get(name, 1.0)) for name, cell in cells.items()}) for where, cells in rows
+    ]
+    return _renamed(header, converted if factors else rows, lambda name: names.get(name, name))
+
+
+def _times(cell: str, factor: float) -> str:
+    """Multiply the number in a cell; another cell stays as it is, and is refused where it is read."""
+    try:
+        return cell if factor == 1.0 else repr(float(cell) * factor)
+    except ValueError:
+        return cell
+
+
+LEAST = 1_000_000
+"""Bytes of a table from which on it is read by columns, if it can be."""
+
+_CHUNK = 1 << 23  # bytes that are read at once
+_NUMBERS = b"0123456789+-.eEnaN,\n"
+_LATEST = 4_000_000_000  # s; larger times may be in another unit
+_MOST_WIDTH, _DIGITS = 20, 9  # characters of a time, and its digits behind the point
+
+
+def read_plain_table(path: str, data: bytes, names: Sequence[str]) -> JointFile | None:
+    """Read a table whose header is ``time`` and joints; None for any other, which `read_joint_csv` reads or refuses.
+
+    Times are exact to the nanosecond; a blank cell and ``nan`` are missing readings. ``names`` are those of the joints
+    that are accepted.
+    """
+    begin = data.find(b"\n") + 1
+    header = [name.strip() for name in data[:begin].removeprefix(b"\xef\xbb\xbf").decode("ascii", "replace").split(",")]
+    joints = tuple(header[1:])
+    if header[0] != "time" or not joints or len({*joints}) < len(joints) or not {*joints} <= {*names}:
+        return None
+    most = data.count(b"\n", begin) + 1
+    times, values, count = np.empty(most, np.int64), np.empty((most, len(joints))), 0
+    while begin < len(data):
+        end = data.rfind(b"\n", begin, begin + _CHUNK) + 1 or len(data)
+        found = _numbers(data[begin:end].replace(b"\r\n", b"\n").rstrip(b"\n") + b"\n", len(header))
+        if found is None:
+            return None
+        more = len(found[0])
+        times[count : count + more], values[count : count + more] = found
+        begin, count = end, count + more
+    rows = TableRows(path, joints, times[:count], values[:count])
+    return JointFile(path, "joints.csv", rows, "message") if (np.diff(rows.times) > 0).all() else None
+
+
+def _numbers(chunk: bytes, columns: int) -> tuple[NDArray[np.int64], Float64] | None:
+    """Return times (N,), ns, and readings (N, J) of whole rows; None if a row is not of plain numbers."""
+    if chunk.translate(None, _NUMBERS):
+        return None
+    while b",," in chunk:
+        chunk = chunk.replace(b",,", b",nan,")
+    chunk = chunk.replace(b",\n", b",nan\n")
+    buffer = np.frombuffer(chunk, np.uint8)
+    ends, commas = np.flatnonzero(buffer == ord("\n")), np.flatnonzero(buffer == ord(","))
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    if len(commas) != len(ends) * (columns - 1):
+        return None
+    between = commas.reshape(len(ends), columns - 1)
+    if (between[:, 0] < starts).any() or (between[:, -1] > ends).any():
+        return None
+    times = _exact_times(buffer, starts, between[:, 0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # text that is no number
+        try:
+            cells = np.fromstring(chunk.replace(b"\n", b","), sep=",")
+        except (DeprecationWarning, ValueError):
+            return None
+    if times is None or cells.size != len(ends) * columns:
+        return None
+    return times, cells.reshape(len(ends), columns)[:, 1:]
+
+
+def _exact_times(
+    buffer: NDArray[np.uint8], starts: NDArray[np.int64], ends: NDArray[np.int64]
+) -> NDArray[np.int64] | None:
+    """Return times with a point, s, exactly in ns; None if one is not of that kind."""
+    widths = ends - starts
+    if not 0 < widths.min() <= widths.max() <= _MOST_WIDTH:
+        return None
+    number = np.zeros(len(starts), np.int64)
+    places = np.full(len(starts), -1)  # digits behind the point; -1 before it
+    for k in range(int(widths.max())):
+        inside = k < widths
+        letter = buffer[np.minimum(starts + k, len(buffer) - 1)]
+        point, digit = inside & (letter == ord(".")), inside & (letter >= ord("0")) & (letter <= ord("9"))
+        if (inside & ~point & ~digit).any() or (point & (places >= 0)).any() or (digit & (places >= _DIGITS)).any():
+            return None
+        number = np.where(digit, number * 10 + letter - ord("0"), number)
+        places += digit & (places >= 0)
+        places[point] = 0
+    if (places < 0).any() or (number < 0).any() or (number // 10 ** places.clip(0) > _LATEST).any():
+        return None
+    return np.asarray(number * 10 ** (_DIGITS - places), np.int64)
+
 
 EXPECTED = "joint readings (joints.csv, or name=value,name=value)"
 

@@ -1,14 +1,106 @@
-"""Series of joint readings over time, and their interpolation at the times of images."""
+"""Series of joint readings over time, their interpolation at the times of images, and what is known in gaps.
+
+A rule for gaps gets times (L,), and for each the times (L,) of the readings before (or at) and at (or after) it, all in
+one unit. Of times before the first reading or after the last, these are the two readings at that end; of a series of
+one reading, both are that one. A rule returns whether readings are known at the times, (L,).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dvrk_cmaes.geometry import Bool, Float64, Indices
-from dvrk_cmaes.joints.gaps import Gaps, Times
+
+Times = NDArray[np.int64] | Float64
+Known = Bool
+Gaps = Callable[[Times, Times, Times], Known]
+
+_SPACINGS = 3.0  # in which the usual longest gap is measured
+
+
+def within(tolerance: float) -> Gaps:
+    """Return the rule that both readings are at most ``tolerance`` away, or one is at the time itself."""
+
+    def known(times: Times, earlier: Times, later: Times) -> Known:
+        near = np.maximum(times - earlier, later - times) <= tolerance
+        return _is_read(times, earlier, later) | (_is_between(times, earlier, later) & near)
+
+    return known
+
+
+def largest_distance(stamps: Times, tolerance: int) -> int:
+    """Return the tolerance, or one and a half times the median spacing of ``stamps`` (N,) where that is more.
+
+    Readings that a robot sends five times a second are thus interpolated as those of a faster one are. Fewer than four
+    readings have no usual spacing.
+    """
+    return tolerance if len(stamps) < 4 else max(tolerance, round(1.5 * float(np.median(np.diff(stamps)))))
+
+
+def longest(gap: float) -> Gaps:
+    """Return the rule that the two readings are at most ``gap`` apart, or one is at the time itself."""
+
+    def known(times: Times, earlier: Times, later: Times) -> Known:
+        near = later - earlier <= gap
+        return _is_read(times, earlier, later) | (_is_between(times, earlier, later) & near)
+
+    return known
+
+
+def usual_spacing(stamps: Times, least: float) -> Gaps:
+    """Return the rule `longest` of three times the median spacing of ``stamps`` (N,), and not below ``least``.
+
+    Between fewer than three readings there is no gap.
+    """
+    return longest(np.inf if len(stamps) < 3 else max(_SPACINGS * float(np.median(np.diff(stamps))), least))
+
+
+def unbroken(gap: float) -> Gaps:
+    """Return the rule that the two readings are at most ``gap`` apart, even if one is at the time itself.
+
+    A longer gap thus includes the reading that ends it, and one after the first reading the first as well.
+    """
+
+    def known(times: Times, earlier: Times, later: Times) -> Known:
+        return _is_between(times, earlier, later) & (later - earlier <= gap)
+
+    return known
+
+
+def extrapolated(gap: float) -> Gaps:
+    """Return the rule `longest`, and that readings are known up to ``gap`` before the first and after the last."""
+    inside = longest(gap)
+
+    def known(times: Times, earlier: Times, later: Times) -> Known:
+        beyond = np.maximum(earlier - times, times - later)
+        return inside(times, earlier, later) | ((beyond > 0) & (beyond <= gap))
+
+    return known
+
+
+def continued(gap: float) -> Gaps:
+    """Return the rule that readings are known from the first one until ``gap`` after the last, however far apart."""
+
+    def known(times: Times, earlier: Times, later: Times) -> Known:
+        return (earlier <= times) & (times <= later + gap)
+
+    return known
+
+
+def _is_between(times: Times, earlier: Times, later: Times) -> Known:
+    """Whether times are not beyond the ends of their series."""
+    return (earlier <= times) & (times <= later)
+
+
+def _is_read(times: Times, earlier: Times, later: Times) -> Known:
+    """Whether there are readings of the times themselves."""
+    return np.asarray((times == earlier) | (times == later))
+
 
 NANOSECONDS = 1_000_000_000
 """Nanoseconds in a second. Times are integers, because a float of seconds since 1970 has a resolution of 200 ns."""
@@ -147,3 +239,65 @@ def _uniform_basis(t: Float64) -> tuple[Float64, Float64]:
     values = np.stack([s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3]) / 6
     slopes = np.stack([-(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2]) / 2
     return values, slopes
+
+
+_LEAST_SPACING: Final = 0.03  # s, from which on readings may be too sparse; errors of single ones would count otherwise
+_LEVER: Final = 0.01  # m, of the jaws about the shaft's axis
+MOST_OFF: Final = 4e-3  # m, by which readings may be off without doubt: what they are off widens the predictions
+_INSERTION, _ROLL = 2, 3  # places among the outer joints
+_LARGEST_ERROR: Final = 1.0  # rad or m: readings of almost the same time tell any number, whose square spoils digits
+LEAST_ERROR: Final = 2e-4
+"""Error of an interpolated reading, rad or m, from which on it counts beside the errors of readings themselves."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sparseness:
+    """How far the outer joints (4,), rad and m, and the jaws, m, may be off at a time; the spacing, in words."""
+
+    error: Float64
+    off: float = 0.0
+    between: str = ""
+
+    @staticmethod
+    def none() -> Sparseness:
+        """Return that of readings of which nothing is known."""
+        return Sparseness(np.zeros(4))
+
+    @classmethod
+    def of(cls, stamps: Float64, values: Float64, time: float) -> Sparseness:
+        """Compute how far a straight line between the readings before and after a time, s, may be off.
+
+        It follows from how much the rates change there. Beyond the last reading, the rate before it is gone on with.
+
+        Parameters
+        ----------
+        stamps : (N,)
+            Times of the readings, s, increasing.
+        values : (N, 4)
+            Readings of the outer joints: yaw, pitch, insertion, roll; rad and m.
+        time
+            The time, s.
+        """
+        after = int(np.clip(np.searchsorted(stamps, time), 1, max(len(stamps) - 1, 1)))
+        first, last = max(after - 2, 0), min(after + 2, len(stamps))
+        if last - first < 3:
+            return cls.none()
+        spacing = float(stamps[after] - stamps[after - 1])
+        if spacing < _LEAST_SPACING:
+            return cls.none()
+        steps, seconds = np.diff(values[first:last], axis=0), np.diff(stamps[first:last])
+        rates = steps / seconds[:, None]
+        between = (seconds[1:] + seconds[:-1])[:, None] / 2
+        bent = np.abs(np.diff(rates, axis=0) / between).max(axis=0)
+        inside, beyond = (time - stamps[after - 1]) * (stamps[after] - time), max(time - stamps[after], 0.0)
+        error = np.minimum(bent * (max(inside, 0.0) / 2 + beyond * (beyond + 3 * spacing) / 2), _LARGEST_ERROR)
+        depth = abs(float(values[after, _INSERTION]))
+        off = float(np.hypot(*error[:2])) * depth + float(error[_INSERTION]) + _LEVER * float(error[_ROLL])
+        change = np.abs(steps).max(axis=0)
+        turn = float(np.delete(change, _INSERTION).max())
+        moves = (
+            f"the insertion changes by {1e3 * change[_INSERTION]:.0f} mm"
+            if error[_INSERTION] > off / 2
+            else f"the arm turns {np.degrees(turn):.0f} deg"
+        )
+        return cls(error, off, f"every {1e3 * spacing:.0f} ms, {moves} between them")

@@ -17,14 +17,12 @@ import numpy as np
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.files import read_bytes, text_of
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.joints.csv_table import EXPECTED, read_joint_csv
-from dvrk_cmaes.joints.gaps import largest_distance, within
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, weighted_mean
+from dvrk_cmaes.joints.csv_table import EXPECTED, LEAST, read_joint_csv, read_plain_table
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, largest_distance, weighted_mean, within
 from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS, accepted_names, check_joint, joint_reading
 from dvrk_cmaes.joints.npy import MAGIC, read_joint_npy
-from dvrk_cmaes.joints.plain_table import LEAST, read_plain_table
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, JointRow, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import time_in_name

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dvrk_cmaes.geometry import Float64
-from dvrk_cmaes.joints.gaps import usual_spacing
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, smooth_spline, straight_line
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, smooth_spline, straight_line, usual_spacing
 from dvrk_cmaes.joints.lag import Lag, Unit
 from dvrk_cmaes.joints.rows import JointFile, number_of
 

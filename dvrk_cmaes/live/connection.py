@@ -1,10 +1,14 @@
-"""What a connection to ROS offers, whatever carries the messages."""
+"""What a connection to ROS offers, whatever carries the messages, and what is handed over between its threads."""
 
 from __future__ import annotations
 
+import re
+import time as clock
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from threading import Condition, Lock
+from typing import Any, Final, Generic, TypeVar
 
 Receive = Callable[[Mapping[str, Any]], None]
 Report = Callable[[str], None]
@@ -59,3 +63,87 @@ class Connection:
     def publish(self, topic: str, fields: Mapping[str, Any]) -> bool:
         """Send a message without waiting; returns whether it was sent, which it is not while there is no connection."""
         return True
+
+
+T = TypeVar("T")
+
+
+class Mailbox(Generic[T]):
+    """Keeps the last ``most`` values that were put in and not taken yet; older ones are dropped."""
+
+    def __init__(self, most: int = 1) -> None:
+        self._values: deque[T] = deque(maxlen=most)
+        self._changed = Condition()
+
+    def put(self, value: T) -> None:
+        """Add a value; never blocks."""
+        with self._changed:
+            self._values.append(value)
+            self._changed.notify()
+
+    def take(self, timeout: float) -> T | None:
+        """Take the newest value and drop the others; None if there is none within ``timeout``, s."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._values, timeout):
+                return None
+            newest = self._values[-1]
+            self._values.clear()
+            return newest
+
+    def take_all(self) -> list[T]:
+        """Take all values, the oldest first."""
+        with self._changed:
+            values = list(self._values)
+            self._values.clear()
+            return values
+
+
+_QUIET: Final = 10.0  # s without a fault, after which the next one of its kind is a new one
+_OFTEN: Final = 60.0  # s after which a fault that goes on is said again
+_MOST_KINDS: Final = 500
+
+
+@dataclass
+class _Kind:
+    said: float
+    heard: float
+    untold: int = 0
+
+
+class RepeatedLines:
+    """Hands lines on, but of lines that differ only in numbers one, and after a minute one more with their number.
+
+    May be called from several threads. A line that cannot be written, as on a full disk, is lost without an error.
+    """
+
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._kinds: dict[str, _Kind] = {}
+        self._lock = Lock()
+
+    def __call__(self, line: str) -> None:
+        """Take a line."""
+        with self._lock:
+            said = self._said(line, clock.monotonic())
+        if said is not None:
+            try:
+                self._report(said)
+            except OSError:
+                return
+
+    def _said(self, line: str, now: float) -> str | None:
+        """Return what is said of a line; None if nothing is."""
+        name = re.sub(r"-?\d+(?:\.\d+)?", "#", line)
+        kind = self._kinds.get(name)
+        if kind is None or now - kind.heard > _QUIET:
+            self._kinds.pop(name, None)
+            self._kinds[name] = _Kind(now, now)
+            if len(self._kinds) > _MOST_KINDS:
+                del self._kinds[next(iter(self._kinds))]
+            return line
+        kind.heard = now
+        if now - kind.said <= _OFTEN:
+            kind.untold += 1
+            return None
+        untold, kind.untold, kind.said = kind.untold, 0, now
+        return f"{line} (and {untold} like it)" if untold else line

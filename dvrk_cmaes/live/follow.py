@@ -20,12 +20,10 @@ from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.live.apart import Arrays, Process, TrackerApart
 from dvrk_cmaes.live.arm import DrawOverlay, LiveArm
-from dvrk_cmaes.live.connection import Connection, Report
+from dvrk_cmaes.live.connection import Connection, RepeatedLines, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
-from dvrk_cmaes.live.outputs import Outputs
-from dvrk_cmaes.live.overlay import LiveOverlay
-from dvrk_cmaes.live.repeated_lines import RepeatedLines
+from dvrk_cmaes.live.outputs import LiveOverlay, Outputs
 from dvrk_cmaes.live.solutions import LiveSolutions
 from dvrk_cmaes.results.tracked import TrackResult
 from dvrk_cmaes.silhouette import Body

@@ -18,8 +18,7 @@ from dvrk_cmaes.frames.frame import with_tool
 from dvrk_cmaes.geometry import Bool
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Report
-from dvrk_cmaes.live.mailbox import Mailbox
+from dvrk_cmaes.live.connection import LARGEST_IMAGE, LARGEST_MESSAGE, Connection, Mailbox, Report
 from dvrk_cmaes.live.messages import JointMessage, read_joint_message, read_pixels, read_rig, read_stamp
 from dvrk_cmaes.recording.topics import camera_info_of
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from dvrk_cmaes.config import TrustConfig
-from dvrk_cmaes.joints.sparse import MOST_OFF, Sparseness
+from dvrk_cmaes.joints.interpolation import MOST_OFF, Sparseness
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.result import ExpectedError, Quality
 

@@ -23,7 +23,7 @@ from dvrk_cmaes.joints.names import ECM_JOINTS, IN_ORDER, without_positions
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.recording.camera import camera_file, read_camera_bytes
 from dvrk_cmaes.recording.messages import ecm_values, image_file, joint_places, joint_values, stamp, stamped_pose
-from dvrk_cmaes.recording.reading_table import read_timed_joints
+from dvrk_cmaes.recording.pose_table import read_timed_joints
 from dvrk_cmaes.recording.recording import Asked, RecordedImage, Recording
 from dvrk_cmaes.recording.topics import (
     IMAGES,

@@ -1,7 +1,8 @@
-"""Joint readings from a table of the arm's measured Cartesian poses, by inverse kinematics.
+"""Time-stamped readings from a file given with a recording: of joints, or of poses by inverse kinematics.
 
-The table is CSV: ``time`` (s), the position ``x``, ``y``, ``z`` (m), the unit quaternion ``qx``, ``qy``, ``qz``,
-``qw``, and, if known, ``jaw`` (rad). Which frames the poses relate is not in such tables; `PoseTable` states it.
+A table of the arm's measured Cartesian poses is CSV: ``time`` (s), the position ``x``, ``y``, ``z`` (m), the unit
+quaternion ``qx``, ``qy``, ``qz``, ``qw``, and, if known, ``jaw`` (rad). Which frames the poses relate is not in such
+tables; `PoseTable` states it.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS, find_joints
 from dvrk_cmaes.io.csv_file import Rows, number_in, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import TimedReadings
+from dvrk_cmaes.joints.reading import JointFile, ReadAs, read_joint_file
 from dvrk_cmaes.joints.times import parse_time
 
 PosePoint = Literal["tip", "wrist-yaw"]
@@ -113,3 +115,34 @@ def _poses(rows: Rows) -> Float64:
         if abs(length - 1) > _UNIT:
             raise InputError(f"{where}: qx: expected a unit quaternion qx, qy, qz, qw, got {shown(row[3:].tolist())}")
     return transform(Rotation.from_quat(values[:, 3:]).as_matrix(), values[:, :3])
+
+
+def read_timed_joints(path: Path | PoseTable | JointFile, arm: str | None = None) -> tuple[TimedReadings, ...]:
+    """Read a file of readings whose rows have times; joints with the same times are in one time series.
+
+    Of a table of poses, the joints are found by inverse kinematics. ``arm`` is the one of a file with those of several.
+
+    Raises
+    ------
+    InputError
+        The file is not one of readings, or its rows have no times.
+    """
+    if isinstance(path, PoseTable):
+        return path.read()
+    file = path if isinstance(path, JointFile) else read_joint_file(path, read_as=ReadAs(arm))
+    groups: dict[bytes, list[TimedReadings]] = {}
+    for series in file.timed:
+        groups.setdefault(series.times.tobytes(), []).append(series)
+    if not groups:
+        raise InputError(
+            f"{file.path}: expected joint readings with times (a column time, in seconds), got {file.kind}"
+        )
+    return tuple(
+        TimedReadings(
+            tuple(name for series in group for name in series.joints),
+            group[0].times,
+            np.hstack([series.values for series in group]),
+            file.path,
+        )
+        for group in groups.values()
+    )

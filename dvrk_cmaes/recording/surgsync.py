@@ -10,29 +10,297 @@ Frame N of a clip has the files::
 used where right.yaml states none. ``hand_eye_calibration`` has the arms' registrations, which are kept for comparison.
 The recorder takes the readings that are nearest in time to each image; here they are interpolated between those of
 neighbouring frames to the image's time.
+
+A packed episode has readings and times by frame as parquet, and a video for each camera. Its folder,
+``RELEASE/DATASET/episodes/TASK/CLIP``, has the files::
+
+    timestamp.parquet            times of the left images, and of all else against these
+    PSM1.parquet, PSM2.parquet   readings of an arm and of its jaw
+    video_raw/stereo_left.mkv    raw images (FFV1); video/stereo_left.mp4 are rectified ones
+    calibration/left.yaml        the cameras of the raw images, and the pose between them
+    episode_meta.json            the time of the first image
+
+The reader follows the schemas that the recorder's authors publish; it has not been tried with a released episode.
+
+The online and the offline recorder nest the fields of JSON files differently (e.g. ``jaw`` beside ``arm`` or inside
+it), so that a field is searched for by its name, at the outermost level first.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from dvrk_cmaes.camera.files import Side, read_document
 from dvrk_cmaes.camera.stereo import has_pose, pose_of_storage
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.files import read_bytes
+from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
+from dvrk_cmaes.io.files import check_file, read_bytes
+from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.joints.gaps import within
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
-from dvrk_cmaes.joints.names import ECM_JOINTS
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean, within
+from dvrk_cmaes.joints.names import ECM_JOINTS, joint_reading, joints_by_count
+from dvrk_cmaes.joints.times import parse_time
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
 from dvrk_cmaes.recording.messages import stored_image
+from dvrk_cmaes.recording.parquet_file import field_names, read_columns
 from dvrk_cmaes.recording.recording import Asked, ImageFile, RecordedImage, Recording
-from dvrk_cmaes.recording.surgsync_frame import FrameTimes, read_ecm, read_positions, read_times
+from dvrk_cmaes.recording.video import frames_at
+
+_TIMES = "the times of a frame (time_syn, JSON)"
+_KINEMATICS = "the readings of an arm (kinematic, JSON)"
+_SECONDS = ("sec", "secs")
+_NANOSECONDS = ("nsec", "nanosec", "nsecs")
+
+
+@dataclass(frozen=True)
+class FrameTimes:
+    """Times of a frame's image and, where they are stated, of the readings of the arm and of its jaw, ns."""
+
+    image: int
+    arm: int | None = None
+    jaw: int | None = None
+
+
+def read_times(path: Path, side: Side, arm: str | None) -> FrameTimes:
+    """Read ``time_syn/N.json``, for one camera's image and one arm's readings.
+
+    Raises
+    ------
+    InputError
+        The file is not readable or states no time of the image; the message names it and the field.
+    """
+    document = read_json(path, expected=_TIMES)
+    image = _time(str(path), document, f"image_{side}_stamp", f"image_{side}", side, "timestamp")
+    if image is None:
+        raise InputError(f"{path}: image_{side}_stamp: expected the image's time (sec, nsec), got none")
+    of_arm = None if arm is None else _field(document, arm)
+    jaw = _field(of_arm, "jaw")
+    return FrameTimes(
+        image,
+        _time(str(path), of_arm, "measured_js_stamp", "measured_js"),
+        _time(str(path), jaw, "measured_stamp", "measured_js_stamp", "measured_js"),
+    )
+
+
+def read_positions(path: Path) -> dict[str, float]:
+    """Read ``kinematic/ARM/N.json``: the positions of the arm's joints and, where it is stated, of its jaw, rad or m.
+
+    Raises
+    ------
+    InputError
+        The file is not readable, or has no measured_js, or one of another number of joints, or a wrong number.
+    """
+    where, (document, values) = str(path), _measured(path)
+    if values is None:
+        raise InputError(f"{path}: measured_js: expected an object with position, a list of numbers, got none")
+    cells = dict(zip(joints_by_count(f"{where}: measured_js", len(values)), values, strict=True))
+    jaw = _field(document, "jaw")
+    opening = _position(_field(jaw, "measured_data") or _field(jaw, "measured_js") or jaw)
+    if opening:
+        cells["jaw"] = opening[0]
+    return {name: joint_reading(where, name, cell) for name, cell in cells.items()}
+
+
+def read_ecm(path: Path) -> dict[str, float]:
+    """Read ``kinematic/ECM/N.json``: the joints of the endoscope's arm, rad or m; errors as `read_positions`."""
+    _, values = _measured(path)
+    if values is None or len(values) != len(ECM_JOINTS):
+        got = "none" if values is None else f"{len(values)} of them"
+        raise InputError(f"{path}: measured_js: expected the positions of {', '.join(ECM_JOINTS)}, got {got}")
+    return {name: joint_reading(str(path), name, cell) for name, cell in zip(ECM_JOINTS, values, strict=True)}
+
+
+def _measured(path: Path) -> tuple[Any, list[Any] | None]:
+    """Read the readings of an arm: the document, and the measured positions in it; None without any."""
+    document = read_json(path, expected=_KINEMATICS)
+    measured = _field(document, "measured_data") or document
+    return document, _position(_field(measured, "measured_js") or _field(measured, "js"))
+
+
+def _field(document: Any, name: str) -> Any:
+    """Return the outermost value of a name in nested objects and lists; None if there is none."""
+    level = [document]
+    while level:
+        for value in level:
+            if isinstance(value, dict) and name in value:
+                return value[name]
+        nested = (
+            value.values() if isinstance(value, dict) else value for value in level if isinstance(value, dict | list)
+        )
+        level = [inner for values in nested for inner in values]
+    return None
+
+
+def _position(value: Any) -> list[Any] | None:
+    """Return the list of positions of a JointState, or a list as it is; None for other values."""
+    position = value.get("position") if isinstance(value, dict) else value
+    return position if isinstance(position, list) else None
+
+
+def _time(where: str, document: Any, *names: str) -> int | None:
+    """Return the time, ns, under the first of some names that has one; None if none has, or it is zero."""
+    for name in names:
+        value = _field(document, name)
+        seconds, rest = (_of(value, keys) for keys in (_SECONDS, _NANOSECONDS))
+        if seconds is not None and rest is not None:
+            if not all(isinstance(part, int) and not isinstance(part, bool) for part in (seconds, rest)):
+                raise InputError(f"{where}: {name}: expected whole seconds and nanoseconds, got {shown(value)}")
+            return int(seconds) * NANOSECONDS + int(rest) or None
+        if isinstance(value, str | int | float) and not isinstance(value, bool):
+            # the name of the recorder's folder, SECONDS_NANOSECONDS, without leading zeros
+            first, underscore, last = str(value).partition("_")
+            return parse_time(f"{where}: {name}", f"{first}.{last:0>9}" if underscore else value)
+    return None
+
+
+def _of(value: Any, keys: tuple[str, ...]) -> Any:
+    """Return the value of the first key that an object has; None if it has none or is no object."""
+    return next((value[key] for key in keys if key in value), None) if isinstance(value, dict) else None
+
+
+_STAMPS: Final = "timestamp.parquet"
+_META: Final = "episode_meta.json"
+_ROW: Final = "frame_index"
+_TIME: Final = "master_timestamp_ns"
+_JOINTS: Final = "measured_js.position"
+_JAW: Final = "jaw.measured_position"
+_TOPICS: Final = {_JOINTS: "measured_js", _JAW: "jaw_measured"}
+"""Topics whose times against the left image are those of a field."""
+_AGAINST: Final = "delta_to_master."
+_OLDEST, _LATEST = -(2**62), 2**62  # ns
+
+
+def is_packed(path: Path) -> bool:
+    """Whether a folder is a packed episode, or a release of them."""
+    return (path / _STAMPS).is_file() or ((path / "meta" / "dataset.json").is_file() and any(path.glob("*/episodes")))
+
+
+@contextmanager
+def open_packed(path: Path, asked: Asked) -> Iterator[Recording]:
+    """Open an episode; times and readings are read at once, images during iteration.
+
+    Parameters and errors are those of `open_surgsync`; rectified images need a camera file.
+    """
+    if not (path / _STAMPS).is_file():
+        episodes = sorted(found.parent.relative_to(path).as_posix() for found in path.glob(f"*/episodes/*/*/{_STAMPS}"))
+        raise InputError(f"{path}: expected the folder of one episode, one of {listed(episodes) or 'none'}")
+    video, rectified = _video(path, asked.side, asked.camera)
+    times = _times(path, asked.side)
+    lens, source = camera_of_clip(path / "calibration", asked)
+    kind = "rectified" if rectified else "raw"
+    notes = [f"images: {video.relative_to(path)} ({kind})", f"camera: {source}", f"times: {_TIME}"]
+    readings, said = asked.given_readings()
+    if asked.joints is None:
+        arms = [file.stem for file in path.glob("*.parquet") if file.stem.startswith(("PSM", "ECM"))]
+        readings, said = _readings(path, chosen_arm(path, arms, asked.arm, "episode"), times)
+    kept, of_kept = registrations(path / "calibration" / "hand_eye")
+    with open_capture(video) as capture:
+        recorded = frames_at(video, capture, times.images, len(times.left), f", one for each row of {_STAMPS}")
+        yield Recording(path, recorded, len(times.images), lens, readings, (*notes, *said, *of_kept), kept)
+
+
+def _video(path: Path, side: Side, camera: Path | None) -> tuple[Path, bool]:
+    """Return an eye's video, the raw one if there is one, and whether it is rectified."""
+    raw, rectified = path / "video_raw" / f"stereo_{side}.mkv", path / "video" / f"stereo_{side}.mp4"
+    if raw.is_file() or not rectified.is_file():
+        check_file(raw, expected=EXPECTED)
+        return raw, False
+    if camera is None:
+        raise InputError(
+            f"{path}: --camera: expected {raw.relative_to(path)}, or the camera file of the rectified images of "
+            f"{rectified.relative_to(path)}; got none"
+        )
+    check_file(rectified, expected=EXPECTED)
+    return rectified, True
+
+
+@dataclass(frozen=True)
+class _Times:
+    """Times of an episode, ns: ``images`` of an eye's images by row, ``left`` (N) of the left ones.
+
+    ``against_left`` has times against those, by topic, None where a row has none.
+    """
+
+    images: Mapping[int, int]
+    left: Sequence[int]
+    against_left: Mapping[str, Sequence[int | None]]
+
+    def of(self, topic: str) -> list[int]:
+        """Return the times (N) of a topic; those of the left images where none are stated."""
+        offs = self.against_left.get(topic, [None] * len(self.left))
+        return [time + (off or 0) for time, off in zip(self.left, offs, strict=True)]
+
+
+def _times(path: Path, side: Side) -> _Times:
+    """Read the times of an episode, of which an image of the right eye without one is left out."""
+    table, meta = path / _STAMPS, path / _META
+    start = 0
+    if meta.is_file():
+        start = _whole(meta, "master_t0_ns", read_json_object(meta, expected=f"a packed episode's {_META}"))
+    of_right = f"{_AGAINST}image_right_ns"
+    others = [name for name in field_names(table) if name.startswith(_AGAINST)]
+    columns = read_columns(table, (_ROW, _TIME, *([of_right] if side == "right" else [])), others)
+    if columns[_ROW] != list(range(len(columns[_ROW]))) or not columns[_ROW]:
+        raise InputError(f"{table}: {_ROW}: expected the numbers from 0 on, got {shown(columns[_ROW][:5])}")
+    left = [start + _whole(table, _TIME, {_TIME: value}) for value in columns[_TIME]]
+    if any(later <= before for before, later in pairwise(left)):
+        raise InputError(f"{table}: {_TIME}: expected increasing times, got others")
+    against = {
+        name.removeprefix(_AGAINST).removesuffix("_ns"): [
+            None if off is None else _whole(table, name, {name: off}) for off in columns[name]
+        ]
+        for name in others
+    }
+    offs = against["image_right"] if side == "right" else [0] * len(left)
+    pairs = enumerate(zip(left, offs, strict=True))
+    return _Times({k: time + off for k, (time, off) in pairs if off is not None}, left, against)
+
+
+def _readings(path: Path, arm: str, times: _Times) -> tuple[tuple[TimedReadings, ...], list[str]]:
+    """Read an arm's table: a series of its joints and one of its jaw at the times of the images, and notes."""
+    table = path / f"{arm}.parquet"
+    columns = read_columns(table, (_ROW, _JOINTS), (_JAW,))
+    if columns.pop(_ROW) != list(range(len(times.left))):
+        raise InputError(f"{table}: {_ROW}: expected the {len(times.left)} rows of {_STAMPS}, got others")
+    taken, notes, rest = [], [], [name for name in field_names(table) if name not in (_ROW, _TIME, _JOINTS, _JAW)]
+    for field, values in columns.items():
+        rows = {k: _row(f"{table}: row {k}: {field}", values[k]) for k in times.images if values[k] is not None}
+        if not rows:
+            if field == _JOINTS:
+                raise InputError(f"{table}: {field}: expected readings of the images' frames, got none")
+            rest.append(field)
+            continue
+        names = tuple(next(iter(rows.values())))
+        moments = times.of(f"{arm}.{_TOPICS[field]}")
+        taken.append(at_images(str(table), names, rows, times.images, {k: moments[k] for k in rows}))
+        notes.append(f"{' '.join(names)}: {arm}.parquet, {field}")
+    return tuple(taken), [*notes, *([f"not taken: {listed(rest, 40)}"] if rest else [])]
+
+
+def _row(where: str, value: Any) -> dict[str, float]:
+    """Return the readings of a cell: a list of an arm's joints, or the jaw's."""
+    if not isinstance(value, list):
+        return {"jaw": joint_reading(where, "jaw", value)}
+    return {
+        name: joint_reading(where, name, cell)
+        for name, cell in zip(joints_by_count(where, len(value)), value, strict=True)
+    }
+
+
+def _whole(path: Path, name: str, document: Mapping[str, Any]) -> int:
+    """Return a field that is a whole number, ns."""
+    value = document.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or not _OLDEST < value < _LATEST:
+        raise InputError(f"{path}: {name}: expected a whole number of nanoseconds, got {shown(value)}")
+    return value
+
 
 ECM: Final = "ECM"
 """Name of the arm that holds the endoscope."""
@@ -78,7 +346,7 @@ def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
     readings, said = asked.given_readings()
     notes += said
     if chosen is not None:
-        readings = _readings(path / "kinematic" / chosen, times)
+        readings = _readings_of_clip(path / "kinematic" / chosen, times)
         notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
         if (folder := path / "kinematic" / ECM).is_dir() and chosen != ECM:
             try:
@@ -145,7 +413,7 @@ def chosen_arm(path: Path, arms: Sequence[str], arm: str | None, what: str) -> s
     return arm or patient_side[0]
 
 
-def _readings(folder: Path, times: Mapping[int, FrameTimes]) -> tuple[TimedReadings, ...]:
+def _readings_of_clip(folder: Path, times: Mapping[int, FrameTimes]) -> tuple[TimedReadings, ...]:
     """Read the readings of all frames: a series of the arm's joints and one of the jaw, at the times of the images."""
     rows = _rows(folder, times, read_positions)
     first = next(iter(rows.values()))

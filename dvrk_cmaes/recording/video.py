@@ -22,8 +22,7 @@ from dvrk_cmaes.frames.video_frames import Layout, Window, eye_of, eye_window, o
 from dvrk_cmaes.io.files import check_file
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
-from dvrk_cmaes.recording.fields import looks_interlaced, of_fields
-from dvrk_cmaes.recording.messages import encode_png
+from dvrk_cmaes.recording.messages import encode_png, looks_interlaced, of_fields
 from dvrk_cmaes.recording.recording import Asked, ImageFile, RecordedImage, Recording
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"

@@ -27,13 +27,11 @@ from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.output import whole_folder, write_bytes
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.joints.gaps import within
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean, within
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
-from dvrk_cmaes.recording.both_eyes import Pairing
 from dvrk_cmaes.recording.given_masks import write_masks
-from dvrk_cmaes.recording.recording import RecordedImage, Recording
+from dvrk_cmaes.recording.recording import Pairing, RecordedImage, Recording
 
 _ARM = re.compile(r"(?<![A-Za-z0-9])PSM[1-3](?![A-Za-z0-9])")
 

@@ -20,7 +20,7 @@ from dvrk_cmaes.io.output import write_bytes
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import overlay_path, result_path
-from dvrk_cmaes.runs.exchanged_tools import ArmInSession
+from dvrk_cmaes.runs.agreement import ArmInSession
 
 
 def write_arms(out: Path, arms: Mapping[str, ArmInSession]) -> None:

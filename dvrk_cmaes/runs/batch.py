@@ -28,14 +28,14 @@ from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.results.folder import SUMMARY, ResultsFolder, read_results
 from dvrk_cmaes.results.pose_rows import pose_rows
 from dvrk_cmaes.results.result import Result, Status
+from dvrk_cmaes.runs.agreement import compare_bases
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
-from dvrk_cmaes.runs.base_agreement import compare_bases
-from dvrk_cmaes.runs.inputs import frame_stamps
 from dvrk_cmaes.runs.manifest import (
     Manifest,
     any_difference,
     check_same_frames,
     check_same_settings,
+    frame_stamps,
     manifest_of,
     read_manifest,
     with_frames,
@@ -44,6 +44,8 @@ from dvrk_cmaes.runs.output import (
     COMMAND,
     POSES,
     TABLES,
+    check_names,
+    chosen_frames,
     complete_results,
     has_results,
     refuse_strange_results,
@@ -63,7 +65,6 @@ from dvrk_cmaes.runs.worker import (
     relative_text,
     run_task,
 )
-from dvrk_cmaes.runs.worklist import check_names, chosen_frames
 from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 TIME_LIMIT = 600.0

@@ -45,11 +45,10 @@ from dvrk_cmaes.results.paths import (
     result_path,
 )
 from dvrk_cmaes.results.result import Result
+from dvrk_cmaes.runs.agreement import ArmInSession
 from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
-from dvrk_cmaes.runs.exchanged_tools import ArmInSession
-from dvrk_cmaes.runs.inputs import frame_stamps, instrument_digest
-from dvrk_cmaes.runs.manifest import manifest_of
+from dvrk_cmaes.runs.manifest import frame_stamps, instrument_digest, manifest_of
 from dvrk_cmaes.runs.pool import Pool, run_with_body
 from dvrk_cmaes.runs.worker import BatchSetup, hints_of
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings

@@ -31,8 +31,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image
-from dvrk_cmaes.frames.packed_mask import PackedMask
-from dvrk_cmaes.frames.seen_view import SeenView
+from dvrk_cmaes.frames.seen_view import PackedMask, SeenView
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Posed
 from dvrk_cmaes.instrument.arm import Arm
@@ -134,9 +133,7 @@ def begin_keyframes(
     chosen = {i: recorded.files[i] for i in recorded.keyframes()}
     keyframes = [RecordedKeyframe(i, own, partial(read_frame, own, recorded.rig)) for i, own in chosen.items()]
     begun = _begin_chosen(recorded, keyframes, work, places=places)
-    return begun.then(
-        lambda solved: solved if isinstance(solved, str) else RecordedSolution(recorded, solved.calibration)
-    )
+    return begun.then(lambda solved: solved if isinstance(solved, str) else RecordedSolution.of(recorded, solved))
 
 
 def _begin_chosen(

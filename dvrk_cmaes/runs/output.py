@@ -1,24 +1,65 @@
-"""The output folder of a batch: complete results, and writing."""
+"""The output folder of a batch: the frames of it, complete results, and writing."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+import os
+from collections.abc import Collection, Iterable, Sequence
+from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from dvrk_cmaes.calibration.document import read_calibration
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.frame import readable
+from dvrk_cmaes.errors import InputError, nearest_first
+from dvrk_cmaes.frames.frame import FrameFiles, readable
 from dvrk_cmaes.io.atomic import json_text, write_json
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.output import remove, write_bytes
-from dvrk_cmaes.io.short_text import natural, shown
+from dvrk_cmaes.io.short_text import listed, natural, shown
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.folder import SESSION, SUMMARY
-from dvrk_cmaes.results.paths import mask_path, overlay_path, result_path
+from dvrk_cmaes.results.paths import check_output, mask_path, overlay_path, result_path
 from dvrk_cmaes.results.result import Status
 from dvrk_cmaes.runs.worker import FrameOutcome
+
+_LONGEST_NAME = 255  # bytes, the limit of nearly all file systems
+
+
+def chosen_frames(frames: Sequence[FrameFiles], pattern: str | None) -> tuple[FrameFiles, ...]:
+    """Return the frames whose names match a shell pattern (``*``, ``?``, ``[..]``), or all frames, in order.
+
+    The name of a frame, with brackets in it, too, is a pattern of this frame alone.
+
+    Raises
+    ------
+    InputError
+        No frame matches.
+    """
+    named = [frame for frame in frames if frame.name == pattern]
+    matching = named or [frame for frame in frames if pattern is None or fnmatchcase(frame.name, pattern)]
+    chosen = tuple(sorted(matching, key=lambda frame: natural(frame.name)))
+    if not chosen:
+        near = listed(nearest_first(str(pattern), [frame.name for frame in frames[:1000]]))
+        raise InputError(f"--frames: expected a pattern of some of the {len(frames)} frames ({near}), got {pattern!r}")
+    return chosen
+
+
+def check_names(out: Path, frames: Sequence[FrameFiles]) -> None:
+    """Check that the results of all frames can be written to a folder.
+
+    Raises
+    ------
+    InputError
+        As `check_output`; or a file name would be too long.
+    """
+    for frame in frames:
+        check_output(out, frame.name)
+        name = result_path(out, frame.name).name
+        if len(os.fsencode(name)) > _LONGEST_NAME:
+            raise InputError(
+                f"frame: expected a name of at most {_LONGEST_NAME} bytes with .json, got {shown(frame.name)}"
+            )
+
 
 COMMAND: Final = "batch"
 POSES: Final = "poses.csv"

@@ -20,8 +20,8 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.joints.interpolation import Sparseness
 from dvrk_cmaes.joints.series import ReadingSeries
-from dvrk_cmaes.joints.sparse import Sparseness
 from dvrk_cmaes.pose.doubts import readings_frozen, readings_missing, readings_too_sparse, reasons
 from dvrk_cmaes.pose.judge import far_joints
 from dvrk_cmaes.pose.terms.expected import Expected

@@ -16,8 +16,8 @@ from typing import TypeVar
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.inputs import instrument_digest
 from dvrk_cmaes.runs.live_session import give_back_memory
+from dvrk_cmaes.runs.manifest import instrument_digest
 from dvrk_cmaes.runs.pool import Pool
 from dvrk_cmaes.track.keyframe_problem import KeyframeProblem, KeyframeTask, Solution
 

@@ -38,9 +38,16 @@ from dvrk_cmaes.results.folder import SESSION
 from dvrk_cmaes.results.paths import check_writable
 from dvrk_cmaes.results.track_files import TABLE, TRACKS, VIDEO, line_of, read_tracks, write_table
 from dvrk_cmaes.results.tracked import TrackResult
-from dvrk_cmaes.runs.inputs import frame_stamps, instrument_digest
 from dvrk_cmaes.runs.keyframes import begin_images, begin_keyframes
-from dvrk_cmaes.runs.manifest import Manifest, check_same_frames, check_same_settings, manifest_of, read_manifest
+from dvrk_cmaes.runs.manifest import (
+    Manifest,
+    check_same_frames,
+    check_same_settings,
+    frame_stamps,
+    instrument_digest,
+    manifest_of,
+    read_manifest,
+)
 from dvrk_cmaes.runs.pool import instrument_pool, run_with_body, usable_cores
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, follow_window
 from dvrk_cmaes.runs.solver_process import SolverProcess

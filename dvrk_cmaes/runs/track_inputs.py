@@ -18,8 +18,7 @@ from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Float64, Image
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.joints.gaps import unbroken
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, straight_line
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, straight_line, unbroken
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.track.view_segmenter import EvidenceKind

@@ -16,7 +16,7 @@ from dvrk_cmaes.io.video_writer import whole_video
 from dvrk_cmaes.report.track_page import FollowedRecording, TrackPictures, write_track_page
 from dvrk_cmaes.results.track_files import VIDEO
 from dvrk_cmaes.results.tracked import TrackView
-from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms
+from dvrk_cmaes.runs.agreement import FoundFrame, exchanged_arms
 from dvrk_cmaes.runs.track_inputs import files_of_views, read_arrays
 from dvrk_cmaes.silhouette import Renderer
 

@@ -31,7 +31,7 @@ from dvrk_cmaes.io.atomic import encoded_image
 from dvrk_cmaes.results.paths import mask_path, overlay_path
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.runs.frame import draw_failed_frame, read_any_frame, solve_frame
-from dvrk_cmaes.runs.inputs import instrument_digest
+from dvrk_cmaes.runs.manifest import instrument_digest
 from dvrk_cmaes.runs.pool import limit_library_threads
 from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings, hints_within
 from dvrk_cmaes.silhouette import Body

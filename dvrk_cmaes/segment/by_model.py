@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.frames.packed_mask import overlap_of
+from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment.appearance import Appearance
 from dvrk_cmaes.segment.segmentation import GUESS

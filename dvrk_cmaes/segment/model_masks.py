@@ -17,7 +17,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.evidence.gather import window_around
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.frames.packed_mask import overlap_of
+from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment.around import mask_around, segmentation_around
 from dvrk_cmaes.segment.by_model import Candidate, assumed_camera, find_instruments

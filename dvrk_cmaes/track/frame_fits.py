@@ -31,8 +31,7 @@ from dvrk_cmaes.evidence.gather import gather_evidence
 from dvrk_cmaes.evidence.quantiles import NORMAL_MEDIAN
 from dvrk_cmaes.frames.field_of_view import outside_view
 from dvrk_cmaes.frames.frame import FrameData
-from dvrk_cmaes.frames.packed_mask import PackedMask, overlap_of
-from dvrk_cmaes.frames.seen_view import SeenView, shown_views
+from dvrk_cmaes.frames.seen_view import PackedMask, SeenView, overlap_of, shown_views
 from dvrk_cmaes.geometry import Bool, Float64, Posed
 from dvrk_cmaes.pose.doubts import UNSUPPORTED, reasons, silhouette_without_colours
 from dvrk_cmaes.pose.expected_error import expected_error

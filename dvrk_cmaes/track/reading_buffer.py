@@ -15,10 +15,8 @@ from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
-from dvrk_cmaes.joints.gaps import Times, extrapolated
-from dvrk_cmaes.joints.interpolation import TimedReadings, weighted_mean
+from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, extrapolated, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, check_readings
-from dvrk_cmaes.joints.sparse import Sparseness
 
 _KEPT = 3.0  # s; older readings are dropped
 _RATE_HALF_WIDTH = 0.2  # s, of the readings from which rates are computed

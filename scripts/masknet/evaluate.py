@@ -23,7 +23,7 @@ from worlds.motion import draw_motion, frame_times
 from worlds.table import worlds
 
 from dvrk_cmaes.evidence.outline_noise import signed_distance
-from dvrk_cmaes.frames.packed_mask import overlap_of
+from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.segment.around import segmentation_around
 from dvrk_cmaes.segment.prompts import draw_prompts
 from dvrk_cmaes.synth.scene import see

@@ -13,8 +13,7 @@ from helpers.places import bundled_path
 
 from dvrk_cmaes import InputError, read_session
 from dvrk_cmaes.io.output import output, write_bytes
-from dvrk_cmaes.runs.inputs import frame_stamps
-from dvrk_cmaes.runs.manifest import check_same_session
+from dvrk_cmaes.runs.manifest import check_same_session, frame_stamps
 
 DEMO = bundled_path() / "demo"
 

@@ -9,8 +9,8 @@ import pytest
 from helpers.places import bundled_path
 
 from dvrk_cmaes import InputError, read_session
-from dvrk_cmaes.frames.boxes import FramePrompts, read_boxes
-from dvrk_cmaes.runs.inputs import frame_stamps
+from dvrk_cmaes.frames.keypoints import FramePrompts, read_boxes
+from dvrk_cmaes.runs.manifest import frame_stamps
 
 
 def written(folder: Path, text: str) -> Path:

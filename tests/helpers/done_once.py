@@ -21,7 +21,7 @@ from cyclopts.argument import Argument, ArgumentCollection
 from dvrk_cmaes import Body, Instrument
 from dvrk_cmaes import segment as segmentation
 from dvrk_cmaes.instrument import measure
-from dvrk_cmaes.runs.inputs import instrument_digest
+from dvrk_cmaes.runs.manifest import instrument_digest
 from dvrk_cmaes.silhouette import prepare
 
 _BODIES = 8

@@ -16,7 +16,7 @@ import pytest
 from dvrk_cmaes import Body, Result
 from dvrk_cmaes.estimation.one_tool import FrameMethod
 from dvrk_cmaes.runs import frame as frames
-from dvrk_cmaes.runs.inputs import instrument_digest
+from dvrk_cmaes.runs.manifest import instrument_digest
 
 _KNOWN: dict[str, Result] = {}
 

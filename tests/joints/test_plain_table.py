@@ -10,8 +10,8 @@ import pytest
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.joints import reading
+from dvrk_cmaes.joints.csv_table import read_plain_table
 from dvrk_cmaes.joints.names import accepted_names
-from dvrk_cmaes.joints.plain_table import read_plain_table
 from dvrk_cmaes.joints.reading import read_joint_file
 
 NAMES = ("yaw", "insertion", "jaw")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.joints.sparse import Sparseness
+from dvrk_cmaes.joints.interpolation import Sparseness
 from dvrk_cmaes.pose.doubts import readings_too_sparse
 
 DEPTH = 0.15  # m

@@ -18,10 +18,10 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.live import arm as live_arm
 from dvrk_cmaes.live import loop as live_loop
 from dvrk_cmaes.live.arm import LiveArm
+from dvrk_cmaes.live.connection import RepeatedLines
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveLoop
 from dvrk_cmaes.live.outputs import Outputs
-from dvrk_cmaes.live.repeated_lines import RepeatedLines
 from dvrk_cmaes.live.rosbridge import RosbridgeConnection
 from dvrk_cmaes.live.stamps import ImageTimes
 

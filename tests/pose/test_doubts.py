@@ -16,7 +16,7 @@ from helpers.transforms import apply, lookat_pose
 from dvrk_cmaes import Body, Camera
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.joints.sparse import Sparseness
+from dvrk_cmaes.joints.interpolation import Sparseness
 from dvrk_cmaes.pose import doubts
 from dvrk_cmaes.pose.doubts import LIMITS, NO_OUTER_READINGS, NO_READINGS, NOT_FOUND
 from dvrk_cmaes.pose.judge import doubts_in_views, exchanged_readings, judge

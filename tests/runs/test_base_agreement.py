@@ -15,7 +15,7 @@ from dvrk_cmaes.pose.doubts import BASE_APART
 from dvrk_cmaes.results.folder import read_results
 from dvrk_cmaes.results.paths import result_path
 from dvrk_cmaes.results.result import Result
-from dvrk_cmaes.runs.base_agreement import base_doubts, compare_bases
+from dvrk_cmaes.runs.agreement import base_doubts, compare_bases
 
 BASE = moved(np.eye(4), np.array([0.1, 0.0, 0.05, 0.3, -0.8, 1.0]))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dvrk_cmaes.runs.exchanged_tools import FoundFrame, exchanged_arms, exchanged_masks, exchanged_tools
+from dvrk_cmaes.runs.agreement import FoundFrame, exchanged_arms, exchanged_masks, exchanged_tools
 
 NAMES = ("wrist_pitch", "wrist_yaw", "jaw")
 

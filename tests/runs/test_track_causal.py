@@ -17,7 +17,7 @@ from helpers.moving_worlds import SMALL
 from dvrk_cmaes import EstimateConfig, prepare, read_calibration, read_session
 from dvrk_cmaes.config import TrustConfig
 from dvrk_cmaes.results.track_files import read_tracks
-from dvrk_cmaes.runs import inputs, solver_process
+from dvrk_cmaes.runs import manifest, solver_process
 from dvrk_cmaes.runs.pool import Pool
 from dvrk_cmaes.runs.track import TrackSettings
 from dvrk_cmaes.synth.levels import LEVELS
@@ -39,7 +39,7 @@ def solved_once() -> Iterator[None]:
     def answer(pool: Pool, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         if function not in (solver_process._estimate, solver_process._solve):
             return submit(pool, function, *arguments)
-        key = inputs.digest_of(arguments[1])
+        key = manifest.digest_of(arguments[1])
         if key not in known:
             known[key] = submit(pool, function, *arguments)
         return known[key]

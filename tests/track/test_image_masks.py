@@ -9,7 +9,7 @@ from helpers.moving_worlds import MovingWorld, moving_world
 from dvrk_cmaes import Renderer
 from dvrk_cmaes.synth.images import draw_image
 from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_masks import colours_document, learned_colours, mask_around, pooled_colours, read_colours
+from dvrk_cmaes.track.image_masks import learned_colours, mask_around, pooled_colours
 
 FRAMES = 3
 
@@ -68,10 +68,3 @@ def test_tissue_before_the_instrument_is_not_in_the_mask(
     inner = hidden & world.masks[0]
     assert found.mask[inner].mean() < 0.3
     assert iou(found.mask & ~hidden, world.masks[0] & ~hidden) > 0.9
-
-
-def test_colours_are_the_same_after_they_are_written(colours: ColourModel) -> None:
-    again = read_colours(colours_document({"left": colours}))
-    assert np.array_equal(again["left"].log_odds, colours.log_odds)
-    with pytest.raises(ValueError, match="expected histograms"):
-        read_colours({"left": {"inside": "", "outside": ""}})
