@@ -38,7 +38,7 @@ def remarks_on(
     fx, fy, cx, cy
         Focal lengths and principal point, px.
     ratio
-        fx / fy that the file states beside the focal lengths, as by an uneven binning.
+        fx / fy that the file states in addition to the focal lengths, as by an uneven binning.
     """
     size, remarks = f"{width} x {height} px", []
     of_video = width / height * 3 / 4 if (width, height) in _VIDEO else 1.0
@@ -79,7 +79,7 @@ def remarks_on(
 
 
 def known_mistakes(remarks: Iterable[str]) -> list[str]:
-    """Return those of some remarks that tell a known mistake of a camera file, of any view.
+    """Return those of some remarks that name a known mistake of a camera file, of any view.
 
     Parameters
     ----------

@@ -334,9 +334,7 @@ def _focal(fields: _Fields, side: Side | None) -> tuple[str, tuple[float, float,
         raise InputError(f"{where}: {missing[side] if side else 'camera_matrix (or K)'}: missing")
     if flat and found is None:
         if len(flat) < 4:
-            raise InputError(
-                f"{where}: {next(n for n in names if n not in fields)}: missing (beside {', '.join(flat)})"
-            )
+            raise InputError(f"{where}: {next(n for n in names if n not in fields)}: missing (with {', '.join(flat)})")
         fx, fy, cx, cy = (take_numbers(where, fields[name][0], [fields[name][1]])[0] for name in names)
         if fx <= 0 or fy <= 0:
             raise InputError(f"{where}: fx, fy: expected positive focal lengths in pixels, got fx {fx:g}, fy {fy:g}")
@@ -420,7 +418,7 @@ def _model(fields: _Fields) -> str | None:
 def _size(fields: _Fields, focal: tuple[float, float, float, float]) -> Size | None:
     """Return width and height; None if they are not stated.
 
-    Of a list beside a matrix in rows, as scripts write, the larger number is the width, or the height where the
+    Of a list with a matrix in rows, as scripts write, the larger number is the width, or the height where the
     principal point would be outside.
     """
     where = fields.where
@@ -443,7 +441,7 @@ def _size(fields: _Fields, focal: tuple[float, float, float, float]) -> Size | N
 
 
 def _ratio(fields: _Fields) -> float:
-    """Return the fx / fy that the file states beside the focal lengths."""
+    """Return the fx / fy that the file states in addition to the focal lengths."""
     across, down, aspect = (as_number(fields.get(r, ("", 1))[1]) or 1.0 for r in ("binning x", "binning y", "aspect"))
     return down / across * aspect
 

@@ -37,7 +37,7 @@ class Intrinsics:
     ``kind`` describes the file format and which of its cameras and matrices were used. ``size`` is width and height in
     pixels, None if the file does not state them. ``fx, fy, cx, cy`` are in pixels; ``model`` and ``distortion`` are as
     in `Camera`. ``notes`` state assumptions that were made about the file. ``ratio`` is the fx / fy that the file
-    states beside the focal lengths, as by an uneven binning.
+    states in addition to the focal lengths, as by an uneven binning.
     """
 
     kind: str
@@ -158,7 +158,7 @@ def opencv_distortion(where: str, name: str, entry: Any) -> Lens:
 def one_camera(where: str, side: Side, name: object = None, *, right: bool = False) -> tuple[str, ...]:
     """Return the notes on using a file of one camera for a side; InputError for the left one where right is asked.
 
-    ``right`` tells that the file states a right eye's baseline, which counts more than its name.
+    ``right``: the file states a right eye's baseline, which counts more than its name.
     """
     if side == "left" or right:
         return ()

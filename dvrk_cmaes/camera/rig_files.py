@@ -28,7 +28,7 @@ def read_rig(
     left
         The left camera's file, or a file that has both cameras: OpenCV's of a pair, or a kalibr camchain.
     right
-        The right camera's file: ROS camera_info beside one of the left, or plain YAML with ``right_from_left``.
+        The right camera's file: ROS camera_info, with one of the left, or plain YAML with ``right_from_left``.
     rectified, size
         As in ``read_camera_file``.
 

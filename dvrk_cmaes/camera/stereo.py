@@ -156,7 +156,7 @@ def _baseline(where: str, name: str, entry: Any) -> Float64:
 
 
 def _metres(where: str, name: str, translation: Float64, *, millimetres: bool) -> tuple[Float64, tuple[str, ...]]:
-    """Return a translation (3,) in metres; ``millimetres`` tells whether the file may state it in those.
+    """Return a translation (3,) in metres; ``millimetres``: whether the file may state it in those.
 
     Of both, the unit is that in which the distance is one of two cameras; from 0.5 on it is millimetres, since two
     cameras half a metre apart see no instrument well.

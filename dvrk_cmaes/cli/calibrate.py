@@ -262,7 +262,7 @@ class _Asked:
 
 
 def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
-    """Return a session whose camera is guessed with the camera that some of its frames tell; None if interrupted.
+    """Return a session whose camera is guessed with the camera estimated from some of its frames; None if interrupted.
 
     The frames are estimated again with that: with a guess that is far off, their poses disagree.
     """
@@ -381,7 +381,7 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
             yield Line(f"  {text}")
     yield from map(Line, calibration.in_words())
     for text in calibration.untold:
-        yield Line(f"  not told by this session: {text}", _DOUBT)
+        yield Line(f"  not determined by this session: {text}", _DOUBT)
     for name, reason in list(calibration.left_out.items())[:_MOST_LISTED]:
         yield Line(f"left out: {name}: {reason}", _DOUBT)
     if len(calibration.left_out) > _MOST_LISTED:

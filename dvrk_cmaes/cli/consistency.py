@@ -1,4 +1,4 @@
-"""``dvrk-cmaes consistency``: agreement of results over the frames of a session, beside the paper's figures."""
+"""``dvrk-cmaes consistency``: agreement of results over the frames of a session, and the paper's figures."""
 
 from __future__ import annotations
 

@@ -353,7 +353,7 @@ def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
         return None, ""
     found = read_calibration(calibration)
     if found.lag is None:
-        why = next((text for text in found.untold if text.startswith("lag")), "lag: not told")
+        why = next((text for text in found.untold if text.startswith("lag")), "lag: not determined")
         return None, f"{calibration}: {why}: none is taken out"
     if found.applied_lag is None:
         said = f"zero within its standard deviation ({found.lag.describe()}): none is taken out"
@@ -372,7 +372,7 @@ def _opened(
     arms: Sequence[str],
     episode: int,
 ) -> AbstractContextManager[Recording]:
-    """Open a recording; a folder is told by its files, a ROS recording by its extension, and others are videos."""
+    """Open a recording; a folder is known by its files, a ROS recording by its extension, and others are videos."""
     from dvrk_cmaes.frames.session_folder import is_session_layout
     from dvrk_cmaes.recording.bag import open_bag
     from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
@@ -415,7 +415,7 @@ def _opened(
         raise InputError(f"{path}: topics were asked for; expected a ROS recording ({', '.join(SUFFIXES)} or a folder)")
 
     def of_eye(eye: Side, *, named: bool = True) -> AbstractContextManager[Recording]:
-        """Open one eye; ``named`` tells whether the topic of its images has the eye in its name."""
+        """Open one eye; ``named``: whether the topic of its images has the eye in its name."""
         of_side = replace(asked, side=eye)
         if not bag:
             shown = replace(pictures_asked, side=eye)

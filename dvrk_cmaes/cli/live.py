@@ -71,7 +71,7 @@ class LiveTopics:
         Topic of the jaw (sensor_msgs/JointState), one for each arm; ARM/jaw/measured_js by default.
     ecm_topic
         Topic of the joints of the arm that holds the endoscope (sensor_msgs/JointState). Where
-        it moves, they tell the arm's base in each image.
+        it moves, the arm's base in each image follows from them.
     psm
         Names of the arms in the names of topics and frames: one, or several that are followed together.
     camera_frame
@@ -106,7 +106,7 @@ class LiveTopics:
         if self.right_image_topic is not None and bool(self.mask_topic) != bool(self.right_mask_topic):
             raise InputError("--right-mask-topic: expected masks of both eyes or of neither, got those of one")
         if len(arms) > 1 and not self.mask_topic:
-            raise InputError("--mask-topic: expected a topic for each of several arms: colours do not tell them apart")
+            raise InputError("--mask-topic: expected a topic for each of several arms: colours do not distinguish them")
         eyes = {"left": EyeTopics.of(self.image_topic, self.camera_topic, masks)}
         if self.right_image_topic is not None:
             eyes["right"] = EyeTopics.of(self.right_image_topic, self.right_camera_topic, right_masks)

@@ -137,16 +137,16 @@ def segment(
         note(text)
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
-    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as beside:
+    with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as temporary:
         outcomes = []
         for frame, path in images.items():
             try:
-                outcomes.append(segment_file(frame, path, settings, hints, threads, beside, instrument))
+                outcomes.append(segment_file(frame, path, settings, hints, threads, temporary, instrument))
             except DvrkCmaesError as error:
                 if single:
                     raise
                 outcomes.append(ImageOutcome(frame, None, {}, problem=str(error)))
-    outcomes = [outcome.moved(beside, out) for outcome in outcomes]
+    outcomes = [outcome.moved(temporary, out) for outcome in outcomes]
     document = {"model": settings.model, "out": str(out), "frames": {o.frame: o.to_dict() for o in outcomes}}
     answer(document, (line for outcome in outcomes for line in _lines(outcome)), json=json)
     return exit_code(outcome.status for outcome in outcomes)

@@ -68,8 +68,8 @@ class SessionTool:
 
         What session.toml says counts where the command line says nothing. ``guess`` is the camera where there is no
         file; without it a file is needed. ``joints`` and ``video`` are as in
-        `frames.session_folder`; ``reading`` tells how readings are read. Masks of labels, as those of a session that is
-        ``labelled``, may be in the folder labels. With ``ahead``, all images tell what lies over them.
+        `frames.session_folder`; ``reading`` says how readings are read. Masks of labels, as those of a session that is
+        ``labelled``, may be in the folder labels. With ``ahead``, texts and borders over the images are looked for.
         """
         from dvrk_cmaes.frames.overlays import OVERLAID, with_overlaid
         from dvrk_cmaes.frames.session_folder import COUNTS_DIFFER, NO_READINGS, read_session

@@ -181,8 +181,8 @@ class Canvas:
         first, last = np.maximum(starts, 0.0), np.minimum(starts + dash[0], length[-1])
         begin = np.stack([np.interp(first, length, points[:, k]) for k in range(2)], axis=1)
         # no point of a dash is farther from its begin than its length
-        beside = dash[0] + _WIDEST * self.unit
-        shown = ((begin > -beside) & (begin < np.array(self.image.shape[1::-1]) + beside)).all(axis=1) & (last > first)
+        margin = dash[0] + _WIDEST * self.unit
+        shown = ((begin > -margin) & (begin < np.array(self.image.shape[1::-1]) + margin)).all(axis=1) & (last > first)
         dashes = []
         for begins, ends in zip(first[shown], last[shown], strict=True):
             at = np.concatenate([[begins], length[(length > begins) & (length < ends)], [ends]])

@@ -202,8 +202,8 @@ def _axes(frame: FrameCanvas, pose: Float64) -> None:
         away = tip - origin
         length = float(np.linalg.norm(away))
         if np.isfinite(length):
-            beside = tip + away / max(length, 1e-9) * 12 * frame.canvas.unit
-            frame.canvas.text(name, (beside[0] - 5 * frame.canvas.unit, beside[1]), colour, size=0.6, rim=True)
+            place = tip + away / max(length, 1e-9) * 12 * frame.canvas.unit
+            frame.canvas.text(name, (place[0] - 5 * frame.canvas.unit, place[1]), colour, size=0.6, rim=True)
 
 
 def _hatch(canvas: Canvas, where: Bool) -> None:

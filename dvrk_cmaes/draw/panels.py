@@ -137,8 +137,8 @@ def _joint(result: Result, name: str) -> str:
     std = (result.std_joints_deg or {}).get(name)
     spread = "" if std is None else f" +- {std:.1f}"
     estimate, read = np.degrees(result.joints[name]), result.readings.get(name)
-    told = "not read" if read is None else f"read {np.degrees(read):.1f}, {estimate - np.degrees(read):+z.1f}"
-    return f"{name} {estimate:.1f}{spread} deg ({told})"
+    read_text = "not read" if read is None else f"read {np.degrees(read):.1f}, {estimate - np.degrees(read):+z.1f}"
+    return f"{name} {estimate:.1f}{spread} deg ({read_text})"
 
 
 def _flow(widths: Sequence[float], width: float, unit: float) -> Places:

@@ -22,7 +22,7 @@ from dvrk_cmaes.io.rounding import rounded
 from dvrk_cmaes.io.table import Table, fixed
 
 QUANTITIES: Final = {"tip_mm": "tips, mm", "root_mm": "root, mm", "shaft_deg": "shaft, deg", "roll_deg": "roll, deg"}
-"""Names of a difference's quantities beside the joints, and their headings with units."""
+"""Names of a difference's quantities but the joints, and their headings with units."""
 
 
 @dataclass(frozen=True)

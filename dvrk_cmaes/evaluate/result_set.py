@@ -72,7 +72,7 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
         A folder of results, or a published.csv.
     readings_from
         A session folder or a joints.csv whose readings are used. By default the readings are those in the results, or
-        for a published.csv those of a joints.csv beside it.
+        for a published.csv those of a joints.csv in its folder.
 
     Raises
     ------
@@ -82,9 +82,9 @@ def read_result_set(path: Path, readings_from: Path | None = None) -> ResultSet:
     given = None if readings_from is None else read_readings(readings_from)
     if path.suffix.lower() == ".csv":
         table = read_published_poses(path)
-        beside = path.with_name("joints.csv")
-        if given is None and beside.exists():
-            given = read_joint_table(beside)
+        own = path.with_name("joints.csv")
+        if given is None and own.exists():
+            given = read_joint_table(own)
         poses = np.stack([camera_from_root for camera_from_root, _ in table.values()])
         return ResultSet(str(path), tuple(table), poses, readings=given or {})
     results = read_results(path).frames

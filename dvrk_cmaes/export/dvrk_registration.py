@@ -59,7 +59,7 @@ def registration_files(
     ecm_pose : (4, 4)
         ``local/measured_cp`` of the ECM that holds the camera, while the frames were recorded; None without an ECM.
     ecm_from_base : (4, 4)
-        The arm's base in that of the ECM, if a session with an endoscope that moved tells it.
+        The arm's base in that of the ECM, if a session with an endoscope that moved determines it.
     others
         The same (4, 4) of the session's other arms, by name.
     """

@@ -54,7 +54,7 @@ def check_rerun(option: str, path: Path) -> None:
 
 @contextmanager
 def rerun_file(path: Path, cameras: Camera | Rig, instrument: Instrument, session: str) -> Iterator[RerunFile]:
-    """Open a recording that is written beside its place and renamed when it is complete.
+    """Open a recording that is written under a temporary name and renamed when it is complete.
 
     Raises
     ------
@@ -64,12 +64,12 @@ def rerun_file(path: Path, cameras: Camera | Rig, instrument: Instrument, sessio
         rerun-sdk is not installed.
     """
     rerun = _library()
-    with written_beside(path, "a recording for Rerun") as beside:
+    with written_beside(path, "a recording for Rerun") as temporary:
         rig = Rig.of(cameras)
         batches = rerun.ChunkBatcherConfig(flush_tick=_LONGEST_BATCH)
         stream = rerun.RecordingStream("dvrk_cmaes", recording_id=session, batcher_config=batches)
         try:
-            stream.save(beside, default_blueprint=_blueprint(rig))
+            stream.save(temporary, default_blueprint=_blueprint(rig))
         except RuntimeError as error:
             raise not_written(path, OSError(None, str(error)), "a recording for Rerun") from None
         stream.set_log_time_enabled(False)

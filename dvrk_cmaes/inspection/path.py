@@ -1,6 +1,6 @@
 """What a file or folder is, and what is read of it, by the readers that the commands use.
 
-Formats are told apart by suffix, first bytes and fields.
+Formats are distinguished by suffix, first bytes and fields.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ def _inspect_table(path: Path, header: set[str], options: Options) -> Finding:
 
 
 def _inspect_json(path: Path, options: Options) -> Finding:
-    """Describe a JSON document by the reader that its fields tell; InputError if it is of none."""
+    """Describe a JSON document by the reader that its fields call for; InputError if it is of none."""
     from dvrk_cmaes.calibration.document import read_calibration  # takes long to import, as `load_instrument`
 
     document = read_json_object(path, expected="a JSON document", comments=True)
@@ -436,7 +436,7 @@ def _inspect_video(path: Path) -> Finding:
         notes.append(f"of this shape it may show both eyes: then give --layout {layout}")
     names = ("camera.yaml", "joints.csv")
     if all((path.parent / name).is_file() for name in names):
-        lines += ["taken for a recording: camera.yaml and joints.csv are beside it", _next_command("track", path)]
+        lines += ["taken for a recording: camera.yaml and joints.csv are in its folder", _next_command("track", path)]
     else:
         lines += [
             "a camera file is needed, and readings",
@@ -479,7 +479,7 @@ def _inspect_pictures(path: Path, pictures: Sequence[Path]) -> Finding:
         *([f"skipped: {listed(skipped)}"] if skipped else []),
     )
     read = {"pictures": [picture.stem for picture in pictures], "kinds": dict(kinds), "skipped": skipped}
-    return Finding("folder of pictures", lines, read, ("the kind of each picture is told by its pixels",))
+    return Finding("folder of pictures", lines, read, ("the kind of each picture follows from its pixels",))
 
 
 def _inspect_session(path: Path, options: Options) -> Finding:

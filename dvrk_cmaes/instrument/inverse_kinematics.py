@@ -66,7 +66,7 @@ def find_joints(
     base_from_yaw = base_from_tip @ inverse(tooltip_offset)
     x, y, origin = (base_from_yaw[:, :3, k] for k in (0, 1, 3))
     along_x, along_y = (origin * x).sum(axis=1), (origin * y).sum(axis=1)
-    told = np.hypot(along_x, along_y) > _SINGULAR
+    known = np.hypot(along_x, along_y) > _SINGULAR
     theta = np.arctan2(-along_y, along_x)  # of the DH row of wrist yaw; theta + pi is the other solution
     yaw = np.remainder(theta + pi / 2 + pi / 2, pi) - pi / 2
     cosine, sine = np.sin(yaw)[:, None], -np.cos(yaw)[:, None]  # of yaw - pi / 2
@@ -74,8 +74,8 @@ def find_joints(
     pitch_axis = -(sine * x + cosine * y)
     root_origin = origin - wrist_length * forward
     depth = np.linalg.norm(root_origin, axis=1)
-    told &= depth > _SINGULAR
-    shaft = root_origin / np.where(told, depth, 1.0)[:, None]
+    known &= depth > _SINGULAR
+    shaft = root_origin / np.where(known, depth, 1.0)[:, None]
     side = np.cross(pitch_axis, shaft)  # the root's x axis; its y axis is the pitch axis
     joints[:, 0] = np.arctan2(shaft[:, 0], -shaft[:, 2])
     joints[:, 1] = np.arctan2(-shaft[:, 1], np.hypot(shaft[:, 0], shaft[:, 2]))
@@ -84,16 +84,16 @@ def find_joints(
     joints[:, 3] = np.arctan2((unrolled[:, :3, 1] * side).sum(axis=1), (unrolled[:, :3, 0] * side).sum(axis=1))
     joints[:, 4] = np.arctan2((forward * side).sum(axis=1), (forward * shaft).sum(axis=1))
     joints[:, 5] = yaw
-    joints[~told] = np.nan
-    joints[told, 3] = np.unwrap(joints[told, 3])
-    reasons = tuple(_reason(row, bool(known), limits or {}) for row, known in zip(joints, told, strict=True))
+    joints[~known] = np.nan
+    joints[known, 3] = np.unwrap(joints[known, 3])
+    reasons = tuple(_reason(row, bool(one), limits or {}) for row, one in zip(joints, known, strict=True))
     joints[[bool(reason) for reason in reasons]] = np.nan
     return JointSolution(joints, reasons)
 
 
-def _reason(joints: Float64, told: bool, limits: Mapping[str, tuple[float, float]]) -> str:
+def _reason(joints: Float64, known: bool, limits: Mapping[str, tuple[float, float]]) -> str:
     """Return why joints (6,) are not reached; empty if they are."""
-    if not told:
+    if not known:
         return "the remote centre of motion is on the wrist yaw axis: wrist yaw is not determined"
     for name, value in zip(POSED_JOINTS, joints, strict=True):
         low, high = limits.get(name, (-np.inf, np.inf))

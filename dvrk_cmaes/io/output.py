@@ -485,17 +485,17 @@ def edited(path: Path, names: Iterable[str]) -> set[str]:
 
 def _write(folder: int, name: str, data: bytes, *, lock: bool = False) -> int:
     """Write a file under a temporary name, and rename it; returns its open descriptor."""
-    beside = _temporary()
-    opened = _open(folder, beside, os.O_RDWR | os.O_CREAT | os.O_EXCL)
+    temporary = _temporary()
+    opened = _open(folder, temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL)
     try:
         if lock:
             _lock(folder, opened)
         with open(opened, "wb", closefd=False) as file:
             file.write(data)
-        os.replace(beside, name, src_dir_fd=folder, dst_dir_fd=folder)
+        os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
     except BaseException:
         os.close(opened)
-        _remove_tree(folder, beside)
+        _remove_tree(folder, temporary)
         raise
     return opened
 
@@ -555,11 +555,11 @@ def written_beside(path: Path, what: str) -> Iterator[Path]:
     with contextlib.ExitStack() as opened:
         with _writing(path, what):
             folder, out, name, last = opened.enter_context(_target(path))
-            beside = _temporary()
-            os.mkdir(beside, dir_fd=folder)
-            opened.callback(_remove_tree, folder, beside)
-            inner = opened.enter_context(_inner(folder, path.parent, [beside]))
-        yield path.parent / beside / last
+            temporary = _temporary()
+            os.mkdir(temporary, dir_fd=folder)
+            opened.callback(_remove_tree, folder, temporary)
+            inner = opened.enter_context(_inner(folder, path.parent, [temporary]))
+        yield path.parent / temporary / last
         with _writing(path, what):
             if out is not None:
                 out._admit(folder, name, last)
@@ -615,11 +615,11 @@ def whole_folder(
     DvrkCmaesError
         The disk is full or failing. In errors raised by the block, the temporary path is replaced by ``path``.
     """
-    path = beside = Path(path)
+    path = temporary = Path(path)
     try:
         real = Path(os.path.realpath(path))
         begin = hashlib.sha256(os.fsencode(real)).hexdigest()[:16]
-        beside = real.with_name(f".{begin}{uuid.uuid4().hex[:16]}.tmp")
+        temporary = real.with_name(f".{begin}{uuid.uuid4().hex[:16]}.tmp")
         if source is not None and real in ((read := Path(os.path.realpath(source))), *read.parents):
             raise InputError(f"{path}: expected a folder apart from {source}, got one that holds it")
         if not overwrite and path.is_dir() and any(name not in (RUN, HELD) for name in os.listdir(path)):
@@ -633,27 +633,27 @@ def whole_folder(
             for name in os.listdir(above):  # what killed processes left for the same target
                 if re.fullmatch(rf"\.{begin}[0-9a-f]{{16}}\.tmp", name):
                     _remove_tree(above, name)
-            opened.callback(_remove_tree, above, beside.name)
-            with output(beside, command) as made:
+            opened.callback(_remove_tree, above, temporary.name)
+            with output(temporary, command) as made:
                 for name in kept:
                     if (path / name).is_dir():
-                        shutil.copytree(path / name, beside / name, symlinks=True, copy_function=_link)
+                        shutil.copytree(path / name, temporary / name, symlinks=True, copy_function=_link)
                 made.files |= {name: digest for name, digest in out.files.items() if name.partition("/")[0] in kept}
-                yield beside
+                yield temporary
                 for name in made._walk():
                     if name not in made.files and name.partition("/")[0] not in kept:
                         with made._reached(name) as (folder, last):
                             made.note(name, _digest(folder, last))
                 out.check(whole=True, replaces=True, kept=kept)  # files may have been added meanwhile
                 made.write_list()
-                _exchange(above, beside.name, real.name)
+                _exchange(above, temporary.name, real.name)
                 out.replaced = True
                 for name in list(out._walk()):  # added in the last moment
                     if name not in out.files and name.partition("/")[0] not in kept:
                         with out._reached(name) as (folder, last), made._reached(name, make=True) as (to, _):
                             os.rename(last, last, src_dir_fd=folder, dst_dir_fd=to)
     except DvrkCmaesError as error:
-        raise type(error)(str(error).replace(str(beside), str(path))) from None
+        raise type(error)(str(error).replace(str(temporary), str(path))) from None
     except (OSError, ValueError) as error:
         raise not_written(path, error, "a folder") from None
 

@@ -1,4 +1,4 @@
-"""Format values for messages, on one line and short; tell numbers, and order names by those in them: 10 after 9."""
+"""Format values for messages, on one line and short; find numbers, and order names by those in them: 10 after 9."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Videos that are written beside their place and renamed when they are complete, and FFmpeg without log output."""
+"""Videos that are written under a temporary name and renamed when they are complete, and FFmpeg without log output."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def whole_video(path: Path, size: tuple[int, int], frames_a_second: float) -> It
         OpenCV cannot encode the video.
     """
     quiet_ffmpeg()
-    with written_beside(path, "a video") as beside:
-        video = cv2.VideoWriter(str(beside), cv2.VideoWriter.fourcc(*"mp4v"), frames_a_second, size)
+    with written_beside(path, "a video") as temporary:
+        video = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"mp4v"), frames_a_second, size)
         if not video.isOpened():
             raise DvrkCmaesError(f"{path}: OpenCV cannot write an mp4 video there")
         try:

@@ -112,11 +112,11 @@ def run_filters(observations: Observations, assumed: Sequence[Assumed]) -> list[
         expected, spread = mean @ design.T, design @ cross
         total += log_likelihood(given, vector, expected, spread + noise)
         seen = np.linalg.solve(own + given @ noise, np.column_stack([given, vector]))
-        information, told = seen[:, :, :count], seen[:, :, count]
-        off = told - (information @ expected[:, :, None])[:, :, 0]
+        information, vector = seen[:, :, :count], seen[:, :, count]
+        off = vector - (information @ expected[:, :, None])[:, :, 0]
         gains = np.linalg.solve(own + information @ spread, np.concatenate([information, off[:, :, None]], axis=2))
         weight, innovation = gains[:, :, :count], gains[:, :, count]
-        steps.append(_Step(keep, design, cross, expected, spread, innovation, weight, information, told))
+        steps.append(_Step(keep, design, cross, expected, spread, innovation, weight, information, vector))
         mean = mean + (cross @ innovation[:, :, None])[:, :, 0]
         covariance = covariance - cross @ weight @ np.swapaxes(cross, 1, 2)
         covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2

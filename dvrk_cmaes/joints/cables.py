@@ -19,7 +19,7 @@ from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.joints.play import Play
 
 PARAMETERS = ("reference", "coupling", "play", "narrow", "width", "wander", "seconds", "noise")
-"""Fields of a `CableModel` beside the names and the offset."""
+"""Fields of a `CableModel` but the names and the offset."""
 
 
 @dataclass(frozen=True, eq=False)

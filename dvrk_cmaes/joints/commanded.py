@@ -1,6 +1,6 @@
 """Joints whose readings never move while the arm does: values that were commanded, or not recorded, and not measured.
 
-Such a reading tells less of its joint than a measured one. It counts as a measurement with a larger standard deviation.
+Such a reading has less information on its joint than a measured one: its standard deviation is larger.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ class Lag:
 
     ``std_frames`` and ``std_seconds`` are its standard deviations. ``drift`` is the change of the lag by time, which is
     not zero where the two clocks run at different rates; the lag is that of the time ``middle``, in seconds or, without
-    times, in frames. ``applied`` tells whether the lag was taken out of the readings; a lag
+    times, in frames. ``applied``: whether the lag was taken out of the readings; a lag
     that does not differ significantly from zero is not.
     """
 

@@ -215,7 +215,7 @@ def read_frame_joints(
     known
         As in ``read_joints``.
     read_as
-        How files are read that do not tell it themselves.
+        How files are read that do not say it themselves.
     lag
         Lag of the images behind the readings: the readings are interpolated at the image's time less the lag. A note
         states it where it cannot be taken out, because the readings are those of a single moment.

@@ -24,7 +24,7 @@ _MISSING = ("", "nan", "na", "n/a", "<na>", "none", "null", "-")  # cells of too
 
 @dataclass(frozen=True)
 class ReadAs:
-    """How files of readings are read where they do not tell it themselves.
+    """How files of readings are read where they do not say it themselves.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class ReadAs:
 
 
 BY_THEMSELVES = ReadAs()
-"""Of files that tell all of it."""
+"""Of files that say all of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ class JointFile:
     notes: tuple[str, ...] = ()
 
     def by_number(self, frames: Iterable[str], offset: int, step: int) -> JointFile:
-        """Return the file with the names of frames for the rows that their numbers tell, as in `ReadAs`.
+        """Return the file with the names of frames for the rows that have their numbers, as in `ReadAs`.
 
         Raises
         ------

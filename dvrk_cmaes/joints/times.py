@@ -29,7 +29,7 @@ _IN_NAME = re.compile(r".*_(\d{9,10}\.\d{6,9})")
 _COLUMN = re.compile(r"(time|timestamp|stamp|t)(?:_(s|sec|ms|us|ns|nsec))?", re.IGNORECASE)
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?\d\d)?")
 _FACTORS = {"s": NANOSECONDS, "sec": NANOSECONDS, "ms": 10**6, "us": 10**3, "ns": 1, "nsec": 1}
-_FEW = 10  # times, of which steps tell no unit
+_FEW = 10  # times, whose steps do not determine the unit
 _OF_MILLISECONDS = (5.0, 500.0)  # s; median step of times that may as well be in ms, of 2 to 200 a second
 
 

@@ -40,7 +40,7 @@ from dvrk_cmaes.results.result import Result
 _STATUSES: Final = ("failed", "doubtful", "ok")
 _BARS_FOR_AT_MOST: Final = 80  # frames, of which standard deviations are drawn
 _MOST_PREDICTIONS: Final = 12  # pictures of predictions in the part on the calibration; all are with their frames
-_MOST_DETAILS: Final = 300  # frames whose tables are on the page; each has a document beside it
+_MOST_DETAILS: Final = 300  # frames whose tables are on the page; each has a document next to the page
 
 
 def write_page(out: Path, folder: ResultsFolder | None = None) -> Path:
@@ -380,7 +380,7 @@ def _calibration_parts(
     yield Part(
         f"Calibration: {found.status}",
         figures=list(_calibration_figures(found)),
-        notes=[note, *found.in_words(), *cables, *(f"This session cannot tell: {text}" for text in found.untold)],
+        notes=[note, *found.in_words(), *cables, *(f"Not determined by this session: {text}" for text in found.untold)],
         tables=[
             Table(("arm's base in the camera", "x", "y", "z"), rows),
             Table(("true = read + offset", "offset", "std", "std between frames"), offsets),

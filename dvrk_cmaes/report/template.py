@@ -1,7 +1,7 @@
 """The template of all pages: a summary, figures, curves, and frames with pictures, the worst first, in one file.
 
-A page needs no network. What it refers to is beside it. It can be read and printed without scripts; the same contents
-give the same bytes.
+A page needs no network. What it refers to is in the same folder. It can be read and printed without scripts; the same
+contents give the same bytes.
 """
 
 from __future__ import annotations

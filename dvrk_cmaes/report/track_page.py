@@ -51,8 +51,8 @@ class FollowedRecording:
     rows : F lines of tracks.jsonl. session : name of the recording. instrument : name of the instrument.
     calibration : base, offsets and lag as they were found, or None. readings : at the images' times by joint, (F,) rad,
     NaN where there is none. overlaps : IoU of mask and silhouette, (F,), NaN where there is none. pictures : small
-    pictures as ``data:`` addresses, by index of the frame. video : name of the overlay video beside the page; empty
-    without one.
+    pictures as ``data:`` addresses, by index of the frame. video : name of the overlay video in the page's folder;
+    empty without one.
     """
 
     rows: Sequence[Mapping[str, Any]]

@@ -113,10 +113,10 @@ class ExpectedError(Document):
     def in_words(self) -> str:
         """The distance within which the tips lie, for people: ``tips within 0.62 mm (90 %)``.
 
-        Where that is farther than any tip can be from a wrist, the mask tells nothing of the tips.
+        Where that is farther than any tip can be from a wrist, the mask has no information on the tips.
         """
         if self.tip_90_mm > _FARTHEST_MM:
-            return "tips not told: the mask shows no wrist"
+            return "tips not determined: the mask shows no wrist"
         digits = 2 if self.tip_90_mm < 1 else 1
         return f"{'tips' if len(self.tip_mm) > 1 else 'tip'} within {self.tip_90_mm:.{digits}f} mm (90 %)"
 
