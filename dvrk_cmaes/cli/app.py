@@ -210,10 +210,6 @@ def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:
     near = difflib.get_close_matches(name, [option for option in options if option != name], n=1, cutoff=0.75)
     if near and near[0] not in _options_of(error):
         return f"{near[0]}: no such option; did you mean {name}?"
-    if name == "--camera":
-        from dvrk_cmaes.frames.session_folder import UNCALIBRATED
-
-        return f"{name}: expected a camera file, got none; {UNCALIBRATED}"
     return f"{name}: missing; it is required"
 
 

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from dvrk_cmaes.cli.describe import describe
 from dvrk_cmaes.cli.options import (
     DEFAULT_CALIBRATION,
+    DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
@@ -21,8 +22,8 @@ from dvrk_cmaes.cli.options import (
     OUTPUT,
     TWIN,
     CalibrationOptions,
+    CameraOptions,
     Flag,
-    FrameCameraOptions,
     InstrumentOptions,
     MethodOptions,
     PromptOptions,
@@ -117,7 +118,7 @@ class FrameOptions:
         """The file that names the frame: the mask, or the image without one."""
         return self.image if self.mask is None else self.mask
 
-    def files(self, camera: FrameCameraOptions) -> FrameFiles:
+    def files(self, camera: CameraOptions) -> FrameFiles:
         """Return the files of the frame, without readings; InputError for a value that is not valid."""
         from dvrk_cmaes.frames.frame import FrameFiles
         from dvrk_cmaes.frames.keypoints import parse_keypoints
@@ -169,7 +170,7 @@ def estimate(
     prompts: PromptOptions = DEFAULT_PROMPTS,
     calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
     reading: ReadingOptions = DEFAULT_READING,
-    camera: FrameCameraOptions,
+    camera: CameraOptions = DEFAULT_CAMERA,
     instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     method: MethodOptions = DEFAULT_METHOD,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
@@ -209,7 +210,7 @@ def estimate(
     reading
         How files of readings are read.
     camera
-        The camera.
+        The camera, of which a file is needed.
     instrument
         The instrument.
     method
@@ -227,8 +228,6 @@ def estimate(
     from dvrk_cmaes.segment.segmentation import hints_within
 
     settings = method.resolve()
-    if not given.joints:
-        note(f"no --joints, as with --joints none: {TWIN}")
     files = given.files(camera)
     if out is not None:
         from dvrk_cmaes.io.output import check_files
@@ -238,6 +237,8 @@ def estimate(
     camera_file = camera.read_rig(files) if files.others else camera.read(files)
     data = read_any_frame(files, camera_file.rig)
     body = instrument.load()
+    if not given.joints:
+        note(f"no --joints, as with --joints none: {TWIN}")
     known = calibrated.read(body, instrument.arm)
     lag = None if known is None else known.applied_lag
     read = given.readings(body.instrument.joint_names, lag, reading.read_as(given.only))

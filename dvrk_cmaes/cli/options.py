@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -47,8 +47,6 @@ LATEST = 1e11  # s, of times since any clock's start
 LayoutOption = Literal["mono", "side-by-side", "top-bottom"] | None
 Flag = Annotated[bool, Parameter(negative=())]
 ConfigOption = Annotated[Path | None, Parameter(name="--config", group=METHOD)]
-SessionOption = Annotated[Path | None, Parameter(name="--session", group=METHOD)]
-DoubtfulSessionOption = Annotated[bool, Parameter(name="--doubtful-session", negative=(), group=METHOD)]
 
 
 def check_range(option: str, value: float | None, least: float, most: float, what: str = "a whole number") -> None:
@@ -67,7 +65,7 @@ class CameraFileOptions:
     ----------
     camera
         File of the intrinsics and the lens distortion: ROS camera_info, OpenCV YAML or XML, kalibr camchain, or plain
-        YAML. A session folder's own camera.yaml by default.
+        YAML. Of a session folder, its own camera.yaml by default; a single frame needs one.
     rectified
         The images are rectified: use the projection matrix of the camera file, and no distortion.
     side
@@ -107,15 +105,22 @@ class CameraOptions(CameraFileOptions):
 
         return PictureFit(None if self.crop is None else parse_crop("--crop", self.crop), self.stretch)
 
+    @property
+    def file(self) -> Path:
+        """The camera file; InputError without one."""
+        from dvrk_cmaes.frames.session_folder import UNCALIBRATED
+
+        if self.camera is None:
+            raise InputError(f"--camera: expected a camera file, got none; {UNCALIBRATED}")
+        return self.camera
+
     def read(self, frame: FrameFiles | None = None) -> CameraFile:
         """Read the camera file for a ``frame``, which has its size where the file does not state it."""
         from dvrk_cmaes.camera.files import read_camera_file
         from dvrk_cmaes.frames.frame import frame_size
 
-        if self.camera is None:
-            raise InputError("--camera: expected a camera file, got none")
         size = None if frame is None else partial(frame_size, frame)
-        lens = read_camera_file(self.camera, rectified=self.rectified, side=self.side, size=size)
+        lens = read_camera_file(self.file, rectified=self.rectified, side=self.side, size=size)
         return lens if frame is None else self.fit.lens(lens, frame)
 
     def read_rig(self, frame: FrameFiles) -> CameraFile:
@@ -123,9 +128,7 @@ class CameraOptions(CameraFileOptions):
         from dvrk_cmaes.camera.rig_files import read_rig
         from dvrk_cmaes.frames.frame import frame_size
 
-        if self.camera is None:
-            raise InputError("--camera: expected the camera file of the left eye, or of both, got none")
-        lens = read_rig(self.camera, self.camera_right, rectified=self.rectified, size=partial(frame_size, frame))
+        lens = read_rig(self.file, self.camera_right, rectified=self.rectified, size=partial(frame_size, frame))
         return self.fit.lens(lens, frame)
 
 
@@ -151,32 +154,6 @@ class GuessedCameraOptions(CameraFileOptions):
         if self.focal is not None and self.camera is not None:
             raise InputError("--focal: expected either this or --camera, got both")
         return CameraGuess(self.focal) if self.camera is None else None
-
-
-@Parameter(name="*", group=CAMERA)
-@dataclass(frozen=True, kw_only=True)
-class FrameCameraOptions(CameraOptions):
-    """Options of the camera of a single frame.
-
-    Parameters
-    ----------
-    camera
-        File of the intrinsics and the lens distortion: ROS camera_info, OpenCV YAML or XML, kalibr camchain, or plain
-        YAML.
-    rectified
-        The images are rectified: use the projection matrix of the camera file, and no distortion.
-    side
-        Camera to use if the file describes a stereo pair and one view is used.
-    camera_right
-        File of the right camera, where both eyes are used and the files are two.
-    crop
-        x,y,w,h: the part of masks and images that is the camera's picture, in pixels of the files. Of a camera file for
-        the whole images, the principal point is moved. Results are in pixels of the part.
-    stretch
-        The images were resized unevenly: scale the camera to their size, though that has another aspect.
-    """
-
-    camera: Path = field()
 
 
 @Parameter(name="*", group=READINGS)

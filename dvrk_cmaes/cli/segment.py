@@ -133,11 +133,11 @@ def segment(
     images = {source.stem: source} if single else find_images(source)
     views = {view: [images[frame] for frame in frames] for view, frames in _by_view(images).items()}
     settings = learned_backgrounds(model.resolve(), views)
-    for text in settings.notes:
-        note(text)
     for frame in images:
         check_output(out, frame.rpartition("/")[2])
     with whole_folder(out, "segment", overwrite=True, kept=("masks", "overlays", "scores")) as temporary:
+        for text in settings.notes:
+            note(text)
         outcomes = []
         for frame, path in images.items():
             try:

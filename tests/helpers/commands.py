@@ -37,7 +37,7 @@ class Ran:
         """The single line on stderr; stdout must be empty."""
         assert self.out == ""
         assert self.err.startswith("dvrk-cmaes: ")
-        assert self.err.count("\n") == 1
+        assert self.err.count("\n") == 1, self.err
         return self.err.strip()
 
     @property
