@@ -1,19 +1,19 @@
 """Fit the errors of cable-driven joints to recordings of a real arm's commanded and measured joints.
 
-    python scripts/cables.py RECORDING.npz...           what each part of the model buys, fitted on the first half
-    python scripts/cables.py RECORDING.npz... --write   fit whole recordings and write data/cables/measured.json
+    python scripts/cables.py RECORDING.npz...           print the fits
+    python scripts/cables.py RECORDING.npz... --write   write them to data/cables/measured.json
 
 To be run by hand. A recording has ``time`` (N,), s, and ``commanded`` and ``measured`` (N, 6): yaw, pitch (rad),
 insertion (m), roll, wrist_pitch, wrist_yaw (rad), in the order of time. Commanded positions are taken for readings and
 measured ones for the truth. Poses without a measurement (roll, wrist_pitch and wrist_yaw exactly zero) do not count,
-unless --all is given. The model is that of `dvrk_cmaes.joints.cables`; each of its parts is fitted on the first half of
-a recording, and predicts the errors of the second half from readings alone. Likelihoods are of the second half, in
-nats a pose; that of the wander uses the errors of earlier poses, too.
+unless --all is given. The model is that of `dvrk_cmaes.joints.cables`. What each of its parts predicts of the second
+half of a recording, fitted on the first, is in data/measurements.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +22,6 @@ from typing import Any, Final
 
 import numpy as np
 from committed_data import refuse_in_ci
-from measuring.report import show
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
@@ -35,8 +34,6 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 JOINTS: Final = ("roll", "wrist_pitch", "wrist_yaw")
-PARTS: Final = ("offset", "coupling", "play", "drag")
-"""Parts of the model that predict from readings alone; each is added to those before it."""
 
 _COLUMNS = slice(3, 6)  # of the joints in a recording
 _WIDTHS_DEG = (1.5, 10.0, 16.0)  # at the start of the search
@@ -63,43 +60,28 @@ class Recording:
             has = (measured != 0).any(axis=1) | every_pose
             return cls(path.stem, data["time"], commanded, measured - commanded, has)
 
-    @property
-    def halves(self) -> tuple[Bool, Bool]:
-        """The measured poses (N,) of the first and of the second half."""
-        first = np.arange(len(self.time)) < len(self.time) // 2
-        return self.has & first, self.has & ~first
 
-
-def fit(recording: Recording, used: Bool, parts: Sequence[str]) -> CableModel:
-    """Fit the parts of the model, except for the wander, to the errors of some poses (N,)."""
+def fit(recording: Recording) -> CableModel:
+    """Fit the model, except for the wander, to the errors of the measured poses."""
     widths = np.deg2rad(_WIDTHS_DEG)
-    if "play" in parts:
 
-        def cost(factors: Float64) -> float:
-            found = _fit_with_widths(recording, used, parts, widths * np.exp(factors))
-            return float(np.log(found.noise).sum())
+    def cost(factors: Float64) -> float:
+        return float(np.log(_fit_with_widths(recording, widths * np.exp(factors)).noise).sum())
 
-        best = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"maxfev": _WIDTH_STEPS})
-        widths = widths * np.exp(best.x)
-    return _fit_with_widths(recording, used, parts, widths)
+    best = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"maxfev": _WIDTH_STEPS})
+    return _fit_with_widths(recording, widths * np.exp(best.x))
 
 
-def _fit_with_widths(recording: Recording, used: Bool, parts: Sequence[str], widths: Float64) -> CableModel:
+def _fit_with_widths(recording: Recording, widths: Float64) -> CableModel:
     """Fit offsets and coefficients for given widths (3,), by least squares with a robust loss."""
-    count = len(JOINTS)
+    count, used = len(JOINTS), recording.has
     reference = recording.readings[used].mean(axis=0)
     terms = features(recording.readings, play_of(recording.readings, widths), reference)[used]
-    own = np.eye(count, dtype=np.bool_)
-    kept = np.concatenate(
-        [np.full((count, count), "coupling" in parts), np.zeros((count, count + 1), np.bool_)], axis=1
-    )
-    kept[:, count : 2 * count] = (own & ("play" in parts)) | (~own & ("drag" in parts))
-    kept[:, -1] = "play" in parts
     offset, coefficients, noise = np.zeros(count), np.zeros((count, 2 * count + 1)), np.zeros(count)
     for j in range(count):
-        design = np.column_stack([np.ones(used.sum()), terms[:, j, kept[j]]])
+        design = np.column_stack([np.ones(used.sum()), terms[:, j]])
         found = _robust_line(design, recording.errors[used, j])
-        offset[j], coefficients[j, kept[j]] = found[0], found[1:]
+        offset[j], coefficients[j] = found[0], found[1:]
         noise[j] = np.sqrt(np.mean((recording.errors[used, j] - design @ found) ** 2))
     coupling, play, narrow = np.split(coefficients, [count, 2 * count], axis=1)
     none = np.zeros(count)
@@ -115,15 +97,11 @@ def _robust_line(design: Float64, values: Float64) -> Float64:
     return np.asarray(found.x)
 
 
-def residuals(recording: Recording, model: CableModel) -> Float64:
-    """Return the errors (N, 3) that a model does not explain from the readings alone, rad."""
-    return np.asarray(recording.errors - model.errors(recording.readings, play_of(recording.readings, model.width)))
-
-
-def with_wander(recording: Recording, used: Bool, model: CableModel) -> CableModel:
-    """Add the wander with the greatest likelihood of what a model leaves of the errors of some poses (N,)."""
-    left = residuals(recording, model)[used]
-    found = np.array([_fit_wander(recording.time[used], column) for column in left.T])
+def with_wander(recording: Recording, model: CableModel) -> CableModel:
+    """Add the wander with the greatest likelihood of what a model leaves of the errors of the measured poses."""
+    read = model.errors(recording.readings, play_of(recording.readings, model.width))
+    left = (recording.errors - read)[recording.has]
+    found = np.array([_fit_wander(recording.time[recording.has], column) for column in left.T])
     return replace(model, wander=found[:, 0], seconds=found[:, 1], noise=found[:, 2])
 
 
@@ -150,58 +128,9 @@ def wander_log_likelihood(time: Float64, values: Float64, std: float, seconds: f
     return found
 
 
-def report(recording: Recording) -> tuple[list[dict[str, Any]], CableModel]:
-    """Return what each part of the model, fitted on the first half, buys in the second half, and the whole model."""
-    first, second = recording.halves
-    rows = []
-    for count in range(1, len(PARTS) + 1):
-        model = fit(recording, first, PARTS[:count])
-        left = residuals(recording, model)[second]
-        likelihood = -0.5 * np.mean(left**2 / model.noise**2 + np.log(2 * np.pi * model.noise**2), axis=0)
-        rows.append({"model": f"+ {PARTS[count - 1]}" if count > 1 else PARTS[0]} | _row(left, likelihood))
-    model = with_wander(recording, first, model)
-    likelihood = np.array(
-        [
-            wander_log_likelihood(recording.time[second], left[:, j], *_wander_of(model, j)).mean()
-            for j in range(len(JOINTS))
-        ]
-    )
-    return [*rows, {"model": "+ wander"} | _row(left, likelihood)], model
-
-
-def _row(left: Float64, likelihood: Float64) -> dict[str, Any]:
-    """Return the root mean square of errors (N, 3), deg, and their log-likelihood (3,) by joint."""
-    rms = np.degrees(np.sqrt(np.mean(left**2, axis=0)))
-    return {f"{name}, deg": float(value) for name, value in zip(JOINTS, rms, strict=True)} | {
-        f"{name}, nats": float(value) for name, value in zip(JOINTS, likelihood, strict=True)
-    }
-
-
-def _wander_of(model: CableModel, joint: int) -> tuple[float, float, float]:
-    return float(model.wander[joint]), float(model.seconds[joint]), float(model.noise[joint])
-
-
-def parameters(model: CableModel) -> list[dict[str, Any]]:
-    """Return the parameters of a model by joint; angles in degrees, coefficients in rad a rad."""
-    return [
-        {
-            "joint": name,
-            "offset": float(np.degrees(model.offset[j])),
-            **{f"coupling to {other}": float(model.coupling[j, k]) for k, other in enumerate(JOINTS)},
-            **{f"play of {other}": float(model.play[j, k]) for k, other in enumerate(JOINTS)},
-            "narrow play": float(model.narrow[j]),
-            "width": float(np.degrees(model.width[j])),
-            "wander": float(np.degrees(model.wander[j])),
-            "wander, s": float(model.seconds[j]),
-            "noise": float(np.degrees(model.noise[j])),
-        }
-        for j, name in enumerate(JOINTS)
-    ]
-
-
 def describe_fit(recording: Recording) -> dict[str, Any]:
     """Fit a whole recording and return the parameters for data/cables/measured.json."""
-    model = with_wander(recording, recording.has, fit(recording, recording.has, PARTS))
+    model = with_wander(recording, fit(recording))
 
     def degrees(values: Float64) -> list[float]:
         return [round(float(value), 3) for value in np.degrees(values)]
@@ -222,21 +151,18 @@ def describe_fit(recording: Recording) -> dict[str, Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print what each part buys, or write the fits; return the exit code."""
+    """Print or write the fits; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recordings", nargs="+", type=Path, metavar="RECORDING.npz", help="recordings of an arm")
     parser.add_argument("--all", action="store_true", help="count poses without a measurement as measured at zero")
     parser.add_argument("--write", action="store_true", help="write data/cables/measured.json")
     options = parser.parse_args(arguments)
-    recordings = [Recording.read(path, every_pose=options.all) for path in options.recordings]
+    fits = [describe_fit(Recording.read(path, every_pose=options.all)) for path in options.recordings]
     if options.write:
         refuse_in_ci("data/cables/measured.json")
-        write_json(bundled_path("cables", "measured.json"), {"fits": [describe_fit(one) for one in recordings]})
-        return 0
-    for one in recordings:
-        rows, model = report(one)
-        show(f"{one.name}: {int(one.has.sum())} of {len(one.time)} poses, errors of the second half", rows)
-        show(f"{one.name}: parameters, first half", parameters(model))
+        write_json(bundled_path("cables", "measured.json"), {"fits": fits})
+    else:
+        print(json.dumps({"fits": fits}, indent=1))
     return 0
 
 

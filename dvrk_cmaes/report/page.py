@@ -11,15 +11,12 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path, PurePath
 from typing import Any, Final
 
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.evaluate.consistency import LEAST_FRAMES, PointSpread, converge_shafts, spread_of_bases
 from dvrk_cmaes.geometry import Float64, in_parent, log_rotation, rotation_angle
 from dvrk_cmaes.io.table import Table, fixed
 from dvrk_cmaes.report.curves import Chart, Curve
@@ -84,10 +81,6 @@ def session_page(folder: ResultsFolder) -> Page:
             f"{all_of} frames were solved together with their session: how well they agree says nothing about how "
             "accurate they are."
         )
-    elif any(result.camera_from_base is not None for result in results):
-        notes.append(
-            "Each frame was solved by itself: how far they agree about the arm's base is a check that needs no truth."
-        )
     pictures = Pictures(folder.folder)
     documents = {path.stem: path.relative_to(folder.folder).as_posix() for path in result_paths(folder.folder)}
     entries = _entries(folder, calibration, documents, pictures)
@@ -148,33 +141,10 @@ def session_figures(results: Sequence[Result], summary: Mapping[str, Any]) -> It
         run = (summary.get("timing") or {}).get("run") or {}
         took = f"; {run['frames']:,} frames in {run['seconds']:.0f} s" if run.get("frames") else ""
         yield KeyFigure("Time a frame, median", f"{np.median(seconds):.2f} s", f"slowest {max(seconds):.2f} s{took}")
-    if not any(result.source == "session" for result in results):  # these agree by construction
-        yield from _agreement(results)
-
-
-def _agreement(results: Sequence[Result]) -> Iterator[KeyFigure]:
-    """Yield key figures of the agreement of at least three frames about the arm's base and the shafts' axes."""
-    bases = np.array([result.camera_from_base for result in results if result.camera_from_base is not None])
-    if len(bases) >= LEAST_FRAMES:
-        points = bases[:, :3, 3]
-        away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-        note = f"half of {len(bases)} frames within {1e3 * np.median(away):.1f} mm of the median"
-        yield KeyFigure("RCM, spread (rms)", f"{1e3 * PointSpread(points).rms:.1f} mm", note)
-        turned = spread_of_bases(bases)
-        note = f"median from the most central frame, at most {turned.largest_deg:.1f}°"
-        yield KeyFigure("Arm's base, rotation", f"{turned.median_deg:.1f}°", note)
-    poses = [result.camera_from_root for result in results if result.camera_from_root is not None]
-    if len(poses) >= LEAST_FRAMES:
-        try:
-            meeting = converge_shafts(np.stack(poses))
-        except InputError:  # the axes are parallel
-            return
-        note = f"standard deviation of their distances {1e3 * meeting.sigma:.2f} mm"
-        yield KeyFigure("Shaft axes meet, rms", f"{1e3 * meeting.rms:.2f} mm", note)
 
 
 def session_charts(results: Sequence[Result]) -> list[Chart]:
-    """Chart the joints' corrections, the tips and their speed, and the RCM, over time or the frames' names."""
+    """Chart the joints' corrections and the tips, over time or the frames' names."""
     times = [result.time for result in results if result.time is not None]
     timed = len(times) == len(results) > 1 and max(times) > min(times)
     places = np.array(times) - min(times) if timed else np.arange(len(results), dtype=np.float64)
@@ -194,9 +164,6 @@ def session_charts(results: Sequence[Result]) -> list[Chart]:
     corrections = {name: [math.degrees(_correction(result, name)) for result in results] for name in joints}
     stds = {name: np.array([(result.std_joints_deg or {}).get(name, np.nan) for result in results]) for name in joints}
     tips = np.array([np.mean(result.tips, axis=0) if result.tips else [np.nan] * 3 for result in results]) * 1e3
-    bases = np.array(
-        [[np.nan] * 3 if r.camera_from_base is None else r.camera_from_base[:3, 3] for r in results], np.float64
-    )
     charts = [
         chart(
             "Joint corrections",
@@ -207,31 +174,12 @@ def session_charts(results: Sequence[Result]) -> list[Chart]:
             note="Found less read; bars are one standard deviation, hollow points are not ok.",
         )
     ]
-    for title, points, note in (
-        ("Tips in the camera", tips, "Mean of the tips, mm from its median: x right, y down, z forward."),
-        (
-            "Remote centre of motion in the camera",
-            1e3 * bases,
-            "Origin of the arm's base by each frame's readings.",
-        ),
-    ):
-        if np.isfinite(points).all(axis=1).sum() > 1:
-            off = points - np.nanmedian(points, axis=0)
-            curves = {axis: off[:, k].tolist() for k, axis in enumerate("xyz")}
-            charts.append(chart(title, "mm from the median", curves, 1.0, note=note))
-    if timed:
-        charts.append(chart("Speed of the tips", "mm/s", {"": _speeds(places, tips)}, 1.0))
+    if np.isfinite(tips).all(axis=1).sum() > 1:
+        off = tips - np.nanmedian(tips, axis=0)
+        note = "Mean of the tips, mm from its median: x right, y down, z forward."
+        curves = {axis: off[:, k].tolist() for k, axis in enumerate("xyz")}
+        charts.append(chart("Tips in the camera", "mm from the median", curves, 1.0, note=note))
     return charts
-
-
-def _speeds(times: Float64, tips: Float64) -> list[float]:
-    """Return the speed of tips (N, 3) mm at times (N,) s since the frame with tips before; NaN without."""
-    speeds = np.full(len(times), np.nan)
-    order = [k for k in np.argsort(times, kind="stable").tolist() if np.isfinite(tips[k]).all()]
-    for a, b in pairwise(order):
-        if times[b] > times[a]:
-            speeds[b] = np.linalg.norm(tips[b] - tips[a]) / (times[b] - times[a])
-    return speeds.tolist()
 
 
 def _correction(result: Result, joint: str) -> float:
