@@ -269,6 +269,26 @@ class RefineConfig:
 
 
 @dataclass(frozen=True)
+class CameraConfig:
+    """Standard deviations of a camera file that states none, as those of a calibration by some pictures of a board.
+
+    Attributes
+    ----------
+    focal_length_percent, aspect_percent
+        Of both focal lengths together, and of fy / fx, %.
+    principal_point_percent
+        Of each coordinate of the principal point, % of the focal length.
+    radial
+        Of the first radial coefficient of the distortion.
+    """
+
+    focal_length_percent: float = 0.5
+    aspect_percent: float = 0.2
+    principal_point_percent: float = 0.3
+    radial: float = 0.02
+
+
+@dataclass(frozen=True)
 class TrustConfig:
     """Thresholds beyond which a result is doubtful.
 
@@ -340,9 +360,6 @@ class SessionConfig:
     insertion_offset_mm, roll_offset_deg
         Standard deviations of the offsets of insertion and roll. Those of the instrument's joints are the standard
         deviations of their readings, ``readings``.
-    focal_length_percent, principal_point_px
-        Standard deviations of the camera file: of its focal lengths together, and of each coordinate of its principal
-        point.
     rounds
         Number of iterations that alternate between fitting the frames and solving for the calibration.
     loosened
@@ -382,8 +399,6 @@ class SessionConfig:
     slack_deg: float = 0.1
     insertion_offset_mm: float = 0.5
     roll_offset_deg: float = 20.0
-    focal_length_percent: float = 1.0
-    principal_point_px: float = 10.0
     rounds: int = 4
     loosened: float = 4.0
     turn_deg: float = 30.0
@@ -432,7 +447,7 @@ class EstimateConfig:
 
     Attributes
     ----------
-    silhouette, search, refine, weights, readings, lookat, trust, session, track
+    silhouette, search, refine, weights, readings, lookat, camera, trust, session, track
         Settings of the single stages.
     distance_field
         Method of the distance field: ``fmm``, ``exact`` or ``chamfer``.
@@ -451,6 +466,7 @@ class EstimateConfig:
     weights: LossWeights = field(default_factory=LossWeights, metadata=_MAY_BE_ZERO)
     readings: ReadingSigmas = field(default_factory=ReadingSigmas)
     lookat: LookAtRange = field(default_factory=LookAtRange)
+    camera: CameraConfig = field(default_factory=CameraConfig, metadata=_MAY_BE_ZERO)
     trust: TrustConfig = field(default_factory=TrustConfig, metadata=_MAY_BE_ZERO)
     session: SessionConfig = field(default_factory=SessionConfig)
     track: TrackConfig = field(default_factory=TrackConfig)
@@ -467,3 +483,10 @@ class EstimateConfig:
 def _as_dict(tree: Any) -> dict[str, Any]:
     """Return nested dataclasses as dictionaries; `dataclasses.asdict` copies each value, which takes longer."""
     return {key: _as_dict(value) if dataclasses.is_dataclass(value) else value for key, value in vars(tree).items()}
+
+
+REMOVED = {
+    "session.focal_length_percent": "see camera.focal_length_percent",
+    "session.principal_point_px": "see camera.principal_point_percent, of the focal length",
+}
+"""Settings of earlier versions, and what there is in their place."""

@@ -21,7 +21,7 @@ from dvrk_cmaes.calibration.frame_reports import reported
 from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
 from dvrk_cmaes.calibration.imaging import checked_camera
 from dvrk_cmaes.calibration.session_cables import SessionCables
-from dvrk_cmaes.calibration.session_camera import CameraCheck
+from dvrk_cmaes.calibration.session_camera import CameraCheck, errors_of_camera
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
@@ -33,6 +33,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.seen_view import PackedMask
+from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
@@ -164,13 +165,14 @@ def _finished(alone: _ArmAlone, others: Sequence[SessionState]) -> tuple[SolvedS
         option = f"taken out; other commands take it out with {applied.option}"
         state = state.noted(remarks=[f"{applied.describe()}: {option}"])
     with single_blas_thread():
-        reports, reasons = reported(state, check.camera)
+        errors = errors_of_camera(check, state.stored[0].camera, state.problem.config.camera)
+        reports, reasons = reported(state, errors)
     by_name = dict(zip((frame.name for frame in state.frames), reports, strict=True))
     results = {frame.name: frame.result for frame in alone.frames}
     results |= {name: report.result for name, report in by_name.items()}
     alone = replace(alone, state=state, left_out={**alone.left_out, **reasons})
     predicted = {name: report.leave_one_out for name, report in by_name.items()}
-    calibration = _judged(alone, _stated(alone, check, results, predicted))
+    calibration = _judged(alone, _stated(alone, check, errors, results, predicted))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     evidence = {frame.name: one.views[0].evidence for frame, one in zip(state.frames, state.stored, strict=True)}
     found_masks = (state.again or FoundMasks()).masks
@@ -180,6 +182,7 @@ def _finished(alone: _ArmAlone, others: Sequence[SessionState]) -> tuple[SolvedS
 def _stated(
     alone: _ArmAlone,
     check: CameraCheck,
+    camera_errors: Float64,
     results: Mapping[str, Result],
     predicted: Mapping[str, LeaveOneOutPrediction],
 ) -> SessionCalibration:
@@ -212,6 +215,7 @@ def _stated(
         lag_curve=lag.curve,
         cables=SessionCables.of(state.cables, names, lag.seconds()),
         camera=check.camera,
+        camera_errors=camera_errors,
         endoscope=endoscope,
         shaft=check.shaft,
         blocks=dict(check.blocks),

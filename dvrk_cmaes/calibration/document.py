@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +32,11 @@ from dvrk_cmaes.calibration.solve import Solved
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.rig import V, turned_views
 from dvrk_cmaes.camera.view_document import ViewDocument
-from dvrk_cmaes.config import EstimateConfig, ReadingSigmas, __version__
+from dvrk_cmaes.config import CameraConfig, EstimateConfig, ReadingSigmas, __version__
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.instrument.arm import Arm
-from dvrk_cmaes.io.encode import encoded_fields
+from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
 from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.rounding import rounded, rounded_array, rounded_matrix
 from dvrk_cmaes.io.short_text import shown
@@ -43,6 +44,7 @@ from dvrk_cmaes.io.typed_document import (
     Count,
     Number,
     PositiveNumber,
+    SquareOfFive,
     Texts,
     Transform,
     convert_document,
@@ -51,6 +53,7 @@ from dvrk_cmaes.io.typed_document import (
     refused,
 )
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.pose.camera_errors import usual_covariance
 
 SCHEMA = 2
 CALIBRATION_EXPECTED = "a SessionCalibration (dvrk_cmaes.read_calibration reads one)"
@@ -105,6 +108,8 @@ class SessionCalibration:
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
     cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera : change of the camera that the frames fit; None if it was not tested.
+    camera_errors : (5, 5) covariance of the camera with which the session was solved, by file and frames, in the order
+    of `PARAMETERS`.
     shaft : the radius of the shaft that the frames fit; None if it was not tested.
     blocks : what was found of further unknowns that all frames share, by block; the solution leaves them at zero.
     masks : the margin and the other errors that all masks share; None if they were not estimated.
@@ -140,6 +145,7 @@ class SessionCalibration:
     blocks: dict[str, FoundBlock] = field(default_factory=dict)
     masks: SessionMasks | None = None
     masks_again: MasksAgain | None = None
+    camera_errors: SquareOfFive = field(default_factory=partial(usual_covariance, CameraConfig()), metadata=SIGNIFICANT)
     rig: tuple[ViewRotation, ...] = ()
     views: tuple[ViewDocument, ...] = ()
     endoscope: SessionEndoscope | None = None
@@ -242,10 +248,8 @@ class SessionCalibration:
             "leave_one_out": _predictions(self.leave_one_out),
             "leave_one_out_of_views": {view: _predictions(own) for view, own in self.leave_one_out_of_views.items()},
             "quality": encoded_fields(self, "iou", "contour_px_95"),
-            **encoded_fields(self, "lag", "lag_curve", "cables", "camera", "shaft"),
-            "blocks": {name: block.to_dict() for name, block in self.blocks.items()},
-            **encoded_fields(self, "masks", "masks_again", "rig"),
-            **encoded_fields(self, "views", "endoscope", "commanded", "arm"),
+            **encoded_fields(self, "lag", "lag_curve", "cables", "camera", "camera_errors", "shaft", "masks", "blocks"),
+            **encoded_fields(self, "masks_again", "rig", "views", "endoscope", "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,

@@ -9,26 +9,25 @@ import numpy as np
 from dvrk_cmaes.calibration.endoscope import Steered
 from dvrk_cmaes.calibration.frame_task import FrameReport, ReportTask, report_task
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.session_camera import SessionCamera, covariance_of_camera
 from dvrk_cmaes.calibration.session_state import SessionState
 from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out
 from dvrk_cmaes.config import SessionConfig
-from dvrk_cmaes.geometry import inverse
+from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.pose.doubts import reading_slipped, reasons
 from dvrk_cmaes.results.result import Result
 
 
-def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[FrameReport], dict[str, str]]:
+def reported(state: SessionState, camera_errors: Float64) -> tuple[list[FrameReport], dict[str, str]]:
     """Return the reports of the frames in use, and by name the reason for each frame that is left out.
 
     Parameters
     ----------
     state
         The session, solved; its evidence is as seen by the camera that is used.
-    camera
-        What the frames tell of the camera.
+    camera_errors : (5, 5)
+        Covariance of the camera that is used.
 
     Raises
     ------
@@ -50,7 +49,7 @@ def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[Fr
         alone, without = model.subset([i]), leave_one_out(solution, i)
         jacobian = alone.jacobian(without)[0]
         spread = alone.covariance(without)[0] + jacobian @ solution.covariance @ jacobian.T
-        covariance = covariances[i] + covariance_of_camera(camera, fit.at, state.stored[i].camera)
+        covariance = covariances[i]
         if growth is not None:
             covariance += growth.of_frames[i] @ growth.squares @ growth.of_frames[i].T
         by_fit = not disagreements[i] and not state.frames[i].brief
@@ -67,6 +66,7 @@ def reported(state: SessionState, camera: SessionCamera | None) -> tuple[list[Fr
                 agree=not disagreements[i],
                 first=first.get(i),
                 change=state.imaging.change,
+                camera_errors=camera_errors,
                 brief=state.frames[i].brief,
             )
         )

@@ -19,6 +19,7 @@ from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.geometry import Float64, Posed, change_between
 from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
+from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.covariance import rough_covariance
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.judge import doubts_in_views
@@ -103,7 +104,7 @@ class ReportTask:
     fit and the corrected readings, ``doubts`` the texts of reasons to doubt the frame. If ``agree`` is true, the
     frame's new result is the fit, otherwise its own result. ``first`` is the evidence of the frame's first masks,
     against which the prediction is measured, if these are others, and ``change`` that of its cameras, as in `fit_task`.
-    ``brief`` is as in `SessionFrame`.
+    ``brief`` is as in `SessionFrame`, ``camera_errors`` (5, 5) the covariance of the camera's parameters.
     """
 
     stored: StoredFrame
@@ -115,6 +116,7 @@ class ReportTask:
     base: Float64
     doubts: tuple[str, ...]
     agree: bool
+    camera_errors: Float64
     first: StoredFrame | None = None
     change: Float64 | None = None
     brief: bool = False
@@ -239,7 +241,8 @@ def _result_of_fit(
     own_result, fit, main = task.result, task.fit, views[0]
     quality = pooled_quality(qualities)
     covariance = rough_covariance(task.covariance, main.noise_at(fit.at), quality, main.evidence.camera.pixel_scale)
-    error = expected_error(body.instrument, fit.at, covariance)
+    of_camera = covariance_by_camera(body.instrument, main.evidence.camera, fit.at, task.camera_errors)
+    error = expected_error(body.instrument, fit.at, covariance, of_camera)
     tips, tips_px = locate_tips(body.instrument, task.stored.camera, fit.at)
     doubts, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust, "solved")
     doubts += task.doubts

@@ -26,15 +26,17 @@ from dvrk_cmaes.calibration.session_camera import (
     estimate_camera,
     file_deviations,
 )
+from dvrk_cmaes.calibration.session_lens import Lens
 from dvrk_cmaes.calibration.session_masks import MaskMargin, estimate_margin
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.session_state import SessionState
-from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Posed
 
 Changed = tuple[SessionState, Calibration, Posed | None]
 
-TESTED: Final[tuple[Callable[[SessionConfig], SeenBlock], ...]] = ()
+TESTED: Final[tuple[Callable[[EstimateConfig, Camera], SeenBlock], ...]] = (Lens,)
 """What makes the further blocks that every session is tested for, each of which states itself."""
 
 _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
@@ -42,7 +44,7 @@ _CAMERA_PASSES = 2  # linearisations of the outlines about the camera between tw
 
 def with_camera(state: SessionState, calibration: Calibration, at: Posed) -> Changed:
     """Estimate the change of the camera, and use it where it is plausible; else the session has no covariance of it."""
-    frames, config = FramesAt(state.model, calibration, at), state.problem.config.session
+    frames, config = FramesAt(state.model, calibration, at), state.problem.config
     estimate = estimate_camera(frames, config, _outlines(state), passes=_CAMERA_PASSES)
     if not estimate.plausible:
         return replace(state, imaging=replace(state.imaging, of_change=None)), calibration, None
@@ -68,14 +70,14 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     """
     problem, change = state.problem, state.imaging.change
     problem.progress("checking the camera", len(state.frames))
-    at, config = Posed.stacked(fit.at for fit in state.fits), problem.config.session
+    at, config = Posed.stacked(fit.at for fit in state.fits), problem.config
     of_all = FramesAt(state.model, state.solution.calibration, at)
     outlines = _outlines(state)
     masks = state.imaging.masks
     offsets = [fit.side_offsets for fit in state.fits if fit.explains_mask and fit.side_offsets is not None]
     outwards = max(0.0, *np.mean(offsets, axis=0).tolist()) if offsets else 0.0
     growth = MaskGrowth(outwards, 0.0 if masks is None else masks.taken_off)
-    tested = growth, InstrumentSizes(problem.instrument), *(make(config) for make in TESTED)
+    tested = growth, InstrumentSizes(problem.instrument), *(make(config, outlines.camera) for make in TESTED)
     outlines = replace(outlines, blocks=(*outlines.blocks, *tested))
     check = check_camera(of_all, config, outlines, applied=change)
     if check.growth is not None:
@@ -88,9 +90,7 @@ def checked_camera(state: SessionState) -> tuple[SessionState, CameraCheck]:
     elif problem.guessed_camera:
         state = state.noted(remarks=[check.camera.describe_found(state.stored[0].camera)])
     elif check.camera.applied:
-        state = state.noted(remarks=check.camera.contradictions(config))
-    elif check.hint:
-        state = state.noted(remarks=[check.hint])
+        state = state.noted(remarks=check.camera.contradictions())
     if check.shaft is not None and not (check.camera and check.camera.contradicts):
         state = state.noted(remarks=check.shaft.hints())
     if change is not None:
@@ -121,7 +121,8 @@ def _outlines(state: SessionState, view: str | None = None, *, file_tells: bool 
 
 def _camera(state: SessionState, *, file_tells: bool) -> CameraChange:
     """Return the change of the camera as a block that starts where it is."""
-    return CameraChange(file_deviations(state.problem.config.session) if file_tells else None, state.imaging.change)
+    file = file_deviations(state.stored[0].camera, state.problem.config.camera) if file_tells else None
+    return CameraChange(file, state.imaging.change)
 
 
 def _margin(state: SessionState, view: str | None) -> MaskMargin:

@@ -14,13 +14,13 @@ from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.model import outer_readings
-from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.interpolation import LEAST_ERROR
 from dvrk_cmaes.joints.prior import Readings
+from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.find_pose import FoundPose
 from dvrk_cmaes.pose.judge import doubts_in_views, doubts_of_agreement
@@ -296,8 +296,8 @@ def fit_session_pose(
     by_masks = fitted @ fit.by_masks
     by_calibration = fitted @ expected.information @ predicted.jacobian[0]
     fitted += covariance_of_masks(session.masks, by_masks, by_calibration)
-    fitted += covariance_of_camera(session.camera, fit.at, camera)
-    error = expected_error(instrument, fit.at, fitted)
+    of_camera = covariance_by_camera(instrument, camera, fit.at, session.camera_errors)
+    error = expected_error(instrument, fit.at, fitted, of_camera)
     reasons, remarks = doubts_in_views(fit.at, views, qualities, error, config.trust, "solved")
     return FoundPose(
         at=fit.at,

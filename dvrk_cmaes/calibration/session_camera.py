@@ -8,6 +8,7 @@ the distances between the remote centre of motion and the wrists, and thereby th
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,7 +17,6 @@ import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.consensus import evenly_spaced
-from dvrk_cmaes.calibration.lasting_errors import CommonErrors, frames_alike
 from dvrk_cmaes.calibration.linearise import (
     NAMED,
     PASSES,
@@ -29,41 +29,37 @@ from dvrk_cmaes.calibration.linearise import (
 )
 from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthEstimate, MaskGrowth, estimate_growth
 from dvrk_cmaes.calibration.model import SessionModel
+from dvrk_cmaes.calibration.session_lens import LENS, OF_LENS
 from dvrk_cmaes.calibration.session_shaft import SIZES, SessionShaft
 from dvrk_cmaes.calibration.solve import cost_at, solve
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.critical import FILE
-from dvrk_cmaes.config import SessionConfig
+from dvrk_cmaes.config import CameraConfig, EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Count, Number
+from dvrk_cmaes.pose.camera_errors import PARAMETERS, file_covariance
 from dvrk_cmaes.pose.terms.coverage import of_camera
 
 CAMERA = "camera"
 """Name of the block."""
 
-HINT = "the camera file may be wrong"
-"""What the remark begins with where the frames fit another camera better, without being sure of it."""
-
+TESTED = [PARAMETERS.index(name) for name in ("focal_length", "centre_right", "centre_down")]
+"""Which of the parameters of a camera are the three unknowns."""
 _WEAK_STD = np.array([0.3, 300.0, 300.0])  # of the change where it is estimated from the frames: relative, and px
 PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
 _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
-_CONTRADICTION = 11.34  # squared Mahalanobis distance from no change; that of 99 % with three unknowns
-_CLEAR_CONTRADICTION = 16.27  # that of 99.9 %, where the frames are fewer than ``_MANY_FRAMES``
-_LEAST_GAIN, _HINT_GAIN = 9.84, 3.84
-"""By how much less the sum of squares must be with another camera than the file's: to contradict it, and for a remark.
-
-The first is that of 98 % with three unknowns, and the least squared distance from no change, too, where it is a remark.
-Where frames near each other count as one, the distance alone tells right files from focal lengths that are 10 % off:
-`scripts/measure.py calibrate` on recordings of `fleet.py make`, seeds 8613 to 8618, 8707 to 8710, 8807 to
-8810 and 8907 to 8909: at most 6 and, but for one that is 4, at least 15.
-"""
-_ALIKE_SECONDS = SessionConfig().alike_seconds
+_CONTRADICTION = 14.16
+_FIRST_CONTRADICTION = 4.64
+"""Squared distances from no change, of 99.7 % and 80 % with three unknowns: of the last and the first estimate."""
+_LEAST_GAIN = 3.84  # by how much less the sum of squares must be with another camera than the file's to contradict it
+_WRONG_SHARE, _WRONG_STD = 0.1, 10.0
+"""Share of files of another zoom, crop or endoscope, as far as frames could show it, and their errors in usual ones."""
 IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
     "insertion, tell it better"
@@ -71,6 +67,7 @@ IMPLAUSIBLE = (
 """Why a session does not tell its camera: the estimate lies too far away for outlines that were linearised here."""
 
 _NOT_ASKED = "camera: not tested, as the settings say"
+_OF_FILE = 5e-3  # usual standard deviation of a file's focal length, and of its centre in image widths
 _CAUSES = (
     "a calibration of another zoom, focus, endoscope or crop of the image, or --rectified left out; a tool or arm of "
     "another length has a similar effect"
@@ -119,27 +116,25 @@ class SessionCamera(Document):
     def of(
         cls,
         estimate: CameraEstimate,
-        config: SessionConfig,
+        file: Float64,
         width: int,
         *,
         applied: bool,
-        frames: int,
         unusual: bool = False,
     ) -> SessionCamera:
         """Decide whether an estimate from some frames contradicts the camera file, and state it.
 
-        Each linearisation may be farther away than the one before. What the frames tell at the camera of the file must
-        contradict it as well. Unless the file is ``unusual`` in itself, few frames must contradict it clearly, and
-        another camera must explain the frames better.
+        ``file`` (3,) are the standard deviations of the file, as of `file_deviations`. Each linearisation may be
+        farther away than the one before, so that the first one, at the camera of the file, must point to another
+        camera as well, unless the file is ``unusual`` in itself; another camera must explain the frames better.
         """
         change, covariance = estimate.change, SHARED_ERRORS**2 * estimate.covariance
-        limit = _CONTRADICTION if unusual or applied or frames >= _MANY_FRAMES else _CLEAR_CONTRADICTION
-        contradicts = _distance(change, covariance, config) > limit
-        if not applied:
-            first = _distance(estimate.first_change, SHARED_ERRORS**2 * estimate.first_covariance, config)
-            contradicts = contradicts and first > limit and (unusual or estimate.gain >= _LEAST_GAIN)
+        contradicts = _distance(change, covariance, file) > _CONTRADICTION
+        if not (applied or unusual):
+            first = _distance(estimate.first_change, SHARED_ERRORS**2 * estimate.first_covariance, file)
+            contradicts = contradicts and first > _FIRST_CONTRADICTION and estimate.gain >= _LEAST_GAIN
         if not (contradicts or applied):
-            change, covariance = _with_file(change, covariance, config)
+            change, covariance = _with_file(change, covariance, file)
         return cls.at(change, covariance, width, contradicts=contradicts, applied=applied)
 
     @classmethod
@@ -206,21 +201,14 @@ class SessionCamera(Document):
             "recording in which insertion moves by some centimetres the focal length"
         )
 
-    def contradictions(self, config: SessionConfig) -> list[str]:
-        """Describe what of the camera file the frames contradict, with likely causes; empty if they do not.
-
-        Parameters
-        ----------
-        config
-            Settings of calibrations.
-        """
+    def contradictions(self) -> list[str]:
+        """Describe what of the camera file the frames contradict, with likely causes; empty if they do not."""
         if not self.contradicts:
             return []
-        file_std = file_deviations(config)
         scale, std = self.focal_scale - 1, self.std_focal_scale
         shift, std_shift = np.array(self.principal_point_px), np.array(self.std_principal_point_px)
-        of_focal_length = abs(scale) > NAMED * np.hypot(std, file_std[0])
-        of_centre = bool((np.abs(shift) > NAMED * np.hypot(std_shift, file_std[1:])).any())
+        of_focal_length = abs(scale) > NAMED * np.hypot(std, _OF_FILE)
+        of_centre = bool((np.abs(shift) > NAMED * np.hypot(std_shift, _OF_FILE * self.width)).any())
         parts = []
         if of_focal_length or not of_centre:
             than = "longer" if scale > 0 else "shorter"
@@ -233,35 +221,6 @@ class SessionCamera(Document):
             )
         then = "which is used" if self.applied else f"likely causes: {_CAUSES}"
         return [f"the camera file is contradicted: these frames fit {' and '.join(parts)}; {then}"]
-
-
-def covariance_of_camera(change: SessionCamera | None, at: Posed, camera: Camera) -> Float64:
-    """Return the covariance (D, D) of a pose and its joints by what is not known of a camera that was changed.
-
-    The image stays as it is: a shift of the principal point turns the pose about the camera's centre, and a longer
-    focal length moves it away in proportion. It is zero where the camera of the file is used.
-
-    Parameters
-    ----------
-    change
-        The change of a session's camera; None where it was not tested.
-    at
-        Pose and joints in the changed camera.
-    camera
-        That camera, for images of any size.
-    """
-    covariance = np.zeros((6 + len(at.joints),) * 2)
-    if change is None or not change.applied:
-        return covariance
-    x, y, z = at.pose[:3, 3]
-    rotation = np.array([[y / z, 0.0, 1 / camera.fy], [-x / z, -1 / camera.fx, 0.0], [0.0, 0.0, 0.0]])
-    translation = np.cross(rotation.T, at.pose[:3, 3]).T
-    translation[:, 0] = 0.0, 0.0, z
-    size = camera.width / change.width
-    std = [change.std_focal_scale / change.focal_scale, *(size * np.array(change.std_principal_point_px))]
-    moves = np.concatenate([at.pose[:3, :3].T @ translation, at.pose[:3, :3].T @ rotation]) * std
-    covariance[:6, :6] = moves @ moves.T
-    return covariance
 
 
 def camera_undetermined(model: SessionModel) -> str | None:
@@ -289,8 +248,8 @@ class CameraCheck:
     the mean square of the calibration's errors, in the order of `SessionModel.axes`, that errors of the camera cause.
     ``growth`` and ``shaft`` are what the outlines tell of errors of the masks on some sides, beside the camera, and of
     the radius of the shaft, with the camera of the file; None where the camera cannot be changed. ``blocks`` are what
-    is found of those that state themselves (`SeenBlock.stated`). ``hint`` is as of
-    `CameraEstimate.hint`, empty where the file is contradicted or not used.
+    is found of those that state themselves (`SeenBlock.stated`). ``square`` (3, 3)
+    is the mean square of what is wrong with the camera that was used; None where it is not tested.
     """
 
     camera: SessionCamera | None
@@ -299,7 +258,23 @@ class CameraCheck:
     growth: GrowthEstimate | None = None
     shaft: SessionShaft | None = None
     blocks: Mapping[str, FoundBlock] = field(default_factory=dict)
-    hint: str = ""
+    square: Float64 | None = None
+
+
+def errors_of_camera(check: CameraCheck, camera: Camera, config: CameraConfig) -> Float64:
+    """Return the covariance (5, 5) of the camera with which a session was solved, in the order of `PARAMETERS`.
+
+    What the session finds and does not correct is an error of that camera as well. ``camera`` is that of the file, for
+    images of any size; ``config`` counts where the session tests nothing.
+    """
+    errors, change = file_covariance(camera, config), check.camera
+    lens = check.blocks.get(LENS)
+    if lens is not None:
+        errors[np.ix_(OF_LENS, OF_LENS)] = np.diag(np.square(lens.std) + np.square(lens.values))
+    if change is not None and check.square is not None:
+        to_relative = np.array([1.0, *(2 * [camera.width / change.width / camera.fx])])
+        errors[np.ix_(TESTED, TESTED)] = check.square * np.outer(to_relative, to_relative)
+    return errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,41 +304,17 @@ class CameraEstimate:
     blocks: Mapping[str, FoundBlock] = field(default_factory=dict)
     of_blocks: Float64 | float = 0.0
 
-    def hint(self, width: int, common: CommonErrors) -> str:
-        """Say that the frames fit another camera better, without being sure of it; empty if they do not.
-
-        Of n frames of half a second, counted as one, what they tell of the camera is stated too widely, counted as n
-        too narrowly, both by some factor of n^(1/4): in 17 recordings by 1.9, in 75 by 1/1.9, with n of 8 and 9.
-
-        Parameters
-        ----------
-        width
-            That of the images, px.
-        common
-            The errors that the frames share.
-        """
-        near = float(np.median(frames_alike(common.times, _ALIKE_SECONDS))) ** 0.5
-        as_one = common.alike_seconds > 0
-        covariance = SHARED_ERRORS**2 * self.covariance
-        distance = float(self.change @ np.linalg.solve(covariance, self.change)) * (near if as_one else 1 / near)
-        if distance < _LEAST_GAIN or not (as_one or self.gain >= _HINT_GAIN):
-            return ""
-        other = SessionCamera.at(self.change, covariance, width, contradicts=False, applied=False)
-        return (
-            f"{HINT}: these frames fit another one better ({other.describe()}), but do not tell it for sure; frames "
-            "with other insertions of the arm do"
-        )
-
 
 def estimate_camera(
-    frames: FramesAt, config: SessionConfig, outlines: SessionOutlines, *, passes: int
+    frames: FramesAt, config: EstimateConfig, outlines: SessionOutlines, *, passes: int
 ) -> CameraEstimate:
     """Estimate the change of the camera beside the calibration.
 
     Arguments are as in `linearise`; the ``outlines`` are those of the reference camera, with the change among their
     blocks. ``config`` has the settings of the variance components, which are estimated again with the change.
     """
-    solver = partial(solve_with_variances, config=config, steps=_STEPS)
+    solver = partial(solve_with_variances, config=config.session, steps=_STEPS)
+    file = file_deviations(outlines.camera, config.camera)
     there = linearise(frames, outlines, solver, [CAMERA], passes=passes)
     first, own = there.first or there, there.solution.calibration.place(CAMERA)
     count, information = frames.calibration.alone().own, there.information
@@ -372,14 +323,14 @@ def estimate_camera(
     of_masks = next((one for one in outlines.blocks if isinstance(one, MaskGrowth)), None)
     if of_masks is not None:
         changed_camera = any(one.name == CAMERA and one.start.any() for one in outlines.blocks)
-        beside = {} if changed_camera else {CAMERA: file_deviations(config)}
+        beside = {} if changed_camera else {CAMERA: file}
         each = (there,) if first is there else (there, first)
         known = [estimate_growth(one, of_masks, beside) for one in each]
         told = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])]
         # the file's camera is nearest to what was linearised first, about it; the last one has all frames
         growth = replace(known[-1], of_frames=known[0].of_frames)
         if any(one.name == SIZES for one in outlines.blocks):
-            shaft = SessionShaft.of(there, {CAMERA: file_deviations(config), GROWTH: growth.std_px})
+            shaft = SessionShaft.of(there, {CAMERA: file, GROWTH: growth.std_px})
     return CameraEstimate(
         *told[0],
         *told[1],
@@ -387,15 +338,15 @@ def estimate_camera(
         there.solution.calibration.alone(),
         there.at,
         there.plausible,
-        _gain_of_any_camera(frames.model, frames.calibration.alone(), first, config),
+        _gain_of_any_camera(frames.model, frames.calibration.alone(), first, file),
         growth,
         shaft,
-        *_stated(there, outlines.blocks, {} if growth is None else {GROWTH: growth.std_px}, config),
+        *_stated(there, outlines.blocks, {} if growth is None else {GROWTH: growth.std_px}, file),
     )
 
 
 def _stated(
-    there: Linearised, blocks: Sequence[SeenBlock], known: Mapping[str, Float64], config: SessionConfig
+    there: Linearised, blocks: Sequence[SeenBlock], known: Mapping[str, Float64], file: Float64
 ) -> tuple[dict[str, FoundBlock], Float64]:
     """State what is found of the blocks that state themselves, beside a camera that is known as its file is.
 
@@ -403,7 +354,7 @@ def _stated(
     calibration's errors that their errors cause, which are not corrected.
     """
     calibration, count = there.solution.calibration, there.solution.calibration.own
-    values, covariance = there.with_std({CAMERA: file_deviations(config), **known})
+    values, covariance = there.with_std({CAMERA: file, **known})
     found, of_blocks = dict[str, FoundBlock](), np.zeros((count, count))
     for block in blocks:
         place = calibration.place(block.name)
@@ -415,9 +366,7 @@ def _stated(
     return found, of_blocks
 
 
-def _gain_of_any_camera(
-    model: SessionModel, calibration: Calibration, first: Linearised, config: SessionConfig
-) -> float:
+def _gain_of_any_camera(model: SessionModel, calibration: Calibration, first: Linearised, file: Float64) -> float:
     """Return by how much less the frames' sum of squares is with any camera than with one that the file expects.
 
     Far from the camera of the file, the covariance of an estimate says little about how well the file explains the
@@ -430,14 +379,14 @@ def _gain_of_any_camera(
     zero = {block.name: np.zeros(len(block.std)) for block in seen}
     start = calibration.beside(*seen, **zero)
     (any_camera,) = (block for block in seen if block.name == CAMERA)
-    known = CameraChange((any_camera.std**-2 + file_deviations(config) ** -2) ** -0.5)
+    known = CameraChange((any_camera.std**-2 + file**-2) ** -0.5)
     by_file, by_any = (solve(model, first.fits, one) for one in (start.beside(known, **zero), start))
     costs = [cost_at(model, first.fits, one.calibration, by_file.weights) for one in (by_file, by_any)]
     return costs[0] - costs[1]
 
 
 def check_camera(
-    frames: FramesAt, config: SessionConfig, outlines: SessionOutlines, *, applied: Float64 | None = None
+    frames: FramesAt, config: EstimateConfig, outlines: SessionOutlines, *, applied: Float64 | None = None
 ) -> CameraCheck:
     """Test the camera of a calibrated session.
 
@@ -445,7 +394,8 @@ def check_camera(
     if they were fitted with the file's. The other arguments are as in `estimate_camera`. Where an estimate is not
     plausible, only what the frames tell at the camera of the file is left, which may contradict it or say nothing.
     """
-    reason = _lacking(frames.model, _LEAST_FRAMES, "test") if config.test_camera or applied is not None else _NOT_ASKED
+    asked, file = config.session.test_camera or applied is not None, file_deviations(outlines.camera, config.camera)
+    reason = _lacking(frames.model, _LEAST_FRAMES, "test") if asked else _NOT_ASKED
     passes = PASSES[CAMERA] if reason is None and applied is None else 1
     try:
         estimate = estimate_camera(frames, config, outlines, passes=passes)
@@ -457,49 +407,56 @@ def check_camera(
         estimate = replace(estimate, change=applied)
     camera = SessionCamera.of(
         estimate,
-        config,
+        file,
         outlines.camera.width,
         applied=applied is not None,
-        frames=len(frames.at),
         unusual=any(text.startswith(FILE) for text in outlines.camera.remarks),
     )
     if far and not camera.contradicts:
         reason = IMPLAUSIBLE
-    covariance = _of_camera(estimate, config, tested=reason is None, applied=applied is not None) + estimate.of_blocks
+    square = np.diag(file**2)
+    if applied is not None:
+        square = SHARED_ERRORS**2 * estimate.covariance
+    elif reason is None:
+        square = _mean_square(estimate.change, SHARED_ERRORS**2 * estimate.covariance, file)
+    covariance = estimate.sensitivity @ square @ estimate.sensitivity.T + estimate.of_blocks
     if reason is not None:
         return CameraCheck(None, reason, covariance, estimate.growth, estimate.shaft, estimate.blocks)
-    hint = "" if camera.applied or camera.contradicts else estimate.hint(camera.width, outlines.common)
-    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft, estimate.blocks, hint)
+    return CameraCheck(camera, "", covariance, estimate.growth, estimate.shaft, estimate.blocks, square)
 
 
-def _of_camera(estimate: CameraEstimate, config: SessionConfig, *, tested: bool, applied: bool) -> Float64:
-    """Return the mean square (K, K) of the calibration's errors that errors of the camera cause.
+def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64:
+    """Return the mean square (3, 3) of the errors of a camera file that is used as it is, by what frames and file tell.
 
-    If the frames do not test the camera, its errors are those expected of its file. Otherwise they are what frames and
-    file together tell: the mean error, whose effect is not corrected unless the change is applied, and its covariance.
+    A file is a measurement with the standard deviations ``file``, or with some probability one of another focal length,
+    another principal point or both, of which frames say more the better they tell the camera.
     """
-    if not tested:
-        square = np.diag(file_deviations(config) ** 2)
-    elif applied:
-        square = SHARED_ERRORS**2 * estimate.covariance
-    else:
-        change, covariance = _with_file(estimate.change, SHARED_ERRORS**2 * estimate.covariance, config)
-        square = covariance + np.outer(change, change)
-    return np.asarray(estimate.sensitivity @ square @ estimate.sensitivity.T)
+    told = 1 / (1 + np.diag(covariance) / (_WRONG_STD * file) ** 2)
+    shares = _WRONG_SHARE * np.array([told[0], told[1:].mean()])
+    logs, squares = [], []
+    for wrong in itertools.product((False, True), repeat=2):
+        std = file * np.where([wrong[0], wrong[1], wrong[1]], _WRONG_STD, 1.0)
+        mean, spread = _with_file(change, covariance, std)
+        whole = np.linalg.slogdet(covariance + np.diag(std**2))[1] + _distance(change, covariance, std)
+        logs.append(np.log(np.where(wrong, shares, 1 - shares)).sum() - 0.5 * whole)
+        squares.append(spread + np.outer(mean, mean))
+    weights = np.exp(np.array(logs) - max(logs))
+    return np.asarray(np.einsum("k,kij->ij", weights / weights.sum(), squares))
 
 
-def _distance(change: Float64, covariance: Float64, config: SessionConfig) -> float:
+def _distance(change: Float64, covariance: Float64, file: Float64) -> float:
     """Return the squared Mahalanobis distance of a change (3,) from the camera file, whose errors count as well."""
-    return float(change @ np.linalg.solve(covariance + np.diag(file_deviations(config) ** 2), change))
+    return float(change @ np.linalg.solve(covariance + np.diag(file**2), change))
 
 
-def _with_file(change: Float64, covariance: Float64, config: SessionConfig) -> tuple[Float64, Float64]:
+def _with_file(change: Float64, covariance: Float64, file: Float64) -> tuple[Float64, Float64]:
     """Return a change (3,) and its covariance (3, 3) with the camera file as a measurement that says: no change."""
-    file_covariance = np.diag(file_deviations(config) ** 2)
+    file_covariance = np.diag(file**2)
     gain = file_covariance @ np.linalg.inv(covariance + file_covariance)
     return gain @ change, gain @ covariance
 
 
-def file_deviations(config: SessionConfig) -> Float64:
-    """Return the standard deviations (3,) of the camera file: of its focal length, relative, and its centre, px."""
-    return np.array([config.focal_length_percent / 100, config.principal_point_px, config.principal_point_px])
+def file_deviations(camera: Camera, config: CameraConfig) -> Float64:
+    """Return the standard deviations (3,) of a camera's file: of its focal length, relative, and its centre, px."""
+    std = np.sqrt(np.diag(file_covariance(camera, config)))
+    return std[TESTED] * [1.0, camera.fx, camera.fx]

@@ -79,7 +79,7 @@ def doubts_of(
     settings = SessionConfig() if config is None else config
     camera, shaft = calibration.camera, calibration.shaft
     by_file = camera is None or not camera.applied
-    contradictions = camera.contradictions(settings) if camera is not None and by_file else []
+    contradictions = camera.contradictions() if camera is not None and by_file else []
     return (
         *reasons(
             predicts_badly(calibration, LARGEST_PREDICTED_PX * pixel_scale),

@@ -37,6 +37,9 @@ class Camera:
         ``equidistant``, where zeros mean that the distorted radius equals the angle to the optical axis.
     model
         ``plumb_bob`` (0, 4 or 5 coefficients), ``rational_polynomial`` (0 or 8) or ``equidistant`` (4).
+    covariance
+        Covariance (5, 5) of the file's errors, where it states one: of log f, log (fy / fx), the principal point right
+        and down over f, and the first radial coefficient; empty where it does not.
     remarks
         What is unusual about the camera's file; every result that uses the camera repeats it.
 
@@ -55,6 +58,7 @@ class Camera:
     cy: float
     distortion: tuple[float, ...] = ()
     model: str = "plumb_bob"
+    covariance: tuple[tuple[float, ...], ...] = field(default=(), repr=False)
     remarks: tuple[str, ...] = field(default=(), compare=False, repr=False, metadata={"content": False})
 
     def __post_init__(self) -> None:

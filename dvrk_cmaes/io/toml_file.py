@@ -18,6 +18,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
+from dvrk_cmaes.config import REMOVED
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.files import read_text
 from dvrk_cmaes.io.short_text import shown
@@ -72,6 +73,8 @@ def _merged(tree: Mapping[str, Any], values: Mapping[str, Any], where: str, tabl
     for name, value in values.items():
         key = f"{table}{name}"
         if name not in tree:
+            if key in REMOVED:
+                raise InputError(f"{where}: {key} is no longer a setting: {REMOVED[key]}")
             close = get_close_matches(key, known, n=_SUGGESTED, cutoff=_CLOSE)
             near = close or nearest_first(key, known)[:_SUGGESTED]
             verb = "is" if len(near) == 1 else "are"

@@ -90,21 +90,27 @@ def _gamma_quantile(shape: float) -> float:
     return at
 
 
-def expected_error(instrument: Instrument, at: Posed, covariance: Float64) -> ExpectedError:
-    """Propagate the covariance (6 + J, 6 + J) of the small changes of one pose to tips and shaft."""
+def expected_error(
+    instrument: Instrument, at: Posed, covariance: Float64, of_camera: Float64 | None = None
+) -> ExpectedError:
+    """Propagate the covariance (6 + J, 6 + J) of the small changes of one pose to tips and shaft.
+
+    ``of_camera`` (6 + J, 6 + J) is added to it for the errors in metres: what errors of the camera do to the pose.
+    """
+    whole = covariance if of_camera is None else covariance + of_camera
     count, moved = len(instrument.ends(at.joints)), _moved(at)
     ends = instrument.ends(moved.joints)
     names = {f"jaw_{k + 1}": [k] for k in range(count)} | {"mean": [*range(count)]} if count > 1 else {"tip": [0]}
-    spreads = {}
-    for name, which in names.items():
-        slope = _slope(_position(moved.pose, ends, which))
-        spreads[name] = 1e6 * slope @ covariance @ slope.T
+    slopes = {name: _slope(_position(moved.pose, ends, which)) for name, which in names.items()}
+    spreads = {name: 1e6 * slope @ whole @ slope.T for name, slope in slopes.items()}
+    in_camera = [1e6 * slope @ covariance @ slope.T for slope in slopes.values()]
     slope = np.degrees(_slope(shaft_direction(instrument, at.pose)(moved)))
     return ExpectedError(
         tip_mm={name: float(np.sqrt(np.trace(spread))) for name, spread in spreads.items()},
         tip_axes_mm={name: np.sqrt(np.diag(spread)) for name, spread in spreads.items()},
         tip_90_mm=max(largest_distance(spread) for spread in spreads.values()),
-        shaft_deg=float(np.sqrt(np.trace(slope @ covariance @ slope.T))),
+        shaft_deg=float(np.sqrt(np.trace(slope @ whole @ slope.T))),
+        tip_90_given_camera_mm=None if of_camera is None else max(largest_distance(spread) for spread in in_camera),
     )
 
 

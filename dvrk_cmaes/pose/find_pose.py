@@ -11,6 +11,7 @@ from dvrk_cmaes.config import EstimateConfig, TrustConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings, reading_distance
+from dvrk_cmaes.pose.camera_errors import covariance_by_camera, file_covariance
 from dvrk_cmaes.pose.covariance import pose_covariance
 from dvrk_cmaes.pose.expected_error import expected_error
 from dvrk_cmaes.pose.judge import judge
@@ -89,11 +90,13 @@ def find_pose(
         pooled = pooled_quality(of_views)
         rays += confirming
         covariance = pose_covariance(modes, pooled)
-        expected = expected_error(instrument, best.at, covariance)
-        probability = mode_probability(modes, expected.of_tips_mm)
+        probability = mode_probability(modes, expected_error(instrument, best.at, covariance).of_tips_mm)
         if start or not _lacks_fit(of_views, probability, config.trust, pixel_scale):
             break
         candidates = list(modes)
+    camera = views[0].evidence.camera
+    of_camera = covariance_by_camera(instrument, camera, best.at, file_covariance(camera, config.camera))
+    expected = expected_error(instrument, best.at, covariance, of_camera)
     of_rig = [(np.zeros(3), np.zeros((3, 3))), *rotations]  # the first view is the reference
     checks = tuple(
         ViewCheck(view.name, quality, np.degrees(turn), np.degrees(np.degrees(spread)))

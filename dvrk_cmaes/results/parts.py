@@ -91,11 +91,14 @@ class ViewCheck(Document):
 class ExpectedError(Document):
     """Standard deviations of the tips and of the shaft's direction, from the covariance of pose and joints.
 
-    The tips are ``jaw_1``, ``jaw_2`` and their ``mean``, or ``tip`` of an instrument without a pair of jaws.
+    They are those in metres, with the errors of the camera's file; `tip_90_given_camera_mm` is without these, as counts
+    where a pose is compared with others in the same camera, such as in visual servoing. The tips are ``jaw_1``,
+    ``jaw_2`` and their ``mean``, or ``tip`` of an instrument without a pair of jaws.
 
     tip_mm : root mean square of each tip's distance from its true position, mm.
     tip_axes_mm : (3,) standard deviations of each tip along the camera's axes, mm.
     tip_90_mm : distance within which each single tip lies with a probability of 90 %, mm.
+    tip_90_given_camera_mm : the same if the camera's file is right; None where it is not stated.
     shaft_deg : root mean square of the angle between the shaft's direction and the true one, degrees.
     """
 
@@ -103,6 +106,7 @@ class ExpectedError(Document):
     tip_axes_mm: dict[str, Point]
     tip_90_mm: Number
     shaft_deg: Number
+    tip_90_given_camera_mm: Number | None = None
 
     @property
     def of_tips_mm(self) -> float:
@@ -117,8 +121,14 @@ class ExpectedError(Document):
         """
         if self.tip_90_mm > _FARTHEST_MM:
             return "tips not determined: the mask shows no wrist"
-        digits = 2 if self.tip_90_mm < 1 else 1
-        return f"{'tips' if len(self.tip_mm) > 1 else 'tip'} within {self.tip_90_mm:.{digits}f} mm (90 %)"
+        given = self.tip_90_given_camera_mm
+        in_camera = "" if given is None else f", {_short(given)} mm given the camera"
+        return f"{'tips' if len(self.tip_mm) > 1 else 'tip'} within {_short(self.tip_90_mm)} mm (90 %{in_camera})"
+
+
+def _short(value: float) -> str:
+    """Return a distance, mm, in the digits that count."""
+    return f"{value:.{2 if value < 1 else 1}f}"
 
 
 class Stated(Protocol):

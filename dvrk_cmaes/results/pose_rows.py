@@ -5,8 +5,9 @@ arm's base to the camera frame (OpenCV's axes): translation in mm, quaternion in
 ``std_camera_from_root_*`` are standard deviations along and about the camera's axes. ``tip_1_*`` and ``tip_2_*`` are
 the tips of jaw_1 and jaw_2, or the end of an instrument without a pair of jaws, in the camera, with standard deviations
 along the camera's axes, and their pixels. ``time`` is that of the image, s. Jaw tips are within ``tips_90_mm`` with
-90 %; ``std_tips_mm`` is the root mean square error of their mean. Joint columns are estimated values, ``*_read_*`` are
-readings, in deg, insertion in mm.
+90 %, and within ``tips_90_given_camera_mm`` if the camera file is exact, for which the standard deviations of the pose
+hold as well; ``std_tips_mm`` is the root mean square error of their mean. Joint columns are estimated values,
+``*_read_*`` are readings, in deg, insertion in mm.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ def _row(result: Result, joints: Sequence[str], readings: Sequence[str], tips: i
         yield from _tip(result, number)
     expected = result.expected_error
     yield "tips_90_mm", None if expected is None else round(expected.tip_90_mm, _DIGITS)
+    in_camera = None if expected is None else expected.tip_90_given_camera_mm
+    yield "tips_90_given_camera_mm", None if in_camera is None else round(in_camera, _DIGITS)
     yield "std_tips_mm", None if expected is None else round(expected.of_tips_mm, _DIGITS)
     yield "std_shaft_deg", None if expected is None else round(expected.shaft_deg, _DIGITS)
     yield "mode_probability", result.mode_probability

@@ -34,7 +34,7 @@ from dvrk_cmaes.pose.judge import doubts_in_view, doubts_of_agreement
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.results.tracked import TrackResult, without_pose
 from dvrk_cmaes.silhouette import Body
-from dvrk_cmaes.track.frame_fits import fit_near, judged, views_that_show
+from dvrk_cmaes.track.frame_fits import Found, fit_near, judged, views_that_show
 from dvrk_cmaes.track.reading_buffer import ReadingAt
 from dvrk_cmaes.track.view_segmenter import Mask, Seen, ViewSegmenter
 from dvrk_cmaes.track.window import FitEvidence, Judged, Window, WindowImage
@@ -71,7 +71,7 @@ class _FitOfImage:
     evidence: FitEvidence
     score: float
     deviation: Float64 | None
-    judge: Callable[[tuple[Posed, Float64]], Judged]
+    judge: Callable[[Found], Judged]
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +256,7 @@ class Follower:
         if fit.explains_mask:
             self._lengths |= {view.name: length for view, length in zip(views, own.lengths, strict=True)}
 
-        def judge(found: tuple[Posed, Float64]) -> Judged:
+        def judge(found: Found) -> Judged:
             return self._window.judged(judged(views, *found, given.body, given.config), evidence.misfit)
 
         return _FitOfImage(evidence, fit.score, fit.at.minus(at) if fit.explains_mask else None, judge)
@@ -275,7 +275,7 @@ class Follower:
         edges = replace(edges, by_masks=edges.information @ moves)
         evidence = FitEvidence.of(edges, at, spread, inflation=_EDGES_ALIKE, holds=fit.holds)
 
-        def judge(found: tuple[Posed, Float64]) -> Judged:
+        def judge(found: Found) -> Judged:
             error = expected_error(instrument, *found)
             if not fit.holds:
                 return Judged("lost", [f"lost: {'; '.join(fit.doubts)}"], error, fit.sigma)

@@ -129,6 +129,10 @@ def fit_followed(
     return FittedFrame(StoredFrame.of_views(views, data.camera, own), fit, time.perf_counter() - started)
 
 
+Found = tuple[Posed, Float64, Float64]
+"""Pose and joints, their covariance (D, D) given the camera, and that by the camera's errors."""
+
+
 @dataclass(frozen=True, eq=False)
 class JudgedFrame:
     """The quality of a frame's pose, the reasons to doubt it, and the error that is expected of it."""
@@ -143,18 +147,26 @@ class JudgedFrame:
         return NORMAL_MEDIAN * self.quality.contour_px_median
 
 
-def judge_frame(body: Body, config: EstimateConfig, task: tuple[StoredFrame, tuple[Posed, Float64]]) -> JudgedFrame:
-    """Judge a frame, given its evidence, by its pose and the covariance (D, D) of that, as `judged` does."""
+def judge_frame(body: Body, config: EstimateConfig, task: tuple[StoredFrame, Found]) -> JudgedFrame:
+    """Judge a frame, given its evidence, by its pose and the covariances (D, D) of that, as `judged` does."""
     stored, found = task
     return judged([view.restored(body) for view in stored.views], *found, body, config)
 
 
 def judged(
-    views: Sequence[FrameView], at: Posed, covariance: Float64, body: Body, config: EstimateConfig
+    views: Sequence[FrameView],
+    at: Posed,
+    covariance: Float64,
+    of_camera: Float64,
+    body: Body,
+    config: EstimateConfig,
 ) -> JudgedFrame:
-    """Measure how a pose with a covariance (D, D) explains the views' masks, and list the reasons to doubt it."""
+    """Measure how a pose explains the views' masks, and list the reasons to doubt it.
+
+    Its covariances (D, D) are that given the camera, and that by the camera's errors.
+    """
     qualities = [measure_overlap(view, at) for view in views]
-    error = expected_error(body.instrument, at, covariance)
+    error = expected_error(body.instrument, at, covariance, of_camera)
     doubts, _ = doubts_in_views(at, views, qualities, error, config.trust, "followed")
     return JudgedFrame(pooled_quality(qualities), tuple(doubts), error)
 

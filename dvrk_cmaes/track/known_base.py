@@ -22,6 +22,7 @@ from dvrk_cmaes.calibration.prediction import (
 from dvrk_cmaes.geometry import Posed, change_between
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.names import ECM_JOINTS
+from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.doubts import (
     CONFIRMING,
     NO_OUTER_READINGS,
@@ -80,7 +81,8 @@ def confirmed_by(
         return None
     camera = calibration.corrected(given.rig.views[0].camera)
     covariance = result.covariance + covariance_of_masks(calibration.masks, changes_by_masks(at, camera, instrument))
-    error = expected_error(instrument, at, covariance)
+    of_camera = covariance_by_camera(instrument, camera, at, calibration.camera_errors)
+    error = expected_error(instrument, at, covariance, of_camera)
     probability = tip_probability(error.of_tips_mm, trust.tip_mm)
     reason = tips_not_accurate(error, trust)
     return replace(

@@ -22,13 +22,13 @@ from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.prediction import Prediction, calibration_covariance
-from dvrk_cmaes.calibration.session_camera import covariance_of_camera
 from dvrk_cmaes.calibration.session_doubts import resting_on
 from dvrk_cmaes.calibration.solve import robust_weights
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64, Posed, inverse
 from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.doubts import FOLLOWED, pose_lost, reasons
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
 from dvrk_cmaes.pose.judge import doubts_of_agreement
@@ -37,7 +37,7 @@ from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.results.result import ExpectedError
 from dvrk_cmaes.results.tracked import TrackResult, TrackStatus
 from dvrk_cmaes.track.colour_edges import EdgeFit
-from dvrk_cmaes.track.frame_fits import JudgedFrame
+from dvrk_cmaes.track.frame_fits import Found, JudgedFrame
 
 SLOW_SHARE: Final = 0.8
 """Share of a deviation's variance that changes slowly."""
@@ -205,8 +205,8 @@ class Window:
     instrument: Instrument
     config: EstimateConfig
 
-    def solve(self, images: Sequence[WindowImage], *, only_last: bool = False) -> list[tuple[Posed, Float64]]:
-        """Find the poses and joints of N images by what all of them state, with their covariances (D, D).
+    def solve(self, images: Sequence[WindowImage], *, only_last: bool = False) -> list[Found]:
+        """Find the poses and joints of N images by what all of them state.
 
         The covariances include those of the calibration. With ``only_last``, the list has the last image alone.
         """
@@ -227,7 +227,8 @@ class Window:
             at, (by_calibration, by_masks) = image.at.moved(deviation), np.split(response, [len(calibrated)], axis=1)
             covariance = own + by_calibration @ calibrated @ by_calibration.T
             covariance += covariance_of_masks(calibration.masks, by_masks, by_calibration)
-            found.append((at, covariance + covariance_of_camera(calibration.camera, at, corrected)))
+            of_camera = covariance_by_camera(self.instrument, corrected, at, calibration.camera_errors)
+            found.append((at, covariance, of_camera))
         return found
 
     def judged(self, shown: JudgedFrame | None, misfit: float, source: str = "mask") -> Judged:
@@ -250,7 +251,7 @@ class Window:
     def result(
         self,
         image: WindowImage,
-        found: tuple[Posed, Float64],
+        found: Found,
         judged: Judged,
         doubts: Sequence[str],
         *,
@@ -259,12 +260,12 @@ class Window:
     ) -> TrackResult:
         """Describe an image of the window; one for whose pose there is any reason to doubt it is not ok.
 
-        ``found`` are pose and joints with their covariance (D, D), ``doubts`` all reasons, those of ``judged`` among
+        ``found`` are pose and joints with their covariances, ``doubts`` all reasons, those of ``judged`` among
         them; ``seconds`` and ``remarks`` are as in `TrackResult`.
         """
-        (at, covariance), instrument = found, self.instrument
+        (at, covariance, of_camera), instrument = found, self.instrument
         tips, _ = locate_tips(instrument, self.camera, at)
-        error = expected_error(instrument, at, covariance) if judged.error is None else judged.error
+        error = expected_error(instrument, at, covariance, of_camera) if judged.error is None else judged.error
         lost = judged.status == "lost"
         result = TrackResult(
             time=image.time,

@@ -22,7 +22,6 @@ from dvrk_cmaes.calibration.session_camera import CameraChange
 from dvrk_cmaes.calibration.session_masks import MaskMargin
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
-from dvrk_cmaes.config import SessionConfig
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.sized_view import SizedView
 
@@ -76,7 +75,7 @@ def shadowed(mask: np.ndarray) -> np.ndarray:
 
 
 def made_by_the_list(number: int) -> Callable[[Body], SeenBlock]:
-    return lambda body: TESTED[number](SessionConfig())
+    return lambda body: TESTED[number](EstimateConfig(), SMALL)
 
 
 CASES = {
@@ -90,7 +89,7 @@ CASES = {
     "jaws": Shown(lambda body: InstrumentSizes(body.instrument), 2, np.log(1.03), instrument=with_jaws),
 } | {
     f"{block.name} {axis}": Shown(made_by_the_list(number), k, float(block.std[k]))
-    for number, block in enumerate(make(SessionConfig()) for make in TESTED)
+    for number, block in enumerate(make(EstimateConfig(), SMALL) for make in TESTED)
     for k, axis in enumerate(block.axes)
 }
 
@@ -192,7 +191,7 @@ def test_a_block_of_the_list_is_found_stated_and_widens_the_calibration(
 ) -> None:
     frames = make_frames_in_memory(bundled_body, 10, level="clean")[2]
     plain = calibrate_session(frames, bundled_body).calibration
-    monkeypatch.setattr(imaging, "TESTED", (lambda config: Aspect(),))
+    monkeypatch.setattr(imaging, "TESTED", (lambda config, camera: Aspect(),))
     right = calibrate_session(frames, bundled_body).calibration
     flat = replace(SMALL, fy=SMALL.fy / 1.06)
     stretched = [replace(one, data=one.data.with_camera(flat)) for one in frames if isinstance(one.data, FrameData)]

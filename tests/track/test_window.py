@@ -69,7 +69,7 @@ def test_error_of_the_masks_is_in_the_covariance_as_far_as_the_poses_follow_it(
         for own in (calibration(response), calibration(response, px=0.0))
     )
     off = window(calibration(response), instrument).solve(images(calibration(response), instrument, 0.5))
-    for (at, covariance), (_, alone), (moved, _) in zip(found, without, off[-len(found) :], strict=True):
+    for (at, covariance, _), (_, alone, _), (moved, _, _) in zip(found, without, off[-len(found) :], strict=True):
         change = moved.minus(at)
         np.testing.assert_allclose(covariance - alone, np.outer(change, change), rtol=0.02, atol=1e-10)
         assert np.linalg.norm(change[:3]) > 1e-5

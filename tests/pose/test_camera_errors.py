@@ -1,0 +1,86 @@
+"""What errors of the camera file do to a pose: the outline that is seen stays, and so the pose moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.session_worlds import SMALL, make_frames_in_memory
+
+from dvrk_cmaes import Body, Camera, InputError, estimate
+from dvrk_cmaes.config import CameraConfig, EstimateConfig
+from dvrk_cmaes.geometry import Posed, apply
+from dvrk_cmaes.io.toml_file import read_config
+from dvrk_cmaes.pose.camera_errors import PARAMETERS, covariance_by_camera, file_covariance, moves_by_camera
+
+
+def with_error(number: int, size: float) -> Camera:
+    """Give the camera with an error of one parameter."""
+    focal, aspect, right, down, radial = size * np.eye(5)[number]
+    return replace(
+        SMALL,
+        fx=SMALL.fx * np.exp(focal - aspect / 2),
+        fy=SMALL.fy * np.exp(focal + aspect / 2),
+        cx=SMALL.cx + right * SMALL.fx,
+        cy=SMALL.cy + down * SMALL.fx,
+        distortion=(radial, 0.0, 0.0, 0.0),
+    )
+
+
+@pytest.mark.parametrize(("number", "size"), [(0, 0.02), (2, 0.02), (3, 0.02), (4, 0.2)])
+def test_pose_moves_with_the_camera_as_an_estimate_of_the_same_mask_does(
+    bundled_body: Body, number: int, size: float
+) -> None:
+    _, truths, frames = make_frames_in_memory(bundled_body, 4, level="clean", seed=11)
+    moved, expected = [], []
+    for truth, frame in zip(truths, frames, strict=True):
+        data, at = frame.data, Posed(truth.camera_from_root, truth.values)
+        found = [
+            estimate(data.mask, with_error(number, sign * size), frame.result.readings, instrument=bundled_body)
+            for sign in (1, -1)
+        ]
+        ends = [apply(one.camera_from_root, bundled_body.instrument.ends([*one.joints.values()])) for one in found]
+        step = size * moves_by_camera(bundled_body.instrument, SMALL, at)[:, number]
+        there = [at.moved(sign * step) for sign in (1, -1)]
+        of_step = [apply(one.pose, bundled_body.instrument.ends(one.joints)) for one in there]
+        moved.append(1e3 * (ends[0] - ends[1]).mean(axis=0))
+        expected.append(1e3 * (of_step[0] - of_step[1]).mean(axis=0))
+    off = np.linalg.norm(np.median(np.array(moved) - np.array(expected), axis=0))
+    assert off < 0.35 * np.linalg.norm(np.median(moved, axis=0)) + 0.1
+
+
+def test_errors_of_the_file_are_in_metres_and_not_in_this_camera(bundled_body: Body) -> None:
+    _, truths, frames = make_frames_in_memory(bundled_body, 1, level="clean", seed=11)
+    given = frames[0].data.mask, SMALL, frames[0].result.readings
+    exact = EstimateConfig(camera=CameraConfig(0.0, 0.0, 0.0, 0.0))
+    usual, right = (estimate(*given, instrument=bundled_body, config=config) for config in (EstimateConfig(), exact))
+    np.testing.assert_allclose(usual.covariance, right.covariance)
+    assert usual.expected_error.tip_90_given_camera_mm == pytest.approx(right.expected_error.tip_90_mm)
+    assert usual.expected_error.tip_90_mm > right.expected_error.tip_90_mm + 0.3
+    assert usual.tip_probability < right.tip_probability
+    at = Posed(truths[0].camera_from_root, truths[0].values)
+    spread = covariance_by_camera(bundled_body.instrument, SMALL, at, np.diag([0.01**2, 0, 0, 0, 0]))
+    assert np.sqrt(np.trace(spread[:3, :3])) == pytest.approx(0.01 * at.pose[2, 3], rel=0.15)
+
+
+def test_covariance_that_a_file_states_takes_the_place_of_the_settings() -> None:
+    stated = tuple(map(tuple, (1e-4 * np.eye(5)).tolist()))
+    np.testing.assert_array_equal(file_covariance(replace(SMALL, covariance=stated), CameraConfig()), 1e-4 * np.eye(5))
+    std = np.sqrt(np.diag(file_covariance(SMALL, CameraConfig())))
+    assert dict(zip(PARAMETERS, std.round(6).tolist(), strict=True)) == {
+        "focal_length": 0.005,
+        "aspect": 0.002,
+        "centre_right": 0.003,
+        "centre_down": 0.003,
+        "radial": 0.02,
+    }
+
+
+@pytest.mark.parametrize("name", ["focal_length_percent", "principal_point_px"])
+def test_settings_of_the_camera_that_moved_are_refused_by_name(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_text(f"[session]\n{name} = 1.0\n")
+    with pytest.raises(InputError, match=rf"session.{name} is no longer a setting: see camera\."):
+        read_config(path, EstimateConfig())
