@@ -127,7 +127,7 @@ class LookAtRange:
 
     The root's z axis points away from the camera, so the magnitudes of the angles alpha and gamma are at most ``tilt``,
     rad, below 90 degrees. The angle beta about the shaft is unlimited. The distance is between ``near`` and ``far``, m;
-    it does not limit candidates on the shaft's edges, which tell the distance themselves.
+    it does not limit candidates on the shaft's edges, which have the distance themselves.
     """
 
     tilt: float = math.radians(80)
@@ -372,7 +372,7 @@ class SessionConfig:
         Squared misfit per degree of freedom above which a frame disagrees with the session. A new frame below it, whose
         mask the predicted pose explains, is not searched globally.
     cables
-        Whether coupling, play and wander of the cables are estimated, beside the offsets.
+        Whether coupling, play and wander of the cables are estimated, in addition to the offsets.
     masks_again
         Whether masks that were found in images are found again around the silhouettes that the session expects.
     shadows

@@ -216,8 +216,7 @@ def test_github_forms_and_workflow_are_valid_yaml() -> None:
     assert {path.name for path in paths} >= {"ci.yml", "bug_report.yml", "feature_request.yml"}
     documents = {path.name: yaml.safe_load(path.read_text(encoding="utf-8")) for path in paths}
     steps = documents["ci.yml"]["jobs"]["checks"]["steps"]
-    commands = " ".join(step.get("run", "") for step in steps)
-    assert all(command in commands for command in ("make lint", "make test", "pip wheel", "dvrk-cmaes demo"))
+    assert [step["run"] for step in steps if "run" in step] == [".ci/run"]
     asked = str(documents["bug_report.yml"]["body"])
     assert all(text in asked for text in ("dvrk-cmaes inspect", "dvrk-cmaes --version"))
 

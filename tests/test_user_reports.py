@@ -187,7 +187,7 @@ def test_lag_beyond_the_range_is_not_told(reports: Path, later: float) -> None:
     frames, series = frames_and_series(reports / "lag-beyond-range", later)
     lag, why = find_lag(frames, series=series)
     assert lag is None
-    assert "not told in the range searched, -3 to +3 s" in why
+    assert "not determined in the range searched, -3 to +3 s" in why
     assert "beyond" in why
 
 

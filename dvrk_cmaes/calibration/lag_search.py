@@ -199,8 +199,8 @@ def search_lag(clock: Clock, model: SessionModel, modes: Sequence[Sequence[Mode]
         nowhere = bool(costs[best] > _NOWHERE)
     if nowhere:
         return SearchedLag(
-            undetermined=f"not told in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in "
-            "it; it may lie beyond (take a first guess out by import --lag, or subtract it from the images' times)",
+            undetermined=f"not determined in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no "
+            "lag in it; it may lie beyond (take a first guess out by import --lag, or subtract it from image times)",
             curve=curve,
             nowhere=True,
         )

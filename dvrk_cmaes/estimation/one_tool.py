@@ -148,7 +148,7 @@ def estimate_views(
 ) -> Result:
     """Estimate the pose of the instrument in the first of some views, as `estimate` does.
 
-    ``named`` tells whether the result says which views were used, and which not.
+    ``named``: whether the result says which views were used, and which not.
     """
     settings, arm, session = method.config, method.arm, method.session
     check_config(settings)

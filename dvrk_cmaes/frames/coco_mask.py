@@ -119,7 +119,7 @@ def _drawn(path: Path, part: Any, size: tuple[int, int] | None) -> Bool:
         stated = _size(path, "size", part.get("size"))
         return _runs(path, part.get("counts"), stated)
     if size is None:
-        raise InputError(f"{path}: expected height and width of the image beside polygons, got none")
+        raise InputError(f"{path}: expected height and width of the image with polygons, got none")
     mask = np.zeros(size, np.uint8)
     for ring in part if isinstance(part, list) else [part]:
         try:

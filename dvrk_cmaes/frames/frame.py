@@ -35,7 +35,7 @@ Window = tuple[int, int, int, int]
 """Left, top, width and height of a part of a picture, px."""
 
 _LARGEST = 400_000_000  # bytes
-_BESIDE = 2  # px beside another tool, where its outline and this one's cannot be told apart
+_BESIDE = 2  # px beside another tool, where its outline and this one's cannot be distinguished
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class FrameFiles:
     there is no ``image``. ``start`` is an earlier result of the frame, which is refined instead of a search. ``crop``
     is the part of the pictures that is used, left, top, width and height, px; ``pick``, ``keypoints`` and ``prompts``
     are in pixels of the whole pictures. ``overlaid`` is a PNG of pixels of the whole pictures that are over all images
-    of the session, as a robot's messages, and do not count. ``unread`` tells a ``problem`` that is only that no reading
+    of the session, as a robot's messages, and do not count. ``unread``: a ``problem`` that is only that no reading
     is near the image's time.
     """
 
@@ -364,7 +364,7 @@ def with_tool(ignore: Bool | None, tool: Bool) -> Bool:
 def frame_size(files: FrameFiles) -> Size:
     """Width and height in pixels of a frame's mask, or else its image, or of its part that is used.
 
-    The file's header tells it.
+    It is that of the file's header.
 
     Raises
     ------

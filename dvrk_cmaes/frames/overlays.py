@@ -1,7 +1,7 @@
 """What lies over all pictures of a recording and never changes: its border, and texts such as a robot's messages.
 
-A text is told by the images together: its pixels stay the same and stand out from what is around them in nearly all
-images, and little else does so. Where camera and scene stand still, no text is told from these. An instrument that is
+A text is found in the images together: its pixels stay the same and stand out from what is around them in nearly all
+images, and little else does so. Where camera and scene stand still, no text is found in these. An instrument that is
 held still before what moves reaches the edge of the picture, or is in the masks.
 """
 
@@ -46,7 +46,7 @@ def overlaid(images: Sequence[Image], masks: Sequence[Bool] = ()) -> Bool | None
     Parameters
     ----------
     images
-        (H, W, 3) uint8, BGR, of some moments of the recording. Of fewer than 8 nothing is told.
+        (H, W, 3) uint8, BGR, of some moments of the recording. In fewer than 8 nothing is found.
     masks
         (H, W) bool, of the instrument in some of the images; without any, what reaches the edge is no text.
     """

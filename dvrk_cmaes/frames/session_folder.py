@@ -73,7 +73,7 @@ class Session:
 
     ``truth`` holds the known poses, if any. ``notes`` describe the recognised formats of folder, camera and readings.
     ``rig`` has both cameras of a stereo session, or the only one; ``camera`` is its first. ``joint_files`` are the
-    files of readings, ``image_times`` the times of the images by frame, ns, None if unknown. ``guessed`` tells that
+    files of readings, ``image_times`` the times of the images by frame, ns, None if unknown. ``guessed``: that
     there is no camera file, and the camera is a guess.
     """
 
@@ -193,7 +193,7 @@ def read_session(
         Files of readings, which may have been read already; by default those in the session folder, which may have
         none. None: no readings are used.
     read_as
-        How files of readings are read that do not tell it.
+        How files of readings are read that do not say it.
     fit
         How the pictures fit the camera file.
     masks
@@ -240,7 +240,7 @@ def read_session(
         )
     without = camera is None and not stereo and not (root / "camera.yaml").exists() and not guessed
     if without and notes[0] != "a session folder":
-        raise InputError(f"{root}: expected a camera file beside the frames (--camera FILE), got none; {UNCALIBRATED}")
+        raise InputError(f"{root}: expected a camera file with the frames (--camera FILE), got none; {UNCALIBRATED}")
     if stereo:
         lens = fit.lens(_read_eyes(own, root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
@@ -432,7 +432,7 @@ def with_names_of(
             return {frames.get(key(name), name): path for name, path in masks.items()}
     if len(images) > 1 and 2 * len(images) >= len(masks):
         raise InputError(
-            f"{folder}: expected masks with the names or the numbers of the frames, got {listed(masks, 2)} beside "
+            f"{folder}: expected masks with the names or the numbers of the frames, got {listed(masks, 2)} and frames "
             f"{listed(sorted(named, key=natural), 2)}: rename them, or leave the images out"
         )
     return masks
@@ -454,7 +454,7 @@ def _meeting(
     Raises
     ------
     InputError
-        No row has a frame's name, and no times tell which row is a frame's.
+        No row has a frame's name, and no times say which row is a frame's.
     """
     met: list[JointFile] = []
     remarks: list[str] = []

@@ -45,7 +45,7 @@ Entry = TypeVar("Entry", "CameraEntry", "ToolEntry")
 class CameraEntry:
     """Camera files of a session: ``file`` of one camera or both eyes, or ``left`` and ``right``.
 
-    ``crop`` and ``stretch`` tell how the pictures fit them, as in `PictureFit`.
+    ``crop`` and ``stretch``: how the pictures fit them, as in `PictureFit`.
     """
 
     file: Path | None = None
@@ -186,7 +186,7 @@ def _within(root: Path, entry: Entry) -> Entry:
 
 
 def _check_tools(path: Path, tools: tuple[ToolEntry, ...]) -> None:
-    """Check that tools can be told from each other; errors as in `read_session_toml`."""
+    """Check that tools can be distinguished; errors as in `read_session_toml`."""
     arms: list[object] = [tool.arm for tool in tools]
     labels = [(tool.label, tool.pick) for tool in tools if tool.label is not None]
     for tool in tools:

@@ -18,7 +18,7 @@ def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Sessi
     """Return a session with the masks of one tool only; the other tools' pixels do not count.
 
     ``session`` was read with the tool's own folder of masks, if it has one. Another tool may be before or behind this
-    one, so its pixels tell nothing about it, neither as instrument nor as background.
+    one, so its pixels have no information on it, neither as instrument nor as background.
 
     Raises
     ------

@@ -173,7 +173,7 @@ def _layout(path: Path, size: tuple[int, int], camera: Camera) -> Layout:
             return layout
     raise InputError(
         f"{path}: expected the calibration's {camera.width} x {camera.height}, or two such pictures side by side or "
-        f"one above the other, got {width} x {height} (--layout tells another arrangement, --crop a part)"
+        f"one above the other, got {width} x {height} (--layout: another arrangement; --crop: a part)"
     )
 
 

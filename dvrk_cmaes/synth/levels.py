@@ -59,7 +59,7 @@ class Level:
         Noise of the readings of yaw, pitch and roll, and of the insertion.
     mistakes
         Simulated segmentation errors, None for the exact mask.
-    occluded, told
+    occluded, stated
         Share of the frames in which tissue covers the end of a jaw, and the share of those whose ``ignore`` contains
         the tissue.
     lens_edge
@@ -81,7 +81,7 @@ class Level:
     roll_deg: float
     mistakes: Mistakes | None = None
     occluded: float = 0.0
-    told: float = 0.0
+    stated: float = 0.0
     lens_edge: float | None = None
     distortion: tuple[float, ...] = ()
     jaw_ratio: float = 1.5
@@ -121,7 +121,7 @@ LEVELS: Final[dict[LevelName, Level]] = {
         name="medium",
         mistakes=Mistakes(cell=2, wave=0.9, wavelength=24.0, lumps=3, holes=2, lump_radius=(2.0, 5.0)),
         occluded=0.2,
-        told=1.0,
+        stated=1.0,
         lens_edge=0.92,
         distortion=_BARREL,
         marker_px=2.5,
@@ -136,7 +136,7 @@ LEVELS: Final[dict[LevelName, Level]] = {
         roll_deg=8.0,
         mistakes=Mistakes(cell=4, wave=1.5, wavelength=24.0, lumps=6, holes=4, lump_radius=(3.0, 9.0)),
         occluded=0.7,
-        told=0.5,
+        stated=0.5,
         lens_edge=0.88,
         distortion=_BARREL,
         marker_px=4.0,

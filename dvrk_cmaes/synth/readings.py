@@ -71,7 +71,9 @@ def sample_readings(
         accepted = [reading for reading in readings if reading is not None]
         if len(accepted) == len(truths):
             return accepted
-    raise DvrkCmaesError(f"level {level.name}: no readings were found that tell all frames from their mirror twins")
+    raise DvrkCmaesError(
+        f"level {level.name}: no readings were found that distinguish all frames from their mirror twins"
+    )
 
 
 def _reading(

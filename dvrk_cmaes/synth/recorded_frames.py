@@ -94,7 +94,7 @@ def recorded_frame(
 
 
 def _with_shadow(camera: Camera, truth: Truth, mask: Bool, direction: float, scale: float) -> Bool:
-    """Return a mask (H, W) to which a shadow beside the shaft is added."""
+    """Return a mask (H, W) to which a shadow along the shaft is added."""
     wrist = truth.point_on_shaft(0.0)
     if wrist[2] <= 0:
         return mask

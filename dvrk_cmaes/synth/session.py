@@ -260,7 +260,7 @@ def _frame(
     """Simulate a frame; ``rng_of_tissue`` draws the tissue before the instrument, where not ``rng`` does."""
     camera, level = plan.camera, plan.level
     outside_lens = None if level.lens_edge is None else outside_lens_circle(camera, level.lens_edge)
-    occluder, told = _tissue(plan, truth, rng_of_tissue or rng)
+    occluder, stated = _tissue(plan, truth, rng_of_tissue or rng)
     mask, holes = exact_mask(plan.body, camera, truth), None
     hidden = _union(occluder, outside_lens)
     if level.mistakes is None:
@@ -268,7 +268,7 @@ def _frame(
     else:
         made = simulate_segmentation(mask, rng, level.mistakes, hidden)
         mask, holes = made.mask, made.holes
-    ignore = _union(dilate_region(occluder) if occluder is not None and told else None, outside_lens)
+    ignore = _union(dilate_region(occluder) if occluder is not None and stated else None, outside_lens)
     tips, markers = _seen_tips(camera, truth, hidden, level, rng), _seen_markers(plan, truth, hidden, rng)
     return SyntheticFrame(name, truth, mask, ignore, reading, tips, markers, holes, occluder, outside_lens)
 
@@ -282,11 +282,11 @@ def _union(a: Bool | None, b: Bool | None) -> Bool | None:
 
 def _tissue(plan: SessionPlan, truth: Truth, rng: np.random.Generator) -> tuple[Bool | None, bool]:
     """Draw the tissue (H, W) in front of a jaw, None in most frames, and whether ``ignore`` contains it."""
-    occluded, told, jaw = rng.random() < plan.level.occluded, rng.random() < plan.level.told, int(rng.integers(2))
+    occluded, stated, jaw = rng.random() < plan.level.occluded, rng.random() < plan.level.stated, int(rng.integers(2))
     hidden, radius = rng.uniform(*_HIDDEN), rng.uniform(*_LUMP) * np.sqrt(plan.camera.width * plan.camera.height) / 554
     if not occluded or not plan.body.instrument.jaw_tips:
         return None, False
-    return tissue_over_jaw(plan.camera, truth, rng, radius=radius, hidden=hidden, jaw=jaw), told
+    return tissue_over_jaw(plan.camera, truth, rng, radius=radius, hidden=hidden, jaw=jaw), stated
 
 
 def _seen(region: Bool | None, pixel: Float64) -> bool:

@@ -15,7 +15,7 @@ from dvrk_cmaes.synth.files import rounded, rounded_joints
 MOVES: Final = 3
 _TILTS: Final = np.deg2rad([0.0, 30.0, -30.0])  # of the camera: a straight endoscope, and one that looks up or down
 _TURN, _TILT = np.deg2rad([4.0, 1.0])  # std of the camera in the tip: a turn about the axis, and any other
-_BESIDE, _ALONG = 0.002, 0.004  # m, beside and along the axis
+_ACROSS, _ALONG = 0.002, 0.004  # m, across and along the axis
 _START: Final = ((-0.3, 0.3), (-0.3, 0.3), (0.08, 0.18), (-0.5, 0.5))  # range of the joints at first, rad and m
 _STEPS: Final = np.array([0.2, 0.2, 0.025, 0.4])  # most by which a joint is moved at once
 _AWAY, _TURNED = (0.005, 0.030), np.deg2rad([5.0, 25.0])  # m and rad, range of a move of the camera
@@ -47,8 +47,8 @@ class Steering:
         rng = np.random.default_rng([seed, _STREAM])
         turned = rotation_about_z(_TURN * rng.standard_normal()) @ exp_rotation([rng.choice(_TILTS), 0.0, 0.0])
         tilted = turned @ exp_rotation(_TILT * rng.standard_normal(3))
-        beside = np.append(_BESIDE * rng.standard_normal(2), _ALONG * rng.standard_normal())
-        tip_from_camera = STRAIGHT @ transform(tilted, beside)
+        place = np.append(_ACROSS * rng.standard_normal(2), _ALONG * rng.standard_normal())
+        tip_from_camera = STRAIGHT @ transform(tilted, place)
         stands = [np.array([rng.uniform(*pair) for pair in _START])]
         while len(stands) <= MOVES:
             offered = stands[-1] + _STEPS * rng.uniform(-1, 1, 4)

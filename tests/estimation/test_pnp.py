@@ -104,7 +104,7 @@ def test_tips_and_shaft_edges_give_pose(bundled_body: Body) -> None:
 @pytest.mark.parametrize(
     ("readings", "count", "reason"),
     [
-        (("wrist_pitch", "jaw"), 12, "no reading of wrist_yaw, and points do not tell it"),
+        (("wrist_pitch", "jaw"), 12, "no reading of wrist_yaw, and points do not determine it"),
         (("wrist_pitch", "wrist_yaw", "jaw"), 3, "3 of the points that are known were seen, at least 4 are needed"),
         (("wrist_pitch", "wrist_yaw", "jaw"), 0, "0 of the points that are known were seen, at least 4 are needed"),
     ],

@@ -113,7 +113,7 @@ def _readings(files: FrameFiles, instrument: Instrument) -> Float64 | str:
     """Return the readings (J,) of the instrument's joints, or a message that says which are missing."""
     missing = [name for name in instrument.joint_names if name not in files.readings]
     if missing:
-        return f"no reading of {', '.join(missing)}, and points do not tell it"
+        return f"no reading of {', '.join(missing)}, and points do not determine it"
     return np.array([files.readings[name] for name in instrument.joint_names], dtype=np.float64)
 
 
