@@ -15,9 +15,11 @@ from helpers.canned_results import canned
 from helpers.commands import Ran, run_command
 from helpers.places import bundled_path
 
-from dvrk_cmaes import FrameData, InputError, ReadingSeries, SessionFrame, read_session
-from dvrk_cmaes.calibration.calibrate import find_lag
+from dvrk_cmaes import EstimateConfig, FrameData, InputError, ReadingSeries, SessionFrame, load_instrument, read_session
+from dvrk_cmaes.calibration.lag import SessionLag
 from dvrk_cmaes.calibration.lasting_errors import LastingSize
+from dvrk_cmaes.calibration.session_problem import ArmSession, ArmSetup
+from dvrk_cmaes.calibration.session_trials import started
 from dvrk_cmaes.camera.files import read_camera_file, read_intrinsics
 from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.frames.frame import read_frame
@@ -174,9 +176,15 @@ def frames_and_series(folder: Path, later: float = 0.0) -> tuple[list[SessionFra
     return frames, ReadingSeries.of_files(session.joint_files, times)
 
 
+def lag_of(frames: list[SessionFrame], series: ReadingSeries | None) -> SessionLag:
+    """Give what the frames' own poses tell of the lag."""
+    setup = ArmSetup(series, load_instrument("lnd"), "classic", EstimateConfig(), lambda function, tasks: [])
+    return started([ArmSession.of(setup, frames)])[0].lag
+
+
 def test_lag_of_two_seconds_is_found(reports: Path) -> None:
     frames, series = frames_and_series(reports / "lag-beyond-range")
-    lag, _ = find_lag(frames, series=series)
+    lag = lag_of(frames, series).lag
     assert lag is not None
     assert lag.applied
     assert lag.seconds == pytest.approx(2.0, abs=0.05)
@@ -185,10 +193,10 @@ def test_lag_of_two_seconds_is_found(reports: Path) -> None:
 @pytest.mark.parametrize("later", [1.6, -6.0])
 def test_lag_beyond_the_range_is_not_told(reports: Path, later: float) -> None:
     frames, series = frames_and_series(reports / "lag-beyond-range", later)
-    lag, why = find_lag(frames, series=series)
-    assert lag is None
-    assert "not determined in the range searched, -3 to +3 s" in why
-    assert "beyond" in why
+    found = lag_of(frames, series)
+    assert found.lag is None
+    assert "not determined in the range searched, -3 to +3 s" in found.undetermined
+    assert "beyond" in found.undetermined
 
 
 def test_lens_of_a_camera_file_is_read_under_its_usual_names(reports: Path) -> None:

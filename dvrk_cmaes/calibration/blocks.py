@@ -49,6 +49,9 @@ class Block:
         Names of the unknowns; by default the block's with a number.
     """
 
+    shared: bool = False
+    """Whether the arms of a session have it in common: it stands in their problem once."""
+
     def __init__(self, name: str, std: Float64, axes: Sequence[str] = ()) -> None:
         self.name, self.std = name, std
         self.axes = tuple(axes) or tuple(f"{name}_{number}" for number in range(len(std)))
@@ -259,11 +262,6 @@ class Calibration:
     def predicted(self) -> tuple[PredictedBlock, ...]:
         """The blocks that change what is predicted."""
         return tuple(block for block in self.blocks if isinstance(block, PredictedBlock))
-
-    @property
-    def own_blocks(self) -> int:
-        """Number of blocks that change what is predicted."""
-        return len(self.predicted)
 
     @property
     def own(self) -> int:

@@ -6,40 +6,47 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from dvrk_cmaes.calibration.alternation import with_lag_of_modes
+from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.document import SessionCalibration, describe_solution
-from dvrk_cmaes.calibration.endoscope import Place
-from dvrk_cmaes.calibration.endoscope_search import with_readings
-from dvrk_cmaes.calibration.frame_reports import reported
-from dvrk_cmaes.calibration.frame_task import LeaveOneOutPrediction, Run, SessionFrame
-from dvrk_cmaes.calibration.imaging import checked_camera
-from dvrk_cmaes.calibration.session_cables import SessionCables
+from dvrk_cmaes.calibration.endoscope import Steered
+from dvrk_cmaes.calibration.frame_task import (
+    NOT_READ,
+    FrameReport,
+    LeaveOneOutPrediction,
+    ReportTask,
+    Run,
+    SessionFrame,
+    report_task,
+)
+from dvrk_cmaes.calibration.model import SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraCheck, errors_of_camera
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
+from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup, FoundMasks
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
-from dvrk_cmaes.calibration.session_state import LEAST_FRAMES, FoundMasks, SessionProblem, SessionState
-from dvrk_cmaes.calibration.solution_trials import solve_session, with_masks_again, with_pieces_if_lost
+from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
-from dvrk_cmaes.calibration.together import Begun, solved_alone, with_others
-from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
+from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.seen_view import PackedMask
-from dvrk_cmaes.geometry import Float64
+from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument import Instrument
-from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
 from dvrk_cmaes.joints.commanded import commanded_in, describe_commanded, with_commanded
 from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.pose.config_check import check_config
+from dvrk_cmaes.pose.doubts import reading_slipped, reasons
 from dvrk_cmaes.pose.judge import exchanged_readings
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.silhouette import Body
@@ -113,97 +120,89 @@ def calibrate_session(
     settings = EstimateConfig() if config is None else config
     body = instrument if isinstance(instrument, Body) else prepare(instrument)
     run = run or partial(in_threads, body, settings)
-    problem = SessionProblem(series, body.instrument, arm, settings, run, progress, refine_camera, lag=lag)
-    return solved_alone(begin_arm(frames, problem))[0]
+    setup = ArmSetup(series, body.instrument, arm, settings, run, progress, refine_camera, lag=lag)
+    return solved_alone(begin_arm(frames, setup))[0]
 
 
-@dataclass(frozen=True, eq=False)
-class _ArmAlone:
-    """An arm's session solved by itself: all ``frames``, those in use in ``state``, and why others are ``left_out``.
+class _Given(NamedTuple):
+    """What an arm's session is made of: all ``frames``, and why some are ``left_out`` from the beginning.
 
     ``commanded`` are the only readings of joints whose readings never move, ``started`` when this began.
     """
 
-    frames: tuple[SessionFrame, ...]
-    state: SessionState
+    frames: Sequence[SessionFrame]
     left_out: Mapping[str, str]
     commanded: Mapping[str, float]
     started: float
 
 
-def begin_arm(
-    frames: Sequence[SessionFrame], problem: SessionProblem, places: Sequence[Place] = ()
-) -> Begun[tuple[SolvedSession, dict[str, Evidence]]]:
-    """Solve a session by itself as `calibrate_session` does; what finishes it also returns what was found in the masks.
+def begin_arm(frames: Sequence[SessionFrame], setup: ArmSetup) -> Begun[tuple[SolvedSession, dict[str, Evidence]]]:
+    """Select the usable frames of an arm, to be solved as `calibrate_session` does; what finishes it states the result.
 
-    That is of the first view of each frame that was fitted, by name, without its image, for drawings. ``places`` are
-    those at which another arm found the endoscope.
+    Also returned is what was found in the masks, of the first view of each frame that was fitted, by name, without its
+    image, for drawings.
     """
-    check_config(problem.config)
-    started, left_out, names = time.perf_counter(), _unusable(frames), problem.instrument.joint_names
+    check_config(setup.config)
+    started, left_out, names = time.perf_counter(), _unusable(frames), setup.instrument.joint_names
     usable = [frame for frame in frames if frame.name not in left_out]
-    series = _series_of(usable) if problem.series is None else problem.series
+    series = _series_of(usable) if setup.series is None else setup.series
     readings = [frame.result.readings for frame in usable]
     commanded = commanded_in(readings, names)
-    problem = replace(problem, series=series, config=with_commanded(problem.config, commanded, names))
+    setup = replace(setup, series=series, config=with_commanded(setup.config, commanded, names))
     rotations = rotations_of_session(frame.result for frame in usable)
     if turns := turns_of(rotations):
         usable = [frame.with_turned_views(turns) for frame in usable]
-    with single_blas_thread():
-        state = solve_session(SessionState.of(problem, usable, rotations), places)
-        if problem.config.session.masks_again:
-            state = with_masks_again(state)
     only = {name: next(own[name] for own in readings if name in own) for name in commanded}
-    return Begun(partial(_finished, _ArmAlone(tuple(frames), state, left_out, only, started)), state)
+    given = _Given(tuple(frames), left_out, only, started)
+    return Begun(partial(_finished, given), ArmSession.of(setup, usable, rotations))
 
 
-def _finished(alone: _ArmAlone, others: Sequence[SessionState]) -> tuple[SolvedSession, dict[str, Evidence]]:
-    """Solve an arm's session with what the other arms tell, test it, and state it."""
-    with single_blas_thread():
-        state, check = checked_camera(with_others(alone.state, others))
-    if (applied := state.lag.applied) is not None:
+def _finished(given: _Given, outcome: Outcome | None) -> tuple[SolvedSession, dict[str, Evidence]]:
+    """State what was found of an arm."""
+    assert outcome is not None
+    if isinstance(outcome, Exception):
+        raise outcome
+    arm, check = outcome
+    if (applied := arm.lag.applied) is not None:
         option = f"taken out; other commands take it out with {applied.option}"
-        state = state.noted(remarks=[f"{applied.describe()}: {option}"])
+        arm = arm.noted(remarks=[f"{applied.describe()}: {option}"])
     with single_blas_thread():
-        errors = errors_of_camera(check, state.stored[0].camera, state.problem.config.camera)
-        reports, reasons = reported(state, errors)
-    by_name = dict(zip((frame.name for frame in state.frames), reports, strict=True))
-    results = {frame.name: frame.result for frame in alone.frames}
+        errors = errors_of_camera(check, arm.stored[0].camera, arm.setup.config.camera)
+        reports, reasons = reported(arm, errors)
+    by_name = dict(zip((frame.name for frame in arm.frames), reports, strict=True))
+    results = {frame.name: frame.result for frame in given.frames}
     results |= {name: report.result for name, report in by_name.items()}
-    alone = replace(alone, state=state, left_out={**alone.left_out, **reasons})
+    given = given._replace(left_out={**given.left_out, **reasons})
     predicted = {name: report.leave_one_out for name, report in by_name.items()}
-    calibration = _judged(alone, _stated(alone, check, errors, results, predicted))
+    calibration = _judged(arm, _stated(given, arm, check, errors, results, predicted))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
-    evidence = {frame.name: one.views[0].evidence for frame, one in zip(state.frames, state.stored, strict=True)}
-    found_masks = (state.again or FoundMasks()).masks
+    evidence = {frame.name: one.views[0].evidence for frame, one in zip(arm.frames, arm.stored, strict=True)}
+    found_masks = (arm.again or FoundMasks()).masks
     return SolvedSession(calibration, results, predicted, found_masks), evidence
 
 
 def _stated(
-    alone: _ArmAlone,
+    given: _Given,
+    arm: ArmSession,
     check: CameraCheck,
     camera_errors: Float64,
     results: Mapping[str, Result],
     predicted: Mapping[str, LeaveOneOutPrediction],
 ) -> SessionCalibration:
     """State what a session that is solved tells, without doubts."""
-    state, left_out, commanded = alone.state, alone.left_out, list(alone.commanded)
-    settings, instrument, lag = state.problem.config, state.problem.instrument, state.lag
-    names = tuple(frame.name for frame in state.frames)
+    left_out, commanded, lag = given.left_out, list(given.commanded), arm.lag
+    settings, instrument = arm.setup.config, arm.setup.instrument
+    names = tuple(frame.name for frame in arm.frames)
     frames = tuple(name for name in names if name not in left_out)
     used = [results[name] for name in frames]
     qualities = [one.quality for one in used if one.quality is not None]
-    endoscope = _endoscope(state, check)
-    described = describe_solution(state.model, state.solution, check.covariance, settings)
-    described["untold"] += (*state.notes.undetermined, *(() if endoscope is None else endoscope.untold))
-    if lag.lag is None:
-        described["untold"] += (f"lag between images and readings: {lag.undetermined}",)
-    if commanded:
-        described["untold"] += (f"offsets of {', '.join(commanded)} at other readings than the only one of each",)
+    endoscope = _endoscope(arm, check)
+    described = describe_solution(arm.model, arm.solution, check.covariance, settings)
+    described["untold"] += _undetermined(arm, endoscope, commanded)
     left_out_predictions = {name: one for name, one in predicted.items() if name in frames}
     return SessionCalibration(
         instrument=instrument.name,
-        arm=state.problem.arm,
+        arm=arm.setup.arm,
         roll_offset=instrument.roll_offset,
         frames=frames,
         left_out=dict(sorted(left_out.items())),
@@ -213,26 +212,41 @@ def _stated(
         contour_px_95=float(np.median([quality.contour_px_95 for quality in qualities])) if qualities else 0.0,
         lag=lag.lag,
         lag_curve=lag.curve,
-        cables=SessionCables.of(state.cables, names, lag.seconds()),
+        cables=SessionCables.of(arm.cables, names, lag.seconds()),
         camera=check.camera,
         camera_errors=camera_errors,
         endoscope=endoscope,
         shaft=check.shaft,
         blocks=dict(check.blocks),
-        masks=state.imaging.masks,
-        masks_again=(state.again or FoundMasks()).compared,
-        rig=state.imaging.rig,
-        commanded=dict(alone.commanded),
-        remarks=(
-            *camera_remarks(state.stored[0]),
-            *(each.describe() for each in state.imaging.rig if each.applied),
-            *([describe_commanded(commanded)] if commanded else []),
-            *_exchanged_readings(used, instrument),
-            *state.notes.remarks,
-        ),
-        seconds=time.perf_counter() - alone.started,
-        config={**settings.as_dict(), "instrument": instrument.describe_limits(state.problem.arm)},
+        masks=arm.masks,
+        masks_again=(arm.again or FoundMasks()).compared,
+        rig=arm.rig,
+        commanded=dict(given.commanded),
+        remarks=_remarks(arm, used, commanded),
+        seconds=time.perf_counter() - given.started,
+        config={**settings.as_dict(), "instrument": instrument.describe_limits(arm.setup.arm)},
         **described,
+    )
+
+
+def _undetermined(arm: ArmSession, endoscope: SessionEndoscope | None, commanded: Sequence[str]) -> tuple[str, ...]:
+    """Return what a session does not determine, beside base and offsets; ``commanded`` are joints that never move."""
+    texts = [*arm.undetermined, *([] if endoscope is None else endoscope.untold)]
+    if arm.lag.lag is None:
+        texts.append(f"lag between images and readings: {arm.lag.undetermined}")
+    if commanded:
+        texts.append(f"offsets of {', '.join(commanded)} at other readings than the only one of each")
+    return tuple(texts)
+
+
+def _remarks(arm: ArmSession, used: Sequence[Result], commanded: Sequence[str]) -> tuple[str, ...]:
+    """Return what was put right or is unusual; ``used`` are the results of the frames that agree."""
+    return (
+        *camera_remarks(arm.stored[0]),
+        *(each.describe() for each in arm.rig if each.applied),
+        *([describe_commanded(commanded)] if commanded else []),
+        *_exchanged_readings(used, arm.setup.instrument),
+        *arm.remarks,
     )
 
 
@@ -244,58 +258,28 @@ def _of_views(predicted: Mapping[str, LeaveOneOutPrediction]) -> dict[str, dict[
     return {view: {name: one.views[view] for name, one in predicted.items() if view in one.views} for view in views}
 
 
-def _endoscope(state: SessionState, check: CameraCheck) -> SessionEndoscope | None:
+def _endoscope(arm: ArmSession, check: CameraCheck) -> SessionEndoscope | None:
     """Return what a session tells of an endoscope that moves; None of one that stands still."""
-    given_camera = replace(state.solution, of_growth=None).covariance
+    given_camera = replace(arm.solution, of_growth=None).covariance
     return SessionEndoscope.of(
-        state.model,
-        state.solution.calibration,
+        arm.model,
+        arm.solution.calibration,
         given_camera,
-        [frame.name for frame in state.frames],
-        [frame.time for frame in state.frames],
-        state.solution.covariance - given_camera + check.covariance,
+        [frame.name for frame in arm.frames],
+        [frame.time for frame in arm.frames],
+        arm.solution.covariance - given_camera + check.covariance,
     )
 
 
-def _judged(alone: _ArmAlone, calibration: SessionCalibration) -> SessionCalibration:
+def _judged(arm: ArmSession, calibration: SessionCalibration) -> SessionCalibration:
     """Return a calibration with the doubts about the session as a whole, and with an unusual insertion remarked."""
-    state, settings = alone.state, alone.state.problem.config.session
+    settings = arm.setup.config.session
     if unusual := unusual_insertion(calibration, settings):
         calibration = replace(calibration, remarks=(*calibration.remarks, unusual))
-    without_lag = state.lag.undetermined if state.lag.nowhere else ""
-    pixel_scale = state.stored[0].views[0].evidence.camera.pixel_scale
+    without_lag = arm.lag.undetermined if arm.lag.nowhere else ""
+    pixel_scale = arm.stored[0].views[0].evidence.camera.pixel_scale
     doubts = doubts_of(calibration, settings, without_lag=without_lag, pixel_scale=pixel_scale)
     return replace(calibration, doubts=doubts)
-
-
-def find_lag(
-    frames: Sequence[SessionFrame],
-    instrument: Instrument | Body | str = "lnd",
-    *,
-    series: ReadingSeries | None = None,
-    arm: Arm = "classic",
-    config: EstimateConfig | None = None,
-) -> tuple[Lag | None, str]:
-    """Estimate the lag of a session's images behind its readings from the frames' own results, without fitting them.
-
-    Parameters and errors are those of `calibrate_session`; the masks are not needed.
-
-    Returns
-    -------
-    (Lag or None, str)
-        The lag; or None and a text that says why the frames do not determine it.
-    """
-    settings = EstimateConfig() if config is None else config
-    check_config(settings)
-    body = instrument if isinstance(instrument, Body) else prepare(instrument)
-    left_out = _unusable(frames)
-    usable = [frame for frame in frames if frame.name not in left_out]
-    if series is None:
-        series = _series_of(usable)
-    run = partial(in_threads, body, settings)
-    state = SessionState.of(SessionProblem(series, body.instrument, arm, settings, run, lag="auto"), usable)
-    lag = with_pieces_if_lost(with_lag_of_modes(with_readings(state))).lag
-    return lag.lag, lag.undetermined
 
 
 def _series_of(frames: Sequence[SessionFrame]) -> ReadingSeries | None:
@@ -326,7 +310,101 @@ def _unusable(frames: Sequence[SessionFrame]) -> dict[str, str]:
     Raises `InputError` if there are too few others.
     """
     left_out = {frame.name: text for frame in frames if (text := frame.lacks)}
-    if (usable := len(frames) - len(left_out)) < LEAST_FRAMES:
-        why = "; ".join(dict.fromkeys(left_out.values())) or "no more were given"
-        raise InputError(f"session: expected at least {LEAST_FRAMES} usable frames, got {usable} ({why})")
+    _check_number(len(frames) - len(left_out), left_out.values())
     return left_out
+
+
+def check_outer_joints(readings: Sequence[Mapping[str, float]]) -> None:
+    """Refuse frames of which too few have readings of all outer joints, before they are estimated; InputError."""
+    missing = int(np.isnan(outer_readings(readings)).any(axis=1).sum())
+    _check_number(len(readings) - missing, [NOT_READ] * missing)
+
+
+def _check_number(usable: int, why: Iterable[str]) -> None:
+    """Raise `InputError` for too few usable frames, with the reasons why others are not."""
+    if usable < LEAST_FRAMES:
+        reasons = "; ".join(dict.fromkeys(why)) or "no more were given"
+        raise InputError(f"session: expected at least {LEAST_FRAMES} usable frames, got {usable} ({reasons})")
+
+
+def reported(arm: ArmSession, camera_errors: Float64) -> tuple[list[FrameReport], dict[str, str]]:
+    """Return the reports of the frames in use, and by name the reason for each frame that is left out.
+
+    Parameters
+    ----------
+    arm
+        The arm, solved; its evidence is as seen by the camera that is used.
+    camera_errors : (5, 5)
+        Covariance of the camera that is used.
+
+    Raises
+    ------
+    InputError
+        Too few frames agree with the calibration.
+    """
+    setup, model, solution, growth = arm.setup, arm.model, arm.solution, arm.growth
+    setup.progress("leaving one out", len(arm.frames))
+    disagreements = arm.disagreements
+    arm.check_agreement(disagreements)
+    named = zip(arm.frames, disagreements, strict=True)
+    reasons = {**arm.left_out, **{frame.name: text for frame, text in named if text}}
+    # what errors of all masks do to a frame is told with what they do to its own mask
+    covariances = frame_covariances(model, FrameFits.of(arm.fits), replace(solution, of_growth=None))
+    bases, tasks = arm.model.base_from_root(solution.calibration.offsets), []
+    for i, (result, covariance) in enumerate(zip(_results(arm), covariances, strict=True)):
+        if growth is not None:
+            covariance += growth.of_frames[i] @ growth.squares @ growth.of_frames[i].T
+        tasks.append(_report_task(arm, i, result, (covariance, camera_errors), bases[i], disagreements[i]))
+    return setup.run(report_task, tasks), reasons
+
+
+def _report_task(
+    arm: ArmSession, i: int, result: Result, known: tuple[Float64, Float64], base_from_root: Float64, disagreement: str
+) -> ReportTask:
+    """Return what is to be reported of a frame, given its own result.
+
+    ``known`` are its covariance (D, D) by the session, and that of the camera, (5, 5).
+    """
+    setup, without, fit = arm.setup, leave_one_out(arm.solution, i), arm.fits[i]
+    alone = arm.model.subset([i])
+    jacobian = alone.jacobian(without)[0]
+    spread = alone.covariance(without)[0] + jacobian @ arm.solution.covariance @ jacobian.T
+    stated = {**setup.config.as_dict(), "instrument": setup.instrument.describe_limits(setup.arm)}
+    by_fit = not disagreement and not arm.frames[i].brief
+    return ReportTask(
+        arm.stored[i],
+        replace(result, config=stated) if by_fit else result,
+        fit,
+        known[0],
+        alone.predict(without)[0],
+        np.sqrt(np.diag(spread)[6:]),
+        np.asarray(fit.at.pose @ inverse(base_from_root)),
+        (*([disagreement] if disagreement else ()), *_describe_slips(arm.model, i, setup.config.session)),
+        agree=not disagreement,
+        camera_errors=known[1],
+        first=None if arm.again is None else arm.again.first.get(i),
+        change=arm.change,
+        brief=arm.frames[i].brief,
+    )
+
+
+def _results(arm: ArmSession) -> list[Result]:
+    """Return the frames' own results; with the readings of the model, if a lag is taken out of them."""
+    results, model = [frame.result for frame in arm.frames], arm.model
+    if arm.lag.applied is None:
+        return results
+    names, values = (*OUTER_JOINTS, *model.names), np.concatenate([model.outer, model.joints], axis=1)
+    rows = [{name: v for name, v in zip(names, row, strict=True) if not np.isnan(v)} for row in values.tolist()]
+    if isinstance(model.endoscope, Steered):
+        ecm = [dict(zip(ECM_JOINTS, row, strict=True)) for row in model.endoscope.read.tolist()]
+    else:
+        ecm = [{name: own.readings[name] for name in ECM_JOINTS if name in own.readings} for own in results]
+    return [replace(own, readings={**row, **of_ecm}) for own, row, of_ecm in zip(results, rows, ecm, strict=True)]
+
+
+def _describe_slips(model: SessionModel, i: int, config: SessionConfig) -> list[str]:
+    """Describe the joints whose readings have a large error in one frame, one text for each joint."""
+    stds = np.array([model.deviations.outer[3], *model.deviations.joints])
+    sigmas = model.inflation[i] * config.tail
+    errors = zip(("roll", *model.names), np.degrees(sigmas * stds).tolist(), sigmas.tolist(), strict=True)
+    return reasons(*(reading_slipped(*error) for error in errors))

@@ -12,8 +12,9 @@ import numpy as np
 from msgspec import Struct
 
 from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS, Calibration, FoundBlock
+from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.endoscope import InFrames
-from dvrk_cmaes.calibration.lag_search import LagCurve
+from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
     Correction,
@@ -22,7 +23,6 @@ from dvrk_cmaes.calibration.model import (
     ecm_readings,
     offset_deviations,
 )
-from dvrk_cmaes.calibration.session_cables import SessionCables
 from dvrk_cmaes.calibration.session_camera import SessionCamera
 from dvrk_cmaes.calibration.session_endoscope import UNDETERMINED_ROTATION, SessionEndoscope
 from dvrk_cmaes.calibration.session_masks import SessionMasks

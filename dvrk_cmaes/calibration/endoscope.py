@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,15 +55,13 @@ class EndoscopeValues:
     Of an endoscope whose arm is read, the only pose is the camera in its tip. The numbers are the offsets of the ECM's
     joints (4,), then what is added to its readings at P places but the reference (P, 4): true = reading + offset +
     error, rad and m. Of one that is not read, the poses are the reference camera in that of each other piece.
-    ``expected`` (Q, 4, 4) are the poses beforehand, ``std`` (M,) the standard deviations of all, and ``mean`` (M,) what
-    is expected of all as differences, beside ``expected`` and zero.
+    ``expected`` (Q, 4, 4) are the poses beforehand, ``std`` (M,) the standard deviations of all.
     """
 
     poses: Float64
     expected: Float64
     numbers: Float64
     std: Float64
-    mean: Float64 | float = 0.0
 
     @classmethod
     def read(cls, tip_from_camera: Float64, expected: Float64, offsets: Float64, errors: Float64) -> EndoscopeValues:
@@ -104,7 +102,7 @@ class EndoscopeValues:
     def deviation(self) -> Float64:
         """Differences (M,) from what is expected beforehand, of poses along and about the axes that they are in."""
         turns = times(in_tip(self.expected), change_between(self.expected, self.poses))
-        return np.concatenate([turns.ravel(), self.numbers]) - self.mean
+        return np.concatenate([turns.ravel(), self.numbers])
 
     def changed(self, step: Float64) -> EndoscopeValues:
         """Return the values after a step (M,)."""
@@ -119,22 +117,22 @@ class Endoscope(ABC):
     start: EndoscopeValues
     loose: Float64
     """Standard deviations (M,) of the values from which an estimation starts."""
-    known: Float64 | None
-    """Information matrix (M, M) of the prior, where it is not that of the start."""
+    shared: bool
+    """Whether the arms of a session have it in common."""
 
     @property
     def block(self) -> EndoscopeBlock:
         """The block of the M unknowns."""
-        return EndoscopeBlock(self.start, self.axes, self.start.information if self.known is None else self.known)
+        return EndoscopeBlock(self.start, self.axes, shared=self.shared)
 
     @property
     @abstractmethod
     def place(self) -> Indices:
         """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
 
-    def with_prior(self, information: Float64) -> Self:
-        """Return the endoscope with another information matrix (M, M) of the prior."""
-        return replace(self, known=information)  # type: ignore[type-var]  # of a dataclass
+    @abstractmethod
+    def in_common(self, start: EndoscopeValues, loose: Float64) -> Endoscope:
+        """Return the endoscope that the arms of a session share, with some values from which estimations start."""
 
     @abstractmethod
     def relative(self, values: EndoscopeValues) -> Float64:
@@ -159,11 +157,11 @@ class Endoscope(ABC):
 
 
 class EndoscopeBlock(PredictedBlock):
-    """The unknowns of an endoscope that moves; ``information`` (M, M) is that of their prior."""
+    """The unknowns of an endoscope that moves."""
 
-    def __init__(self, start: EndoscopeValues, axes: Sequence[str], information: Float64) -> None:
+    def __init__(self, start: EndoscopeValues, axes: Sequence[str], *, shared: bool) -> None:
         super().__init__(ENDOSCOPE, start.std, axes)
-        self._information = information
+        self._information, self.shared = start.information, shared
 
     @property
     def information(self) -> Float64:
@@ -227,7 +225,7 @@ class Steered(Endoscope):
     places: tuple[Place, ...]
     start: EndoscopeValues
     loose: Float64
-    known: Float64 | None = None
+    shared: bool = False
     _known: _Tips | None = None
 
     @classmethod
@@ -279,7 +277,7 @@ class Steered(Endoscope):
 
     def at(self, read: Float64) -> Steered:
         """Return the endoscope with other readings (N, 4) of the frames; a frame without has those of its neighbour."""
-        return Steered(filled(read), self.places, self.start, self.loose, self.known)
+        return Steered(filled(read), self.places, self.start, self.loose, self.shared)
 
     def _joints(self, values: EndoscopeValues) -> Float64:
         """Return the joints (N, 4) of the ECM in each frame."""
@@ -349,6 +347,10 @@ class Steered(Endoscope):
         other.__dict__.update(place=self.place[index], shares=self.shares[index])
         return other
 
+    def in_common(self, start: EndoscopeValues, loose: Float64) -> Steered:
+        """Return the endoscope that the arms of a session share."""
+        return replace(self, start=start, loose=loose, shared=True)
+
     def with_start(self, values: EndoscopeValues, loose: Float64) -> Steered:
         """Return the endoscope with other values from which estimations start."""
         return replace(self, start=values, loose=loose)
@@ -384,7 +386,7 @@ class Pieces(Endoscope):
     piece: Indices
     start: EndoscopeValues
     loose: Float64
-    known: Float64 | None = None
+    shared: bool = False
 
     @classmethod
     def of(cls, piece: Indices, cameras: Float64) -> Pieces:
@@ -396,6 +398,10 @@ class Pieces(Endoscope):
     def place(self) -> Indices:
         """Number (N,) of the place at which the endoscope stands in each frame; -1 while it is moved."""
         return self.piece
+
+    def in_common(self, start: EndoscopeValues, loose: Float64) -> Pieces:
+        """Return the pieces that the arms of a session share."""
+        return replace(self, start=start, loose=loose, shared=True)
 
     def relative(self, values: EndoscopeValues) -> Float64:
         """Compute the reference camera's pose (N, 4, 4) in each frame's camera, m."""

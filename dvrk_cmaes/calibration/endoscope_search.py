@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.blocks import ENDOSCOPE, Calibration
 from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Consensus, Mode, agreement, evenly_spaced, find_consensus
-from dvrk_cmaes.calibration.endoscope import Pieces, Place, Steered
+from dvrk_cmaes.calibration.endoscope import Pieces, Steered
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.lasting_errors import frames_alike
-from dvrk_cmaes.calibration.model import SessionModel, ecm_readings
-from dvrk_cmaes.calibration.session_state import SessionState
+from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.solve import Solved, solve_with_modes
 from dvrk_cmaes.geometry import inverse
 
@@ -31,40 +29,6 @@ _LEAST_WINDOW, _MOST_WINDOWS = 4, 30  # frames of a run that is solved by itself
 _AGREE: Final = 0.75  # share of a run's frames that agree on one base
 _CHANGE: Final = 12.0  # penalty for a change of the base, where a frame that is off costs at most 4
 _MOST_SEARCHES: Final = 6
-
-
-def with_readings(state: SessionState, places: Sequence[Place] = ()) -> SessionState:
-    """Return the session with its endoscope where the arm that holds it is read and moves, else as it is.
-
-    ``places`` are those at which it stands, where they are known.
-    """
-    read = ecm_readings([frame.result.readings for frame in state.frames])
-    steered = Steered.of(read, places)
-    if steered is None:
-        return state
-    state.problem.progress("finding the camera in the endoscope", len(state.frames))
-    found = find_hand_eye(state.model, state.modes, steered)
-    return replace(state, model=replace(state.model, endoscope=found))
-
-
-def with_pieces(state: SessionState, consensus: Consensus | None = None) -> SessionState | None:
-    """Return the session in the pieces in which its base stands still; None if it is not to be cut.
-
-    ``consensus`` is that of all frames, if it is known.
-    """
-    problem = state.problem
-    if not problem.may_cut:
-        return None
-    if consensus is None:
-        consensus = find_consensus(state.model, state.modes)
-    alike = float(np.median(frames_alike(state.times, problem.config.session.alike_seconds)))
-    found = find_pieces(state.model, state.modes, consensus, alike=alike)
-    return None if found is None else replace(state, model=replace(state.model, endoscope=found[0]))
-
-
-def without_pieces(state: SessionState) -> SessionState:
-    """Return a session that was cut into pieces in one again."""
-    return replace(state, model=replace(state.model, endoscope=None))
 
 
 def find_hand_eye(model: SessionModel, modes: Sequence[Sequence[Mode]], steered: Steered) -> Steered:

@@ -8,11 +8,12 @@ from typing import Final, Literal
 
 import numpy as np
 
+from dvrk_cmaes.calibration.consensus import INLIER_MISFIT, Mode
 from dvrk_cmaes.calibration.lasting_errors import SINGLE_SIZE, USUAL_SIZE, LastingSize, without_lasting
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig, OutlineConfig
 from dvrk_cmaes.evidence.outline_noise import OutlineNoise, measure_noise
-from dvrk_cmaes.geometry import Bool, Float64, Posed
+from dvrk_cmaes.geometry import Bool, Float64, Posed, moved
 from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.doubts import LEAST_OVERLAP
 from dvrk_cmaes.pose.refine.gauss_newton import Fit, Steps, refine
@@ -247,6 +248,37 @@ def fit_frame(
     """
     limits, _, _ = split_readings(views[0].renderer.body.instrument, {}, config)
     terms = terms_of_frame(views, limits, config.refine.outline, expected)
+    fit, coverage, seen, count = _refined(
+        views, config, terms, starts, own_estimate, own_cameras, margins, lengths, preset
+    )
+    own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
+    if preset.noise == "weighed":
+        before = coverage.silhouettes
+        coverage = coverage.with_lengths(own.lengths)
+        coverage = coverage.with_noise(coverage.noise_at(own.at))
+        fit = _drawn_anew(fit, coverage)
+        count += coverage.silhouettes - before
+    iou = own.iou if own_estimate is None else overlap(views, seen)
+    as_seen = config.session.shadows if preset.as_seen is None else preset.as_seen
+    found = _last_step(fit, coverage, terms, own, preset, len(expected.information), as_seen=as_seen)
+    return replace(found, evaluations=count, iou=iou, own_iou=own.iou), own
+
+
+def _refined(
+    views: Sequence[FrameView],
+    config: EstimateConfig,
+    terms: Sequence[Term],
+    starts: Sequence[Posed],
+    own_estimate: OwnEstimate | None,
+    own_cameras: Sequence[Camera] | None,
+    margins: Sequence[float],
+    lengths: Sequence[float],
+    preset: FitPreset,
+) -> tuple[Fit, Coverage, list[Bool], int]:
+    """Refine a frame from its starts; arguments as in `fit_frame`, ``terms`` are those beside the outlines.
+
+    Returns the fit, the outlines' term, the fit's silhouettes (H, W) in the views, and the number of drawn ones.
+    """
     outline = _outline(config, preset)
     lengths = lengths if own_estimate is None else own_estimate.lengths
     at, count = Posed.stacked(starts), 0
@@ -272,26 +304,34 @@ def fit_frame(
         seen = [view.silhouette(image) for view, image in zip(coverage.views, fit.drawn, strict=True)]
     else:
         seen = [view.silhouette(fit.at) for view in views]
-    own = own_estimate or OwnEstimate.drawn_as(views, fit.at, seen)
-    if preset.noise == "weighed":
-        coverage = coverage.with_lengths(own.lengths)
-        coverage = coverage.with_noise(coverage.noise_at(own.at))
-        fit = _drawn_anew(fit, coverage)
-    count += coverage.silhouettes - before
-    iou = own.iou if own_estimate is None else overlap(views, seen)
-    as_seen = config.session.shadows if preset.as_seen is None else preset.as_seen
-    # The last step is from where the fit was drawn last, which is at most a small step away, if it has its outline.
+    return fit, coverage, seen, count + coverage.silhouettes - before
+
+
+def _last_step(
+    fit: Fit,
+    coverage: Coverage,
+    terms: Sequence[Term],
+    own: OwnEstimate,
+    preset: FitPreset,
+    dimension: int,
+    *,
+    as_seen: bool,
+) -> FrameFit:
+    """Return a fit of ``dimension`` unknowns after a step with what the masks share eliminated.
+
+    It is from where the fit was drawn last, which is at most a small step away, if it has its outline.
+    """
     start, drawn = (fit.drawn_at, fit.drawn) if all(one.outlined for one in fit.drawn) else (fit.at, None)
     lasting, by_masks = None, None
     if preset.in_session:
         lasting = coverage.near_with_lasting(start, own.noises, drawn=drawn, stride=preset.stride, as_seen=as_seen)
-        told = without_lasting(lasting, lasting.dimension - len(expected.information), preset.size)
+        told = without_lasting(lasting, lasting.dimension - dimension, preset.size)
     else:
         told, by_masks = outline_and_masks(
             coverage, start, own.noises, preset.size, drawn, stride=preset.stride, as_seen=as_seen
         )
     end, slope = _stepped(start, told, terms)
-    found = FrameFit(
+    return FrameFit(
         end,
         information=told.information[0],
         slope=slope,
@@ -300,11 +340,7 @@ def fit_frame(
         side_offsets=coverage.views[0].side_offsets(end) if preset.in_session else None,
         by_masks=by_masks,
         score=fit.score,
-        evaluations=count,
-        iou=iou,
-        own_iou=own.iou,
     )
-    return found, own
 
 
 def outline_and_masks(
@@ -393,3 +429,49 @@ def _coverage(
 def _noise(coverage: Coverage, own_estimate: OwnEstimate, cameras: Sequence[Camera] | None) -> float:
     """Measure the noise at the own estimate, whose cameras may be other ones, as in `fit_frame`."""
     return (coverage if cameras is None else coverage.with_cameras(cameras)).noise_at(own_estimate.at)
+
+
+_SETTLED = 0.5  # standard deviations per parameter; a frame whose fit would move by less is not fitted again,
+_SETTLED_LAST = 0.15  # and in the last round by this
+_NEAR = 3.0  # standard deviations per parameter; a fit that would move by less starts from where it would move to
+
+
+def first_starts(
+    modes: Sequence[Mode], chosen: Mode, misfit: float, expected: Expected, turn: float
+) -> tuple[Posed, ...]:
+    """Return the starts of a frame's first fit.
+
+    A frame that agrees with the session starts from its ``chosen`` mode, any other from all of its ``modes``, from what
+    the session expects, and from that rotated about the shaft by ``turn``, rad, to both sides. ``misfit`` is the
+    squared Mahalanobis distance of the chosen mode from what is expected, divided by the number of parameters.
+    """
+    if misfit < INLIER_MISFIT:
+        return (chosen.at,)
+    return (*(mode.at for mode in modes), *_around(expected, turn))
+
+
+def next_starts(
+    fit: FrameFit, misfit: float, expected: Expected, turn: float | None, *, last: bool, changed: Posed | None = None
+) -> tuple[Posed, ...]:
+    """Return the starts of a frame that was fitted before; none if the fit is settled.
+
+    A fit that agrees with the session starts from where it would move to, if that is near. Any other starts from where
+    it is and from what the session expects, and from that rotated about the shaft by ``turn``, rad, to both sides, if
+    given. ``misfit`` is as in `first_starts`, of the outline that was fitted. ``last`` tells whether the fit will be
+    the result. ``changed`` is where the fit moves to with another camera, if it has changed.
+    """
+    clear = misfit < INLIER_MISFIT
+    if changed is not None:
+        return (changed,) if clear else (changed, *_around(expected, turn))
+    step = fit.step_to(expected)
+    if step < (_SETTLED_LAST if last else _SETTLED) and (clear or turn is None):
+        return ()
+    if step < _NEAR and clear:
+        return (fit.moved_to(expected).at,)
+    return (fit.at, *_around(expected, turn))
+
+
+def _around(expected: Expected, turn: float | None) -> list[Posed]:
+    """Return what a session expects, and that rotated about the shaft to both sides by ``turn``, rad, if given."""
+    mean, turns = expected.mean, (0.0,) if turn is None else (0.0, -turn, turn)
+    return [Posed(moved(mean.pose, np.array([0, 0, 0, 0, 0, angle])), mean.joints) for angle in turns]

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Self, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
@@ -34,6 +34,9 @@ from dvrk_cmaes.silhouette import Body
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+NOT_READ: Final = "no readings of all outer joints (yaw, pitch, insertion, roll)"
+"""Why a frame cannot be solved with others."""
 
 Run = Callable[[Callable[[Body, EstimateConfig, T], R], Sequence[T]], list[R]]
 """Applies a function of body, settings and task to all tasks, and returns the values in the tasks' order."""
@@ -63,7 +66,7 @@ class SessionFrame:
         if self.result.camera_from_root is None or self.result.covariance is None:
             return "no pose: " + "; ".join(self.result.reasons or ("the frame failed",))
         if np.isnan(outer_readings([self.result.readings])).any():
-            return "no readings of all outer joints (yaw, pitch, insertion, roll)"
+            return NOT_READ
         return ""
 
     def with_data(self, change: Callable[[FrameData], FrameData]) -> Self:

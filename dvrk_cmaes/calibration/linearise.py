@@ -18,7 +18,7 @@ from dvrk_cmaes.calibration.frame_fit import OwnEstimate, with_noise
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.solve import FrameFits, Solved, Solver, marginalise
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, Solver, marginalise
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
@@ -40,7 +40,6 @@ distance of the estimate from the truth was 4.0 instead of 3, in its own standar
 """
 NAMED = 2.5
 """Standard deviations from the value of a file, above which one of several unknowns is named."""
-_LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
 _BASE_STD = 1.0, 1.0  # m and rad, of the base beforehand, some of which a session may not determine
 FEW, _PAYS = 100, 2  # number of frames that are enough on the way, and the multiple of it from which on that is done
 
@@ -129,6 +128,10 @@ class SessionOutlines:
             by = block.seen(view.name, by, values[block.name])
         return by
 
+    def lacking(self, calibration: Calibration) -> list[SeenBlock]:
+        """Return the blocks that a calibration has no values of."""
+        return [one for one in self.blocks if one.name not in calibration.values]
+
     def subset(self, index: Indices) -> SessionOutlines:
         """Return the outlines of the frames at some indices."""
         stored, views = [self.stored[i] for i in index.tolist()], [self.views[i] for i in index.tolist()]
@@ -137,10 +140,10 @@ class SessionOutlines:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A session's ``solution`` with blocks that are seen, from ``fits`` that were linearised near it.
+    """An arm's part of a ``solution`` with blocks that are seen, from ``fits`` that were linearised near it.
 
-    That was the last of ``passes``. ``at`` are the N poses there. ``covariance`` (K, K) is that of the solution, where
-    the base is known to a metre and a radian beforehand.
+    That was the last of ``passes``. ``at`` are the N poses there. ``covariance`` (K, K) is that of the
+    solution, where the base is known to a metre and a radian beforehand.
     ``plausible`` is false if an estimate on the way lay so far away that the outlines said nothing about it. ``first``
     is what the first linearisation told, at the start.
     """
@@ -181,17 +184,17 @@ class Linearised:
         ((K,), (K, K))
             The unknowns as changes, with the values of what is seen, and their covariance.
         """
-        calibration, more = self.solution.calibration, np.zeros(len(self.solution.information))
+        calibration, more = self.solution.calibration, np.zeros(len(self.covariance))
         for name, std in changed.items():
             place = calibration.place(name)
             more[place] = np.square(std) ** -1.0 - np.diag(calibration.information)[place]
-        inverse = inverse_information(self.information + np.diag(more))
+        inverse, covariance = self.solution.with_information(weak(len(more)) + np.diag(more))
         values = np.concatenate([np.zeros(calibration.own), calibration.further])
-        return values - inverse @ (more * values), self.solution.covariance_of(inverse)
+        return values - inverse @ (more * values), covariance
 
 
-class FramesAt(NamedTuple):
-    """N frames about whose poses ``at`` outlines are linearised, with the session's model and its calibration.
+class ArmOutlines(NamedTuple):
+    """An arm's N frames about whose poses ``at`` their ``outlines`` are linearised, with its model and calibration.
 
     Blocks that the calibration lacks start as `SeenBlock.start` says.
     """
@@ -199,22 +202,25 @@ class FramesAt(NamedTuple):
     model: SessionModel
     calibration: Calibration
     at: Posed
+    outlines: SessionOutlines
+
+    def subset(self, index: Indices) -> ArmOutlines:
+        """Return the frames at some indices."""
+        return ArmOutlines(self.model.subset(index), self.calibration, self.at[index], self.outlines.subset(index))
 
 
-def linearise(
-    frames: FramesAt, outlines: SessionOutlines, solver: Solver, names: Sequence[str], *, passes: int
-) -> Linearised:
-    """Estimate blocks beside a calibration, linearising the outlines until those of some names are settled.
+def linearise(arms: Sequence[ArmOutlines], solver: Solver, names: Sequence[str], *, passes: int) -> list[Linearised]:
+    """Estimate blocks beside the calibrations of arms, linearising the outlines until those of some names are settled.
 
     Of many frames, few lead to where the outlines of all are then linearised: frames of a recording that follow each
     other closely err alike, so that what they tell of these grows much more slowly than their number.
 
     Parameters
     ----------
-    frames, outlines
-        The frames, and their outlines.
+    arms
+        The frames of each arm, and their outlines.
     solver
-        What estimates the calibration from linearised outlines.
+        What estimates the calibrations from linearised outlines.
     names
         Names of the blocks that have to settle.
     passes
@@ -225,30 +231,62 @@ def linearise(
     InputError
         As `SessionOutlines.near`.
     """
-    (model, calibration, at), first, done = frames, None, 0
-    calibration = calibration.beside(*(one for one in outlines.blocks if one.name not in calibration.values))
-    index = few_of(len(at)) if passes > 1 else None
-    if index is not None:
-        of_few = FramesAt(model.subset(index), calibration, at[index])
-        few = linearise(of_few, outlines.subset(index), solver, names, passes=passes - 1)
-        if few.plausible:
-            at = shifted(model, at, calibration, few.solution.calibration)
-            calibration, first, done = few.solution.calibration, few.first or few, few.passes
-    asked = [one for one in outlines.blocks if one.name in names]
-    fits = outlines.near(at, calibration.values)
+    arms = [arm._replace(calibration=arm.calibration.beside(*arm.outlines.lacking(arm.calibration))) for arm in arms]
+    first: list[Linearised | None] = [None] * len(arms)
+    done, few = 0, [few_of(len(arm.at)) for arm in arms]
+    if passes > 1 and any(index is not None for index in few):
+        pairs = zip(arms, few, strict=True)
+        some = [arm if index is None else arm.subset(index) for arm, index in pairs]
+        by_few = linearise(some, solver, names, passes=passes - 1)
+        if all(arm.plausible for arm in by_few):
+            arms = [_led_by(arm, own) for arm, own in zip(arms, by_few, strict=True)]
+            first, done = [own.first or own for own in by_few], by_few[0].passes
     while True:
-        model, solution = solver(model, fits, calibration)
-        calibration, done = solution.calibration, done + 1
-        covariance = solution.covariance_of(inverse_information(solution.information + weak(len(solution.information))))
-        there = fits.at.moved(marginalise(model, fits, calibration).own)
-        plausible = all(one.is_plausible(calibration.values[one.name]) for one in asked)
-        last = Linearised(model, solution, fits, covariance, there, done, plausible, first)
-        moved = {one: np.abs(last.value(one.name) - fits.seen[one.name]) for one in asked}
-        settled = all((most < _SETTLED * last.std(one)).all() for one, most in moved.items())
-        if done >= passes or not plausible or settled:
+        fits = [arm.outlines.near(arm.at, arm.calibration.values) for arm in arms]
+        models, solutions = solver([ArmFrames(a.model, f, a.calibration) for a, f in zip(arms, fits, strict=True)])
+        done += 1
+        each = list(zip(arms, fits, models, solutions, first, strict=True))
+        last = [_linearised(*of_arm, names=names, passes=done) for of_arm in each]
+        settled = all(_settled(one, arm.outlines, names) for one, arm in zip(last, arms, strict=True))
+        if done >= passes or settled or not all(one.plausible for one in last):
             return last
-        first = first or last
-        fits = outlines.near(there, calibration.values)
+        first = [own or now for own, now in zip(first, last, strict=True)]
+        arms = [
+            ArmOutlines(one.model, one.solution.calibration, one.at, arm.outlines)
+            for one, arm in zip(last, arms, strict=True)
+        ]
+
+
+def _led_by(arm: ArmOutlines, few: Linearised) -> ArmOutlines:
+    """Return frames near where some of them lead."""
+    calibration = few.solution.calibration
+    return arm._replace(calibration=calibration, at=shifted(arm.model, arm.at, arm.calibration, calibration))
+
+
+def _linearised(
+    arm: ArmOutlines,
+    fits: FrameFits,
+    model: SessionModel,
+    solution: Solved,
+    first: Linearised | None,
+    *,
+    names: Sequence[str],
+    passes: int,
+) -> Linearised:
+    """Return what an arm has of a solution."""
+    calibration = solution.calibration
+    _, covariance = solution.with_information(weak(len(calibration.axes)))
+    there = fits.at.moved(marginalise(model, fits, calibration).own)
+    asked = [one for one in arm.outlines.blocks if one.name in names]
+    plausible = all(one.is_plausible(calibration.values[one.name]) for one in asked)
+    return Linearised(model, solution, fits, covariance, there, passes, plausible, first)
+
+
+def _settled(there: Linearised, outlines: SessionOutlines, names: Sequence[str]) -> bool:
+    """Whether the blocks of some names are where they were linearised."""
+    asked = [one for one in outlines.blocks if one.name in names]
+    moved = [(np.abs(there.value(one.name) - there.fits.seen[one.name]), there.std(one)) for one in asked]
+    return all((most < _SETTLED * std).all() for most, std in moved)
 
 
 def few_of(count: int) -> Indices | None:
@@ -277,13 +315,6 @@ def shifted(model: SessionModel, at: Posed, before: Calibration, after: Calibrat
         The calibration that belongs to these poses, and the other one.
     """
     return model.predict(after).moved(at.minus(model.predict(before)))
-
-
-def inverse_information(information: Float64) -> Float64:
-    """Invert an information matrix (K, K), which rounding may have left with negative eigenvalues."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    return np.asarray((vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale))
 
 
 def weak(count: int) -> Float64:

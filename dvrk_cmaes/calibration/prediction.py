@@ -11,12 +11,12 @@ import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.endoscope import InFrames
-from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, OwnEstimate, fit_frame
+from dvrk_cmaes.calibration.frame_fit import OF_NEW_FRAME, FrameFit, OwnEstimate, fit_frame
 from dvrk_cmaes.calibration.mask_growth import covariance_of_masks
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.session_masks import margins_of
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.geometry import Bool, Float64, Posed, inverse
+from dvrk_cmaes.geometry import Bool, Float64, Indices, Posed, inverse
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.joints.interpolation import LEAST_ERROR
 from dvrk_cmaes.joints.prior import Readings
@@ -28,6 +28,7 @@ from dvrk_cmaes.pose.quality import measure_views, pooled_quality
 from dvrk_cmaes.pose.terms.expected import Expected
 from dvrk_cmaes.pose.tip_probability import tip_probability
 from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.results.result import Quality
 
 ROLL: Final = 5
 """Index, among the changes of pose and joints, of the first that is an error of the wrist: roll."""
@@ -79,6 +80,26 @@ def _changes(late: Float64 | None, errors: Float64 | None, joints: int) -> Float
         counted = np.where(errors > LEAST_ERROR, errors, 0.0)
         changes += list(counted.T[:, :, None] * np.eye(counted.shape[1] + joints)[: counted.shape[1], None])
     return np.array(changes) if changes else np.zeros((0, 0, 0))
+
+
+def _by_changes(
+    calibration: SessionCalibration,
+    outer: Float64,
+    joints: Float64,
+    joint_names: tuple[str, ...],
+    changes: Float64,
+    endoscope: InFrames | None,
+    at: Posed,
+) -> tuple[Indices, Float64]:
+    """Return the images whose readings change (C, N, 4 + J), and the changes (M, D) of what is predicted of them."""
+    which, image = np.nonzero(changes.any(axis=2))
+    if not len(image):
+        return image, np.zeros((0, 6 + len(joint_names)))
+    readings = np.concatenate([outer, joints], axis=1)[image] + _STEP * changes[which, image]
+    there = None if endoscope is None else (endoscope[0].subset(image), endoscope[1])
+    moved_outer, moved_joints = np.split(readings, [outer.shape[1]], axis=1)
+    moved_model, same = calibration.model(moved_outer, moved_joints, joint_names, there)
+    return image, moved_model.predict(same).minus(at[image]) / _STEP
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,14 +170,8 @@ class Prediction:
         wide = np.diag([_UNTOLD_M**2] * 3 + [_UNTOLD_RAD**2] * (3 + len(joint_names)))
         prior[~(told if moving is None else told & moving)] += wide
         changes = _changes(late, errors, len(joint_names))
-        which, image = np.nonzero(changes.any(axis=2))
-        if len(image):
-            readings = np.concatenate([outer, joints], axis=1)[image] + _STEP * changes[which, image]
-            there = None if endoscope is None else (endoscope[0].subset(image), endoscope[1])
-            moved_outer, moved_joints = np.split(readings, [outer.shape[1]], axis=1)
-            moved_model, same = calibration.model(moved_outer, moved_joints, joint_names, there)
-            off = moved_model.predict(same).minus(at[image]) / _STEP
-            np.add.at(prior, image, off[:, :, None] * off[:, None, :])
+        image, off = _by_changes(calibration, outer, joints, joint_names, changes, endoscope, at)
+        np.add.at(prior, image, off[:, :, None] * off[:, None, :])
         factor = np.ones(prior.shape[-1])
         factor[ROLL:] = wrist
         shared = jacobian @ covariance @ jacobian.swapaxes(1, 2)
@@ -291,6 +306,22 @@ def fit_session_pose(
     camera = views[0].evidence.camera
     if doubts := doubts_of_agreement("solved", misfit, config.session, quality, usual, camera.pixel_scale):
         return f"session: {'; '.join(doubts)}: searched anew"
+    return _found(session, views, fit, first.evaluations, predicted, expected, qualities, rays, config)
+
+
+def _found(
+    session: SessionCalibration,
+    views: Sequence[FrameView],
+    fit: FrameFit,
+    evaluations: int,
+    predicted: Prediction,
+    expected: Expected,
+    qualities: Sequence[Quality],
+    rays: int,
+    config: EstimateConfig,
+) -> FoundPose:
+    """Return a fit with its covariance and what is doubtful of it; numbers of silhouettes and rays are those before."""
+    camera, instrument = views[0].evidence.camera, views[0].renderer.body.instrument
     fitted = np.asarray(np.linalg.inv(fit.information + expected.information), dtype=np.float64)
     assert fit.by_masks is not None
     by_masks = fitted @ fit.by_masks
@@ -304,9 +335,9 @@ def fit_session_pose(
         covariance=fitted,
         expected_error=error,
         tip_probability=tip_probability(error.of_tips_mm, config.trust.tip_mm),
-        quality=quality,
+        quality=pooled_quality(qualities),
         reasons=tuple(reasons),
-        evaluations=first.evaluations + fit.evaluations + sum(view.renderer.poses for view in views),
+        evaluations=evaluations + fit.evaluations + sum(view.renderer.poses for view in views),
         rays=rays + sum(view.renderer.rays for view in views),
         camera_from_base=np.asarray(fit.at.pose @ inverse(predicted.base_from_root[0])),
         notes=tuple(remarks),

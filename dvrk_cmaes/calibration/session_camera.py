@@ -21,17 +21,16 @@ from dvrk_cmaes.calibration.linearise import (
     NAMED,
     PASSES,
     SHARED_ERRORS,
-    FramesAt,
+    ArmOutlines,
     Linearised,
     SessionOutlines,
-    inverse_information,
     linearise,
 )
 from dvrk_cmaes.calibration.mask_growth import GROWTH, GrowthEstimate, MaskGrowth, estimate_growth
 from dvrk_cmaes.calibration.model import SessionModel
 from dvrk_cmaes.calibration.session_lens import LENS, OF_LENS
 from dvrk_cmaes.calibration.session_shaft import SIZES, SessionShaft
-from dvrk_cmaes.calibration.solve import cost_at, solve
+from dvrk_cmaes.calibration.solve import ArmFrames, cost_at, inverse_information, solve_arms
 from dvrk_cmaes.calibration.stored_frame import changed
 from dvrk_cmaes.calibration.variances import solve_with_variances
 from dvrk_cmaes.camera import Camera
@@ -76,6 +75,8 @@ _CAUSES = (
 
 class CameraChange(SeenBlock):
     """The change (3,) of all cameras: by default, nothing is known of it beforehand; arguments as of `SeenBlock`."""
+
+    shared = True
 
     def __init__(self, std: Float64 | None = None, start: Float64 | None = None) -> None:
         super().__init__(CAMERA, _WEAK_STD if std is None else std, start)
@@ -305,43 +306,45 @@ class CameraEstimate:
     of_blocks: Float64 | float = 0.0
 
 
-def estimate_camera(
-    frames: FramesAt, config: EstimateConfig, outlines: SessionOutlines, *, passes: int
-) -> CameraEstimate:
-    """Estimate the change of the camera beside the calibration.
+def estimate_camera(arms: Sequence[ArmOutlines], config: EstimateConfig, *, passes: int) -> list[CameraEstimate]:
+    """Estimate the change of the camera with the calibrations of a session's arms; returns what each has of it.
 
-    Arguments are as in `linearise`; the ``outlines`` are those of the reference camera, with the change among their
-    blocks. ``config`` has the settings of the variance components, which are estimated again with the change.
+    Arguments are as in `linearise`; the outlines are those of the reference camera, with the change among their blocks.
+    ``config`` has the settings of the variance components, which are estimated again with the change.
     """
-    solver = partial(solve_with_variances, config=config.session, steps=_STEPS)
-    file = file_deviations(outlines.camera, config.camera)
-    there = linearise(frames, outlines, solver, [CAMERA], passes=passes)
-    first, own = there.first or there, there.solution.calibration.place(CAMERA)
-    count, information = frames.calibration.alone().own, there.information
+    file = file_deviations(arms[0].outlines.camera, config.camera)
+    there = linearise(arms, partial(solve_with_variances, config=config.session, steps=_STEPS), [CAMERA], passes=passes)
+    gain = _gain_of_any_camera(arms, [own.first or own for own in there], file)
+    return [_estimate(own, arm.outlines.blocks, file, gain) for own, arm in zip(there, arms, strict=True)]
+
+
+def _estimate(there: Linearised, blocks: Sequence[SeenBlock], file: Float64, gain: float) -> CameraEstimate:
+    """Return what an arm has of an estimate of the camera and of the other blocks that were linearised with it."""
+    first, calibration, information = there.first or there, there.solution.calibration, there.information
+    own, count = calibration.place(CAMERA), calibration.own
     told = [(one.value(CAMERA), one.covariance[own, own]) for one in (there, first)]
     growth, shaft = None, None
-    of_masks = next((one for one in outlines.blocks if isinstance(one, MaskGrowth)), None)
+    of_masks = next((one for one in blocks if isinstance(one, MaskGrowth)), None)
     if of_masks is not None:
-        changed_camera = any(one.name == CAMERA and one.start.any() for one in outlines.blocks)
+        changed_camera = any(one.name == CAMERA and one.start.any() for one in blocks)
         beside = {} if changed_camera else {CAMERA: file}
-        each = (there,) if first is there else (there, first)
-        known = [estimate_growth(one, of_masks, beside) for one in each]
+        known = [estimate_growth(one, of_masks, beside) for one in ((there,) if first is there else (there, first))]
         told = [(one.values[own], one.covariance[own, own]) for one in (known[0], known[-1])]
         # the file's camera is nearest to what was linearised first, about it; the last one has all frames
         growth = replace(known[-1], of_frames=known[0].of_frames)
-        if any(one.name == SIZES for one in outlines.blocks):
+        if any(one.name == SIZES for one in blocks):
             shaft = SessionShaft.of(there, {CAMERA: file, GROWTH: growth.std_px})
     return CameraEstimate(
         *told[0],
         *told[1],
         -inverse_information(information[:count, :count]) @ information[:count, own],
-        there.solution.calibration.alone(),
+        calibration.alone(),
         there.at,
         there.plausible,
-        _gain_of_any_camera(frames.model, frames.calibration.alone(), first, file),
+        gain,
         growth,
         shaft,
-        *_stated(there, outlines.blocks, {} if growth is None else {GROWTH: growth.std_px}, file),
+        *_stated(there, blocks, {} if growth is None else {GROWTH: growth.std_px}, file),
     )
 
 
@@ -366,56 +369,76 @@ def _stated(
     return found, of_blocks
 
 
-def _gain_of_any_camera(model: SessionModel, calibration: Calibration, first: Linearised, file: Float64) -> float:
+def _gain_of_any_camera(arms: Sequence[ArmOutlines], first: Sequence[Linearised], file: Float64) -> float:
     """Return by how much less the frames' sum of squares is with any camera than with one that the file expects.
 
     Far from the camera of the file, the covariance of an estimate says little about how well the file explains the
     frames. Variances and weights are those of the session with the file. Arguments are as in `estimate_camera`;
-    ``first`` is the linearisation at the start.
+    ``first`` are the linearisations at the start, ``file`` (3,) the standard deviations of the file.
     """
-    if len(first.at) != len(model.outer):
-        model = model.subset(evenly_spaced(len(model.outer), len(first.at)))
-    seen = first.solution.calibration.blocks[calibration.own_blocks :]
-    zero = {block.name: np.zeros(len(block.std)) for block in seen}
-    start = calibration.beside(*seen, **zero)
-    (any_camera,) = (block for block in seen if block.name == CAMERA)
-    known = CameraChange((any_camera.std**-2 + file**-2) ** -0.5)
-    by_file, by_any = (solve(model, first.fits, one) for one in (start.beside(known, **zero), start))
-    costs = [cost_at(model, first.fits, one.calibration, by_file.weights) for one in (by_file, by_any)]
+    by_any, by_file = list[ArmFrames](), list[ArmFrames]()
+    for arm, own in zip(arms, first, strict=True):
+        model, calibration = arm.model, arm.calibration.alone()
+        if len(own.at) != len(model.outer):
+            model = model.subset(evenly_spaced(len(model.outer), len(own.at)))
+        seen = [block for block in own.solution.calibration.blocks if isinstance(block, SeenBlock)]
+        zero = {block.name: np.zeros(len(block.std)) for block in seen}
+        start = calibration.beside(*seen, **zero)
+        (camera,) = (block for block in seen if block.name == CAMERA)
+        known = CameraChange((camera.std**-2 + file**-2) ** -0.5)
+        by_any.append(ArmFrames(model, own.fits, start))
+        by_file.append(ArmFrames(model, own.fits, start.beside(known, **zero)))
+    with_file = solve_arms(by_file)
+    costs = [
+        cost_at(frames, [own.calibration for own in solved], [own.weights for own in with_file])
+        for frames, solved in ((by_file, with_file), (by_any, solve_arms(by_any)))
+    ]
     return costs[0] - costs[1]
 
 
 def check_camera(
-    frames: FramesAt, config: EstimateConfig, outlines: SessionOutlines, *, applied: Float64 | None = None
-) -> CameraCheck:
-    """Test the camera of a calibrated session.
+    arms: Sequence[ArmOutlines], config: EstimateConfig, *, applied: Float64 | None = None
+) -> list[CameraCheck]:
+    """Test the camera of a calibrated session; returns what each arm has of it.
 
     ``applied`` is the change (3,) of the camera with which the frames were fitted, with which the block starts; None
     if they were fitted with the file's. The other arguments are as in `estimate_camera`. Where an estimate is not
     plausible, only what the frames tell at the camera of the file is left, which may contradict it or say nothing.
     """
-    asked, file = config.session.test_camera or applied is not None, file_deviations(outlines.camera, config.camera)
-    reason = _lacking(frames.model, _LEAST_FRAMES, "test") if asked else _NOT_ASKED
+    reasons = [_lacking(arm.model, _LEAST_FRAMES, "test") for arm in arms]
+    reason = None if None in reasons else reasons[0]
+    if not config.session.test_camera and applied is None:
+        reason = _NOT_ASKED
     passes = PASSES[CAMERA] if reason is None and applied is None else 1
     try:
-        estimate = estimate_camera(frames, config, outlines, passes=passes)
-        if far := passes > 1 and not estimate.plausible:
-            estimate = estimate_camera(frames, config, outlines, passes=1)
+        estimates = estimate_camera(arms, config, passes=passes)
+        if far := passes > 1 and not all(estimate.plausible for estimate in estimates):
+            estimates = estimate_camera(arms, config, passes=1)
     except InputError as error:
-        return CameraCheck(None, f"camera: {error}", np.zeros((frames.calibration.alone().own,) * 2))
+        return [CameraCheck(None, f"camera: {error}", np.zeros((arm.calibration.alone().own,) * 2)) for arm in arms]
+    pairs = zip(estimates, arms, strict=True)
+    return [_checked(one, arm.outlines, config, reason, applied, far=far) for one, arm in pairs]
+
+
+def _checked(
+    estimate: CameraEstimate,
+    outlines: SessionOutlines,
+    config: EstimateConfig,
+    reason: str | None,
+    applied: Float64 | None,
+    *,
+    far: bool,
+) -> CameraCheck:
+    """Judge an estimate; ``reason`` is why the camera is not tested, ``far`` whether an estimate was not plausible."""
+    file, used = file_deviations(outlines.camera, config.camera), applied is not None
     if applied is not None:
         estimate = replace(estimate, change=applied)
-    camera = SessionCamera.of(
-        estimate,
-        file,
-        outlines.camera.width,
-        applied=applied is not None,
-        unusual=any(text.startswith(FILE) for text in outlines.camera.remarks),
-    )
+    unusual = any(text.startswith(FILE) for text in outlines.camera.remarks)
+    camera = SessionCamera.of(estimate, file, outlines.camera.width, applied=used, unusual=unusual)
     if far and not camera.contradicts:
         reason = IMPLAUSIBLE
     square = np.diag(file**2)
-    if applied is not None:
+    if used:
         square = SHARED_ERRORS**2 * estimate.covariance
     elif reason is None:
         square = _mean_square(estimate.change, SHARED_ERRORS**2 * estimate.covariance, file)

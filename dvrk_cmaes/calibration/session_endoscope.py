@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.endoscope import (
@@ -20,7 +19,7 @@ from dvrk_cmaes.calibration.endoscope import (
     filled,
 )
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.geometry import inverse, log_rotation
+from dvrk_cmaes.geometry import Float64, Indices, inverse, log_rotation
 from dvrk_cmaes.instrument.endoscope import STRAIGHT
 from dvrk_cmaes.io.encode import SIGNIFICANT, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_array
@@ -28,7 +27,6 @@ from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.io.typed_document import Count, Number, Transform, convert_document, refused
 from dvrk_cmaes.joints.names import ECM_JOINTS
 
-Float64 = NDArray[np.float64]
 Row = tuple[Number, ...]
 
 UNDETERMINED_ROTATION: Final = np.deg2rad(5.0)
@@ -112,16 +110,9 @@ class SessionEndoscope:
         endoscope, values, base = model.endoscope, calibration.endoscope, calibration.camera_from_base
         if endoscope is None or values is None:
             return None
-        cameras, place = model.camera_from_base(calibration), endoscope.place
-        ends = [*(np.flatnonzero(np.diff(place)) + 1).tolist(), len(place)]
-        stands, first = [], 0
-        for end in ends:
-            if place[first] >= 0:
-                own = times[first], times[end - 1]
-                stands.append(Stand(int(place[first]), names[first], names[end - 1], cameras[first], *own))
-            first = end
+        stands = _stands(model.camera_from_base(calibration), endoscope.place, names, times)
         if not isinstance(endoscope, Steered):
-            return cls(tuple(stands), covariance=covariance)
+            return cls(stands, covariance=covariance)
         count = calibration.own - len(values.deviation)
         jacobian = np.zeros((6, len(covariance)))  # of the arm's base in the ECM's
         jacobian[:, :6] = np.eye(6)
@@ -130,7 +121,7 @@ class SessionEndoscope:
         std = np.sqrt(np.diag(whole))[count:]
         errors = np.concatenate([np.zeros((1, 4)), values.errors])
         return cls(
-            tuple(stands),
+            stands,
             tuple(
                 ReadPlace(_row(one.readings), _row(one.within), _row(error))
                 for one, error in zip(endoscope.places, errors, strict=True)
@@ -261,6 +252,18 @@ class SessionEndoscope:
             f"turned by {_numbers(turn)} deg against a straight one, std {_numbers(np.degrees(std[3:]))}",
             f"  offsets of its joints: {offsets}",
         ]
+
+
+def _stands(cameras: Float64, place: Indices, names: Sequence[str], times: Sequence[float | None]) -> tuple[Stand, ...]:
+    """Return where an endoscope stood, given bases (N, 4, 4), numbers (N,) of places, names and times of frames."""
+    ends = [*(np.flatnonzero(np.diff(place)) + 1).tolist(), len(place)]
+    stands, first = list[Stand](), 0
+    for end in ends:
+        if place[first] >= 0:
+            own = times[first], times[end - 1]
+            stands.append(Stand(int(place[first]), names[first], names[end - 1], cameras[first], *own))
+        first = end
+    return tuple(stands)
 
 
 def _numbers(values: Float64) -> str:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dvrk_cmaes.calibration.blocks import Calibration, OutlineOfView, SeenBlock, ViewAsSeen
-from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate
-from dvrk_cmaes.calibration.linearise import PASSES, FramesAt, SessionOutlines, linearise
-from dvrk_cmaes.calibration.solve import marginalise, solve, solve_unchanged
+from dvrk_cmaes.calibration.linearise import PASSES, ArmOutlines, linearise
+from dvrk_cmaes.calibration.solve import ArmFrames, marginalise, solve_arms, solve_unchanged
+from dvrk_cmaes.calibration.variances import LastingEstimate
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number, refused
@@ -38,6 +38,8 @@ _MARGIN_STEPS = 2  # linearisations of the outlines from whole masks to those le
 
 class MaskMargin(SeenBlock):
     """The margin (1,), px, by which a segmenter makes all masks of a view too wide, from where estimates ``start``."""
+
+    shared = True
 
     def __init__(self, start: float = 0.0) -> None:
         super().__init__(MARGIN, np.array([_STD]), np.array([start]))
@@ -225,24 +227,30 @@ def margins_of(masks: SessionMasks | None, views: Sequence[str]) -> tuple[float,
     return tuple(0.0 if masks is None else masks.taken_off_in(view) for view in views)
 
 
-def estimate_margin(frames: FramesAt, outlines: SessionOutlines) -> tuple[Margin, Calibration, Posed]:
-    """Estimate the margin of a view's masks beside the calibration and the camera, whose file counts as a measurement.
+def estimate_margin(arms: Sequence[ArmOutlines]) -> tuple[Margin, list[Calibration], list[Posed]]:
+    """Estimate the margin of a view's masks beside the calibrations and the camera, whose file counts as a measurement.
 
     Arguments are as in `linearise`; the outlines are those of the view, with the margin among their blocks. Also
-    returns the calibration and the poses of the N frames with masks less the margin, if it is clear, and the camera of
+    returns the calibration and the poses (N) of each arm with masks less the margin, if it is clear, and the camera of
     the file: a change of the camera that is estimated beside the margin is not used.
     """
-    model, calibration, at = frames
-    there = linearise(frames, outlines, solve_unchanged, [MARGIN], passes=PASSES[MARGIN])
-    value = float(there.value(MARGIN)[0])
-    (std,) = (float(there.std(one)[0]) for one in outlines.blocks if one.name == MARGIN)
-    margin = Margin.of(value, std)
-    values = {one.name: np.zeros(len(one.std)) for one in outlines.blocks} | {MARGIN: there.value(MARGIN)}
+    there = linearise(arms, solve_unchanged, [MARGIN], passes=PASSES[MARGIN])[0]
+    (std,) = (float(there.std(one)[0]) for one in arms[0].outlines.blocks if one.name == MARGIN)
+    margin = Margin.of(float(there.value(MARGIN)[0]), std)
+    at, calibrations = [arm.at for arm in arms], [arm.calibration for arm in arms]
     for _ in range(_MARGIN_STEPS if margin.applied else 0):
-        fits = outlines.near(at, values).at_seen()
-        calibration = solve(model, fits, calibration).calibration
-        at = at.moved(marginalise(model, fits, calibration).own)
-    return margin, calibration, at
+        zero = [{one.name: np.zeros(len(one.std)) for one in arm.outlines.blocks} for arm in arms]
+        fits = [
+            arm.outlines.near(here, none | {MARGIN: there.value(MARGIN)}).at_seen()
+            for arm, here, none in zip(arms, at, zero, strict=True)
+        ]
+        frames = [
+            ArmFrames(arm.model, *one) for arm, one in zip(arms, zip(fits, calibrations, strict=True), strict=True)
+        ]
+        calibrations = [own.calibration for own in solve_arms(frames)]
+        moved = [marginalise(one.model, one.fits, own).own for one, own in zip(frames, calibrations, strict=True)]
+        at = [here.moved(by) for here, by in zip(at, moved, strict=True)]
+    return margin, calibrations, at
 
 
 def _rows(matrix: Float64) -> tuple[tuple[float, ...], ...]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from dvrk_cmaes.calibration.consensus import Mode, choose_modes
 from dvrk_cmaes.calibration.frame_fit import FrameFit
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors, LastingSlopes, frames_alike, without_lasting
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.geometry import Float64, Indices, Posed
 from dvrk_cmaes.pose.refine.elimination import Eliminated, eliminate, times
 from dvrk_cmaes.pose.terms.term import Quadratic
 
@@ -30,6 +31,7 @@ MOST_STEPS = 30
 """Largest number of steps of an estimation; where weights of outliers fall, it converges slowly."""
 
 _MODE_ITERATIONS = 5  # largest number of alternations between choosing the frames' modes and solving
+_LEAST_EIGENVALUE = 1e-12  # of an information matrix whose diagonal is scaled to 1
 _PARTS = 8  # of a recording, whose errors are taken for independent of each other
 
 
@@ -93,17 +95,6 @@ class FrameFits:
         outlines = Quadratic(self.outlines.information[:, :own, :own], self.outlines.slope[:, :own])
         return FrameFits(self.at, outlines, shares=self.shares)
 
-    def along(self, name: str, values: Float64, effect: Float64) -> FrameFits:
-        """Return the fits with a block of n further unknowns that change what is predicted, as the frames' own errors.
-
-        ``values`` (n,) are those at which the predictions are made, ``effect`` (N, D, n) the changes of these by the
-        unknowns. Each frame counts as one, and its errors as independent of others.
-        """
-        across, told = np.swapaxes(effect, 1, 2), self.outlines.information @ effect
-        information = np.block([[self.outlines.information, told], [np.swapaxes(told, 1, 2), across @ told]])
-        slope = np.concatenate([self.outlines.slope, times(across, self.outlines.slope)], axis=1)
-        return FrameFits(self.at, Quadratic(information, slope), {name: values})
-
     def optimum(self, further: Float64) -> Float64:
         """Return the change (N, D) from the points of expansion to where the outline terms are least.
 
@@ -129,22 +120,27 @@ class FrameFits:
         return FrameFits(self.at[index], outlines, self.seen, lasting, by_lag, shares)
 
 
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """An estimated calibration with its information matrix (K, K), K = 8 + J + E, in the order of its steps.
+class ArmFrames(NamedTuple):
+    """N frames of one arm of a session: their model, their fits, and the values of the blocks on which they depend."""
 
-    ``weights`` (N,) are the robust weights of the frames, ``misfit`` (N,) their squared Mahalanobis distances between
-    outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes`` (N, K) are what each frame adds to the
-    information matrix and to the gradient of half the sum of squares at the solution, less where frames count as a
-    share of one. The frames are in the order they were taken. ``independent`` (K, K) is the covariance of the sum of
-    these gradients and of the prior's if the frames were independent; it is the information matrix where each counts as
-    one. ``lasting`` are the changes of the gradients by errors of the masks that last from frame to frame, ``by_lag``
-    (K,) is the change of their sum by one standard deviation of the lag. ``of_growth`` (K, K) is the mean square of the
-    errors that errors of all masks on some sides cause; None where these are not known.
+    model: SessionModel
+    fits: FrameFits
+    calibration: Calibration
+
+
+@dataclass(frozen=True, eq=False)
+class ArmEquations:
+    """What the N frames of an arm add to the normal equations, by the K unknowns on which they depend.
+
+    ``calibration`` are the values there, ``weights`` (N,) the robust weights of the frames, ``misfit`` (N,) their
+    squared Mahalanobis distances between outline and prediction. ``frame_information`` (N, K, K) and ``frame_slopes``
+    (N, K) are what each frame adds to the information matrix and to the gradient of half the sum of squares, less where
+    frames count as a share of one; ``independent`` (K, K) the covariance of the sum of these gradients if the frames
+    were independent. ``lasting`` are the changes of the gradients by errors of the masks that are autocorrelated,
+    ``by_lag`` (K,) is the change of their sum by one standard deviation of the lag.
     """
 
     calibration: Calibration
-    information: Float64
     weights: Float64
     misfit: Float64
     frame_information: Float64
@@ -152,7 +148,96 @@ class Solved:
     independent: Float64
     lasting: LastingSlopes
     by_lag: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """The normal equations of all arms by the G unknowns of the session, of which those that arms share stand once.
+
+    ``places`` are those of each arm's unknowns among them. ``information`` (G, G), ``gradient`` (G,); ``independent``
+    (G, G) is the covariance of the gradient if the frames were independent, ``between`` (G, G) what autocorrelated
+    errors of the masks add to that, ``scattered`` (G, G) that by the scatter of successive parts of the recording;
+    ``by_lag`` (G,) is the change of the gradient by one standard deviation of the lag.
+    """
+
+    places: tuple[Indices, ...]
+    information: Float64
+    gradient: Float64
+    independent: Float64
+    between: Float64
+    scattered: Float64
+    by_lag: Float64
+
+    @classmethod
+    def of(cls, arms: Sequence[ArmEquations]) -> Whole:
+        """Stack the equations of the arms."""
+        places, count = _places([arm.calibration for arm in arms])
+        prior, deviation, by_lag = np.zeros((count, count)), np.zeros(count), np.zeros(count)
+        for arm, place in zip(arms, places, strict=True):
+            prior[np.ix_(place, place)] = arm.calibration.information
+            deviation[place] = arm.calibration.deviation
+        information, independent, gradient = prior.copy(), prior.copy(), prior @ deviation
+        between, parts = np.zeros((count, count)), np.zeros((_PARTS, count))
+        for arm, place in zip(arms, places, strict=True):
+            both = np.ix_(place, place)
+            information[both] += arm.frame_information.sum(axis=0)
+            independent[both] += arm.independent
+            between[both] += arm.lasting.between_frames
+            gradient[place] += arm.frame_slopes.sum(axis=0)
+            by_lag[place] += arm.by_lag
+            sums = [part.sum(axis=0) for part in np.array_split(arm.frame_slopes, min(_PARTS, len(arm.weights)))]
+            parts[: len(sums), place] += np.array(sums)
+        used = parts[: max(min(_PARTS, len(arm.weights)) for arm in arms)]
+        scattered = np.atleast_2d(len(used) * np.cov(used, rowvar=False))
+        return cls(places, information, gradient, independent, between, scattered, by_lag)
+
+    def covariance_of(self, inverse: Float64) -> Float64:
+        """Return the covariance (G, G) for a given inverse (G, G) of the information, as with something added to it."""
+        of_lag = np.outer(self.by_lag, self.by_lag)
+        expected = inverse + inverse @ of_lag @ inverse
+        lasting = self.independent + self.between + of_lag
+        others = [np.diag(inverse @ slopes @ inverse) for slopes in (lasting, self.scattered)]
+        factor = np.sqrt(np.maximum(np.max(others, axis=0) / np.diag(expected), 1.0))
+        return np.asarray(factor[:, None] * expected * factor)
+
+
+def _places(calibrations: Sequence[Calibration]) -> tuple[tuple[Indices, ...], int]:
+    """Return where the unknowns of each arm are among those of the session, and the number of these."""
+    found: dict[tuple[int, str], Indices] = {}
+    count = 0
+    for arm, calibration in enumerate(calibrations):
+        for block in calibration.blocks:
+            key = (-1 if block.shared else arm, block.name)
+            if key not in found:
+                found[key] = np.arange(count, count + len(block.std))
+                count += len(block.std)
+    keys = [[(-1 if block.shared else arm, block.name) for block in own.blocks] for arm, own in enumerate(calibrations)]
+    return tuple(np.concatenate([found[key] for key in of_arm]) for of_arm in keys), count
+
+
+@dataclass(frozen=True, eq=False)
+class Solved(ArmEquations):
+    """An arm's part of a solution: its own equations, and the ``whole`` ones, in which it is number ``arm``.
+
+    ``of_growth`` (K, K) is the mean square of the errors that errors of all masks on some sides cause; None where these
+    are not known.
+    """
+
+    whole: Whole
+    arm: int = 0
     of_growth: Float64 | None = None
+
+    @property
+    def _place(self) -> tuple[Indices, Indices]:
+        place = self.whole.places[self.arm]
+        return place[:, None], place
+
+    @cached_property
+    def information(self) -> Float64:
+        """Information matrix (K, K) of the arm's unknowns, all others eliminated."""
+        if len(self.whole.places) == 1:
+            return self.whole.information
+        return np.asarray(np.linalg.inv(np.linalg.inv(self.whole.information)[self._place]))
 
     @cached_property
     def covariance(self) -> Float64:
@@ -160,20 +245,26 @@ class Solved:
 
         Frames share errors, which do not average out as those of independent frames do. Those that are near each other
         in time count as one, and that of the lag is the same for all. Standard deviations grow where more is expected
-        of the errors of the masks that last from frame to frame, with their correlation, and where the slopes of
-        successive parts of the recording scatter more (the covariance for clustered errors), as those of cables do.
+        of autocorrelated errors of the masks, and where the slopes of successive parts of the recording scatter more
+        (the covariance for clustered errors), as those of cables do.
         """
-        alone = self.covariance_of(np.asarray(np.linalg.inv(self.information), dtype=np.float64))
+        inverse = np.asarray(np.linalg.inv(self.whole.information), dtype=np.float64)
+        alone = self.whole.covariance_of(inverse)[self._place]
         return alone if self.of_growth is None else alone + self.of_growth
 
-    def covariance_of(self, inverse: Float64) -> Float64:
-        """Return the covariance for a given inverse (K, K) of the information, as of a matrix with something added."""
-        of_lag = np.outer(self.by_lag, self.by_lag)
-        lasting = self.independent + self.lasting.between_frames + of_lag
-        expected = inverse + inverse @ of_lag @ inverse
-        others = [np.diag(inverse @ slopes @ inverse) for slopes in (lasting, scatter(self.frame_slopes))]
-        factor = np.sqrt(np.maximum(np.max(others, axis=0) / np.diag(expected), 1.0))
-        return np.asarray(factor[:, None] * expected * factor)
+    def with_information(self, more: Float64) -> tuple[Float64, Float64]:
+        """Return inverse information and covariance (K, K) with more information (K, K) about the arm's unknowns."""
+        information = self.whole.information.copy()
+        information[self._place] += more
+        inverse = inverse_information(information)
+        return inverse[self._place], self.whole.covariance_of(inverse)[self._place]
+
+
+def inverse_information(information: Float64) -> Float64:
+    """Invert an information matrix (K, K), which rounding may have left with negative eigenvalues."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    return np.asarray((vectors / np.maximum(values, _LEAST_EIGENVALUE)) @ vectors.T / np.outer(scale, scale))
 
 
 def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Eliminated:
@@ -183,52 +274,66 @@ def marginalise(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     return eliminate(fits.outlines, predicted, information, calibration.further - fits.further)
 
 
-Solver = Callable[[SessionModel, FrameFits, Calibration], tuple[SessionModel, Solved]]
-"""Estimates a calibration from a model, fits and a start, as `solve`; the model may change."""
+Solver = Callable[[Sequence[ArmFrames]], tuple[list[SessionModel], list[Solved]]]
+"""Estimates the calibrations of arms from their frames, as `solve_arms`; the models may change."""
 
 
-def solve(model: SessionModel, fits: FrameFits, start: Calibration, *, steps: int = MOST_STEPS) -> Solved:
-    """Estimate the calibration by iteratively reweighted Gauss-Newton steps.
+def solve(model: SessionModel, fits: FrameFits, start: Calibration) -> Solved:
+    """Estimate the calibration of an arm by itself, as `solve_arms`."""
+    return solve_arms([ArmFrames(model, fits, start)])[0]
+
+
+def solve_arms(arms: Sequence[ArmFrames], *, steps: int = MOST_STEPS) -> list[Solved]:
+    """Estimate the calibrations of all arms of a session by iteratively reweighted Gauss-Newton steps.
 
     Parameters
     ----------
-    model, fits
-        The model and the outline fits of the same N frames.
-    start
-        Calibration of the first linearisation, with the blocks that the fits have, and their prior.
+    arms
+        The frames of each arm, with the values of its blocks in the first linearisation; blocks that are shared have
+        the same values.
     steps
         Largest number of steps.
     """
-    solution, prior = solution_at(model, fits, start), start.information
+    solutions = solution_at(arms)
     for _ in range(steps):
-        information, at = solution.information, solution.calibration.deviation
-        step = -np.linalg.solve(information, prior @ at + solution.frame_slopes.sum(axis=0))
-        solution = solution_at(model, fits, solution.calibration.changed(step))
-        if step @ information @ step < 1e-6 * len(step):
+        whole = solutions[0].whole
+        step = -np.asarray(np.linalg.solve(whole.information, whole.gradient), dtype=np.float64)
+        changed = [one.calibration.changed(step[place]) for one, place in zip(solutions, whole.places, strict=True)]
+        arms = [arm._replace(calibration=own) for arm, own in zip(arms, changed, strict=True)]
+        solutions = solution_at(arms)
+        if step @ whole.information @ step < 1e-6 * len(step):
             break
-    return solution
+    return solutions
 
 
-def cost_at(model: SessionModel, fits: FrameFits, calibration: Calibration, weights: Float64) -> float:
-    """Return the sum of squares of a calibration's frames, with given weights (N,), and of the prior.
+def cost_at(arms: Sequence[ArmFrames], calibrations: Sequence[Calibration], weights: Sequence[Float64]) -> float:
+    """Return the sum of squares of the arms' frames, with given weights (N,), and of the prior, at some calibrations.
 
-    It is that where the frames' own unknowns are best, up to a constant; the other arguments are as in `solve`.
+    It is that where the frames' own unknowns are best, up to a constant.
     """
+    places, count = _places(calibrations)
+    prior, deviation, total = np.zeros((count, count)), np.zeros(count), 0.0
+    for arm, calibration, own, place in zip(arms, calibrations, weights, places, strict=True):
+        prior[np.ix_(place, place)], deviation[place] = calibration.information, calibration.deviation
+        total += float((np.broadcast_to(arm.fits.shares, len(own)) * own) @ _squares(arm.model, arm.fits, calibration))
+    return total + float(deviation @ prior @ deviation)
+
+
+def _squares(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Float64:
+    """Return the sums of squares (N,) of frames at a calibration where their own unknowns are best."""
     own, outlines = fits.at.joints.shape[1] + 6, fits.outlines
-    predicted, constants = model.predict(calibration).minus(fits.at), calibration.further - fits.further
+    predicted, seen = model.predict(calibration).minus(fits.at), calibration.further - fits.further
     known = np.asarray(np.linalg.inv(model.covariance(calibration)), dtype=np.float64)
     of_own, cross = outlines.information[:, :own, :own] + known, outlines.information[:, :own, own:]
-    pulled = times(known, predicted) - outlines.slope[:, :own] - cross @ constants
+    pulled = times(known, predicted) - outlines.slope[:, :own] - cross @ seen
     squares = (predicted * times(known, predicted)).sum(axis=1)
-    squares += (constants * (outlines.information[:, own:, own:] @ constants + 2 * outlines.slope[:, own:])).sum(axis=1)
-    squares -= (pulled * np.linalg.solve(of_own, pulled[:, :, None])[:, :, 0]).sum(axis=1)
-    at, shares = calibration.deviation, np.broadcast_to(fits.shares, len(weights))
-    return float((shares * weights) @ squares + at @ calibration.information @ at)
+    squares += (seen * (outlines.information[:, own:, own:] @ seen + 2 * outlines.slope[:, own:])).sum(axis=1)
+    return np.asarray(squares - (pulled * np.linalg.solve(of_own, pulled[:, :, None])[:, :, 0]).sum(axis=1))
 
 
-def solve_unchanged(model: SessionModel, fits: FrameFits, start: Calibration) -> tuple[SessionModel, Solved]:
-    """Estimate the calibration as `solve`, and return the model as it was, too."""
-    return model, solve(model, fits, start)
+def solve_unchanged(arms: Sequence[ArmFrames]) -> tuple[list[SessionModel], list[Solved]]:
+    """Estimate the calibrations as `solve_arms`, and return the models as they were, too."""
+    return [arm.model for arm in arms], solve_arms(arms)
 
 
 def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start: Calibration) -> Solved:
@@ -246,8 +351,15 @@ def solve_with_modes(model: SessionModel, modes: Sequence[Sequence[Mode]], start
     return solution
 
 
-def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration) -> Solved:
-    """Return a calibration with what the frames, weighted there, tell of it; arguments as in `solve`."""
+def solution_at(arms: Sequence[ArmFrames]) -> list[Solved]:
+    """Return the calibrations of arms with what all frames, weighted there, tell of them."""
+    equations = [_equations(*arm) for arm in arms]
+    whole = Whole.of(equations)
+    return [Solved(**vars(own), whole=whole, arm=number) for number, own in enumerate(equations)]
+
+
+def _equations(model: SessionModel, fits: FrameFits, calibration: Calibration) -> ArmEquations:
+    """Return what the frames of an arm tell of a calibration."""
     frames, jacobian = marginalise(model, fits, calibration), model.jacobian(calibration)
     misfit = _misfit(frames, fits.optimum(calibration.further))
     weights = robust_weights(misfit, 6 + len(model.names))
@@ -255,16 +367,12 @@ def solution_at(model: SessionModel, fits: FrameFits, calibration: Calibration) 
     weighted = np.swapaxes(jacobian, 1, 2) * (shares * weights)[:, None, None]
     frame_information = weighted @ frames.left.information @ jacobian
     frame_slopes = times(weighted, frames.left.slope)
-    prior = calibration.information
-    information = prior + frame_information.sum(axis=0)
-    independent = prior + np.einsum("n,nij->ij", shares, frame_information)
+    independent = np.einsum("n,nij->ij", shares, frame_information)
     lasting, own = _of_calibration(fits, frames, weighted), fits.outlines.dimension - len(fits.further)
-    by_lag = np.zeros(len(information))
+    by_lag = np.zeros(jacobian.shape[2])
     if fits.by_lag is not None:
         by_lag = times(weighted @ frames.left.information[:, :, :own], fits.by_lag).sum(axis=0)
-    return Solved(
-        calibration, information, weights, misfit, frame_information, frame_slopes, independent, lasting, by_lag
-    )
+    return ArmEquations(calibration, weights, misfit, frame_information, frame_slopes, independent, lasting, by_lag)
 
 
 def _of_calibration(fits: FrameFits, frames: Eliminated, weighted: Float64) -> LastingSlopes:
@@ -298,15 +406,6 @@ def robust_weights(misfit: Float64, dimension: int) -> Float64:
     A frame with the expected misfit has weight 1; smaller weights would make the covariance too large.
     """
     return np.asarray(np.minimum((1 + _ROBUST**-2) / (1 + misfit / (dimension * _ROBUST**2)), 1) ** 2)
-
-
-def scatter(slopes: Float64) -> Float64:
-    """Return the covariance (K, K) of the sum of the slopes (N, K) of frames in the order they were taken.
-
-    It is that of the sums over successive parts of the recording, so errors that frames of a part share count in full.
-    """
-    sums = np.array([part.sum(axis=0) for part in np.array_split(slopes, min(_PARTS, len(slopes)))])
-    return np.atleast_2d(len(sums) * np.cov(sums, rowvar=False))
 
 
 def leave_one_out(solution: Solved, index: int) -> Calibration:

@@ -1,50 +1,49 @@
-"""The arms of one session in one solution: what the frames of all of them tell of what they share.
+"""The arms of one session: solved in one problem, in which what they share stands once, and compared with each other.
 
-Of one least-squares problem over the frames of all arms, the unknowns of the other arms alone, bases and offsets, are
-eliminated: what is left of their frames is what they tell of the unknowns that are shared, which an arm takes into its
-own solution. Shared are the endoscope, the lag, the margins of the masks and, where it is estimated, the camera.
+Shared are an endoscope that moves, the lag, the margins of the masks and, where it is estimated, the camera.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
-from dvrk_cmaes.calibration.alternation import fitted_again
-from dvrk_cmaes.calibration.blocks import ENDOSCOPE
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.endoscope import Place, Steered
-from dvrk_cmaes.calibration.session_state import SessionState
+from dvrk_cmaes.calibration.session_camera import CameraCheck
+from dvrk_cmaes.calibration.session_problem import ArmSession, checked
+from dvrk_cmaes.calibration.session_trials import solve_session
+from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, adjoint, change_between, inverse, log_rotation
 from dvrk_cmaes.instrument.setup_joints import SETUP
 from dvrk_cmaes.io.encode import SIGNIFICANT, Document, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_array
 from dvrk_cmaes.joints.names import ECM_JOINTS
+from dvrk_cmaes.silhouette.threads import single_blas_thread
 
 R = TypeVar("R", covariant=True)
 T = TypeVar("T")
 
-_AGREE: Final = 4.0  # standard deviations of each unknown, within which arms tell the same
-_LEAST_PX: Final = 0.05  # change of the camera and of margins, from which on frames are fitted again
 _SETUP_STD: Final = np.array([0.025] * 3 + [np.deg2rad(3.0)] * 3)  # of a base by set-up joints in another, m, rad
 _SETUP_LIMIT: Final = 4.0  # standard deviations
-_HAND_EYE: Final = 10  # unknowns that do not differ from place to place
+
+
+Outcome = tuple[ArmSession, CameraCheck] | Exception
+"""An arm that is solved with the others, and the test of its camera; or why it cannot be."""
 
 
 @dataclass(frozen=True, eq=False)
 class Begun(Generic[R]):
-    """An arm's session that is solved by itself, and what finishes it once those of the other arms are, too.
+    """An arm whose frames are estimated by themselves, and what finishes it once all arms are solved together.
 
-    ``finish`` takes the states of the other arms, and returns the arm's result. ``state`` is that of the arm; None
-    where it has none that tells others of anything.
+    ``finish`` takes what has become of the ``arm``, None where it has none, and returns the arm's result.
     """
 
-    finish: Callable[[Sequence[SessionState]], R]
-    state: SessionState | None = None
+    finish: Callable[[Outcome | None], R]
+    arm: ArmSession | None = None
 
     @staticmethod
     def of(result: T) -> Begun[T]:
@@ -53,122 +52,62 @@ class Begun(Generic[R]):
 
     def then(self, more: Callable[[R], T]) -> Begun[T]:
         """Return the arm with something that is done with its result."""
-        return Begun(lambda others: more(self.finish(others)), self.state)
+        return Begun(lambda outcome: more(self.finish(outcome)), self.arm)
 
     def within(self, opened: ExitStack) -> Begun[R]:
         """Return the arm with contexts that are left once it is finished."""
 
-        def finish(others: Sequence[SessionState]) -> R:
+        def finish(outcome: Outcome | None) -> R:
             with opened:
-                return self.finish(others)
+                return self.finish(outcome)
 
-        return Begun(finish, self.state)
+        return Begun(finish, self.arm)
 
 
-def solved_together(arms: Mapping[str, Callable[[Sequence[Place]], Begun[T]]]) -> dict[str, T]:
-    """Solve all arms of a session, each with what the frames of the others tell; the results by name.
+def solved_together(arms: Mapping[str, Callable[[], Begun[T]]]) -> dict[str, T]:
+    """Begin all arms of a session, solve them in one problem, and finish each; the results by name.
 
-    Each arm is begun, given the places at which an arm before it found the endoscope, and then each is finished. If an
-    arm cannot be begun, those before it are finished by themselves, and its error is raised.
+    If an arm cannot be begun or solved, the others are solved without it and finished, and its error is raised.
     """
     begun: dict[str, Begun[T]] = {}
-    failed: Exception | None = None
-    places: Sequence[Place] = ()
+    results, errors = dict[str, T](), list[Exception]()
     for name, begin in arms.items():
         try:
-            begun[name] = begin(places)
+            begun[name] = begin()
         except Exception as error:
-            failed = error
+            errors.append(error)
             break
-        state = begun[name].state
-        endoscope = None if state is None else state.model.endoscope
-        places = places or (endoscope.places if isinstance(endoscope, Steered) else ())
-    states = {} if failed else {name: arm.state for name, arm in begun.items() if arm.state is not None}
-    results = {
-        name: arm.finish([state for other, state in states.items() if other != name]) for name, arm in begun.items()
-    }
-    if failed is not None:
-        raise failed
+    outcomes = _outcomes({name: arm.arm for name, arm in begun.items() if arm.arm is not None})
+    for name, arm in begun.items():
+        try:
+            results[name] = arm.finish(outcomes.get(name))
+        except Exception as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
     return results
 
 
 def solved_alone(begun: Begun[T]) -> T:
     """Return the result of an arm that is the only one."""
-    return begun.finish(())
+    return solved_together({"": lambda: begun})[""]
 
 
-def with_others(state: SessionState, others: Sequence[SessionState]) -> SessionState:
-    """Return an arm's session solved with what the frames of the other arms tell, which are solved by themselves."""
-    if not others:
-        return state
-    camera = state.stored[0].camera
-    imaging = state.imaging.with_others([other.imaging for other in others if other.stored[0].camera == camera])
-    told = replace(_with_endoscope(state, others), imaging=imaging)
-    told = replace(told, lag=told.lag.with_others([other.lag for other in others]))
-    if told.model is state.model and told.lag is state.lag and not _differs(told, state):
-        return told
-    again = range(len(state.frames)) if _differs(told, state) else ()
-    return fitted_again(replace(told, model=told.lag.corrected(told.model)), again)
-
-
-def _with_endoscope(state: SessionState, others: Sequence[SessionState]) -> SessionState:
-    """Return an arm's session that knows beforehand what the others tell of the endoscope.
-
-    Of one that is not read, these are the moves of the camera between pieces, where the others have the same pieces.
-    """
-    own, read = state.solution.calibration.endoscope, isinstance(state.model.endoscope, Steered)
-    if own is None:
-        return state
-    endoscope = state.model.endoscope
-    assert endoscope is not None
-    prior = information = endoscope.block.information
-    vector = np.zeros(len(prior))
-    mine, of_mine = own.deviation, _of_endoscope(state)
-    for other in others:
-        values = other.solution.calibration.endoscope
-        if values is None or (len(values.poses), len(values.numbers)) != (len(own.poses), len(own.numbers)):
-            continue
-        theirs, of_theirs = replace(values, expected=own.expected).deviation, _of_endoscope(other)
-        compared = _HAND_EYE if read else len(mine)
-        apart = np.abs(mine - theirs) > _AGREE * np.sqrt(np.diag(of_mine + of_theirs))
-        if apart[:compared].any() and not read:
-            continue
-        if apart[:compared].any():
-            text = (
-                "the arms tell another camera in the endoscope's tip: each has its own; one arm's readings may be wrong"
-            )
-            return state.noted(remarks=[text])
-        inverted = np.linalg.inv(of_theirs)
-        values_told, axes = np.linalg.eigh(inverted - prior)  # what is known beforehand counts once
-        information = information + (axes * np.maximum(values_told, 0.0)) @ axes.T
-        vector = vector + inverted @ theirs
-    if information is prior:
-        return state
-    known = replace(own, mean=np.asarray(np.linalg.solve(information, vector), np.float64))
-    model = replace(state.model, endoscope=endoscope.with_prior(information))
-    calibration = state.solution.calibration.beside(endoscope.with_prior(information).block, endoscope=known)
-    return replace(
-        state,
-        model=model,
-        found=replace(state.solution, calibration=calibration),
-    )
-
-
-def _of_endoscope(state: SessionState) -> Float64:
-    """Return the covariance (M, M) of the endoscope's values that the frames of an arm tell."""
-    solution = state.solution
-    place = solution.calibration.place(ENDOSCOPE)
-    return solution.covariance[place, place]
-
-
-def _differs(one: SessionState, other: SessionState) -> bool:
-    """Whether two states of a session see its frames by another camera, or with other margins taken off the masks."""
-    pairs = zip(one.imaging.margins, other.imaging.margins, strict=True)
-    moved = [abs(a.px * a.applied - b.px * b.applied) for (_, a), (_, b) in pairs]
-    if one.imaging.change is not None and other.imaging.change is not None:
-        width = one.stored[0].camera.width
-        moved.append(float(np.abs((one.imaging.change - other.imaging.change) * [width / 2, 1.0, 1.0]).max()))
-    return max(moved, default=0.0) > _LEAST_PX
+def _outcomes(arms: Mapping[str, ArmSession]) -> dict[str, Outcome]:
+    """Solve arms in one problem, without those that cannot be solved by themselves."""
+    if not arms:
+        return {}
+    try:
+        with single_blas_thread():
+            return dict(zip(arms, checked(solve_session(list(arms.values()))), strict=True))
+    except InputError as error:
+        if len(arms) == 1:
+            return dict.fromkeys(arms, error)
+    except Exception as error:
+        return dict.fromkeys(arms, error)
+    alone = {name: _outcomes({name: arm})[name] for name, arm in arms.items()}
+    good = {name: arm for name, arm in arms.items() if not isinstance(alone[name], Exception)}
+    return {**alone, **_outcomes(good)} if 1 < len(good) < len(arms) else alone
 
 
 @dataclass(frozen=True, eq=False)

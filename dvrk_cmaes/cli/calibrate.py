@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -36,7 +36,6 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession
-    from dvrk_cmaes.calibration.endoscope import Place
     from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.geometry import Float64
@@ -169,6 +168,7 @@ def calibrate(
     json
         Print only session.json, on stdout.
     """
+    from dvrk_cmaes.calibration.calibrate import check_outer_joints
     from dvrk_cmaes.calibration.together import Begun, solved_together
     from dvrk_cmaes.cli.session_tools import output_folder, session_tools
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
@@ -185,15 +185,16 @@ def calibrate(
         for name, tool in session_tools(session, named, wanted.only).items():
             arm = tool.read(session, cameras, guess=camera.guess, joints=wanted.joints, reading=reading)
             arms[name] = wanted.share(arm)
+            check_outer_joints([files.readings for files in arms[name].session.frames])
             with output(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,)):
                 check_same_session(target / name, arms[name].session)
 
-        def begin(name: str, places: Sequence[Place]) -> Begun[SolvedSession | None]:
+        def begin(name: str) -> Begun[SolvedSession | None]:
             found_camera = arms[name] if wanted.results is not None else _with_found_camera(arms[name], asked)
             if found_camera is None:
                 return Begun.of(None)
             own = None if wanted.results is None else wanted.results / name
-            return _begin_arm(found_camera, target / name, asked, own, places)
+            return _begin_arm(found_camera, target / name, asked, own)
 
         found = solved_together({name: partial(begin, name) for name in arms})
         solved = {name: solution for name, solution in found.items() if solution is not None}
@@ -295,7 +296,6 @@ def _begin_arm(
     target: Path,
     asked: _Asked,
     results: Path | None = None,
-    places: Sequence[Place] = (),
 ) -> Begun[SolvedSession | None]:
     """Solve the session of one arm, from its results, or after estimating them; its result is None if interrupted."""
     from dvrk_cmaes.calibration.together import Begun
@@ -339,7 +339,6 @@ def _begin_arm(
             lag=asked.lag,
             config=settings,
             segment=segment,
-            places=places,
             progress=lambda stage, count: note(f"{stage}: {count} frames"),
         )
         return begun.within(stack.pop_all())

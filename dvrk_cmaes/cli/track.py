@@ -40,7 +40,6 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import listed
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.calibration.endoscope import Place
     from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.runs.track import TrackedArm
 
@@ -275,10 +274,10 @@ def _followed(arms: Mapping[str, TrackedArm]) -> dict[str, TrackedArm]:
     """Follow the arms of a recording, whose keyframes are solved together; without those after an interruption."""
     from dvrk_cmaes.calibration.together import Begun, solved_together
 
-    def begin(name: str, places: Sequence[Place]) -> Begun[TrackedArm | None]:
+    def begin(name: str) -> Begun[TrackedArm | None]:
         if stop.is_set() and name != next(iter(arms)):
             return Begun.of(None)
-        return arms[name].begin(places, stop)
+        return arms[name].begin(stop)
 
     with stopping_on_interrupt() as stop:
         begun = solved_together({name: partial(begin, name) for name in arms})

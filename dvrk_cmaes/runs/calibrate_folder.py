@@ -8,7 +8,7 @@ OUT/summary.json, OUT/report.html, OUT/masks/FRAME.png (masks that were found ag
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,10 +18,9 @@ import numpy as np
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.endoscope import Place
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
 from dvrk_cmaes.calibration.masks_again import FindMasks
-from dvrk_cmaes.calibration.session_state import SessionProblem
+from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.camera.ros import write_camera_info
@@ -69,17 +68,15 @@ def begin_folder(
     config: EstimateConfig,
     segment: SegmentSettings | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
-    places: Sequence[Place] = (),
 ) -> Begun[SolvedSession]:
     """Solve a session folder of an arm from its frames' own results; what finishes it writes everything to a folder.
 
     Finish it by `solved_together` or `solved_alone`.
 
-    ``processes`` are those of `instrument_pool`. ``alone`` is the folder of those results;
-    masks that were found in images, and overlays of frames that are left out, are taken from there; with ``segment``,
-    how they were found there, they are found again around the silhouettes that the session expects. ``places`` are as
-    in `begin_arm`. All files are written to a temporary folder, which takes the place of an earlier one when it is
-    whole.
+    ``processes`` are those of `instrument_pool`. ``alone`` is the folder of those results; masks that were found in
+    images, and overlays of frames that are left out, are taken from there; with ``segment``, how they were found there,
+    they are found again around the silhouettes that the session expects. All files are written to a temporary folder,
+    which takes the place of an earlier one when it is whole.
 
     Raises
     ------
@@ -105,9 +102,9 @@ def begin_folder(
         frames.append(SessionFrame(name, reader, result, own.keypoints, find_masks=finders.get(name)))
     run = functools.partial(run_with_body, processes, instrument_digest(instrument), config)
     series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
-    problem = SessionProblem(series, instrument, arm.kinematics, config, run, progress, *refined, lag=lag)
+    problem = ArmSetup(series, instrument, arm.kinematics, config, run, progress, *refined, lag=lag)
     folder = _FolderAlone(replace(arm, session=session), files, out, alone, config, progress, run)
-    return begin_arm(frames, problem, places).then(folder.written)
+    return begin_arm(frames, problem).then(folder.written)
 
 
 @dataclass(frozen=True, eq=False)

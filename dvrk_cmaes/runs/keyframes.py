@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.calibration.endoscope import Place
-from dvrk_cmaes.calibration.first_frames import predict_from_first
 from dvrk_cmaes.calibration.frame_task import SessionFrame
 from dvrk_cmaes.calibration.session_doubts import bad_predictions
-from dvrk_cmaes.calibration.session_state import SessionProblem, SessionState
-from dvrk_cmaes.calibration.together import Begun, solved_alone
+from dvrk_cmaes.calibration.session_problem import ArmSetup
+from dvrk_cmaes.calibration.session_trials import predict_from_first
+from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
@@ -123,29 +122,26 @@ def _as_result(at: Posed, body: Body, name: str) -> Result:
     )
 
 
-def begin_keyframes(
-    recorded: RecordedFrames, work: SessionProblem, places: Sequence[Place] = ()
-) -> Begun[RecordedSolution | str | None]:
+def begin_keyframes(recorded: RecordedFrames, work: ArmSetup) -> Begun[RecordedSolution | str | None]:
     """Estimate the keyframes of a recording alone and solve them together; a text says why that is not possible.
 
-    Finish it by `solved_together` or `solved_alone`; ``places`` are as in `begin_arm`.
+    Finish it by `solved_together` or `solved_alone`.
     """
     chosen = {i: recorded.files[i] for i in recorded.keyframes()}
     keyframes = [RecordedKeyframe(i, own, partial(read_frame, own, recorded.rig)) for i, own in chosen.items()]
-    begun = _begin_chosen(recorded, keyframes, work, places=places)
+    begun = _begin_chosen(recorded, keyframes, work)
     return begun.then(lambda solved: solved if isinstance(solved, str) else RecordedSolution.of(recorded, solved))
 
 
 def _begin_chosen(
     recorded: RecordedFrames,
     keyframes: Sequence[RecordedKeyframe],
-    work: SessionProblem,
+    work: ArmSetup,
     least: int = LEAST_KEYFRAMES,
-    places: Sequence[Place] = (),
 ) -> Begun[SolvedSession | str]:
     """Estimate keyframes alone and solve them together; a text says why that is not possible or not to be used.
 
-    ``least`` is the number of keyframes that are needed, ``places`` are as in `begin_arm`.
+    ``least`` is the number of keyframes that are needed.
     """
     if len(keyframes) < least:
         since = recorded.files[int(recorded.frozen.argmax())].name
@@ -157,14 +153,14 @@ def _begin_chosen(
     problem = replace(problem, config=solved_with(work.config), gathered={})
     begun: Begun[SolvedSession | str]
     with _texts_of_refusals() as refused:
-        begun = begin_arm(frames, problem, places).then(lambda found: bad_predictions(found[0].calibration) or found[0])
-    return Begun.of(refused[0]) if refused else Begun(partial(_finished_or_refused, begun), begun.state)
+        begun = begin_arm(frames, problem).then(lambda found: bad_predictions(found[0].calibration) or found[0])
+    return Begun.of(refused[0]) if refused else Begun(partial(_finished_or_refused, begun), begun.arm)
 
 
-def _finished_or_refused(begun: Begun[SolvedSession | str], others: Sequence[SessionState]) -> SolvedSession | str:
+def _finished_or_refused(begun: Begun[SolvedSession | str], outcome: Outcome | None) -> SolvedSession | str:
     """Finish keyframes that are solved by themselves; a text says why that is not possible."""
     with _texts_of_refusals() as refused:
-        return begun.finish(others)
+        return begun.finish(outcome)
     return refused[0]
 
 
@@ -181,7 +177,7 @@ def _texts_of_refusals() -> Iterator[list[str]]:
 
 
 def _estimated(
-    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], problem: SessionProblem
+    recorded: RecordedFrames, keyframes: Sequence[RecordedKeyframe], problem: ArmSetup
 ) -> list[SessionFrame]:
     """Estimate keyframes alone: some by a search, the others from where these expect them."""
 
@@ -301,14 +297,13 @@ def begin_images(
     recorded: RecordedFrames,
     given: SessionCalibration | None,
     hints: Hints,
-    work: SessionProblem,
-    places: Sequence[Place] = (),
+    work: ArmSetup,
 ) -> Begun[RecordedSolution | str | None]:
     """Find masks in images of a recording, and solve those that are well in view together; or say why not.
 
     With a calibration that is ``given``, the masks only tell the colours. Where few keyframes agree, masks are found in
-    the other images around what they expect, and all are solved again. ``hints`` hold for the first frame, ``places``
-    are as in `begin_arm`. Raises InputError for a file that is wrong.
+    the other images around what they expect, and all are solved again. ``hints`` hold for the first frame. Raises
+    InputError for a file that is wrong.
     """
     files, times, names, readings = recorded.files, recorded.times, recorded.names, recorded.readings
     there = np.array([own.has_image or own.has_mask for own in files]) & recorded.trusted
@@ -323,14 +318,14 @@ def begin_images(
     recorded = _measured(recorded, found)
     if given is not None:
         return Begun.of(_with_colours(RecordedSolution(recorded, given, {}), work, found=found))
-    begun = _begin_chosen(recorded, _keyframes(recorded, found), work, _FEWEST, places)
+    begun = _begin_chosen(recorded, _keyframes(recorded, found), work, _FEWEST)
     return begun.then(partial(_with_more_masks, recorded, found, work))
 
 
 def _with_more_masks(
     recorded: RecordedFrames,
     found: Mapping[int, PackedFrame | None],
-    work: SessionProblem,
+    work: ArmSetup,
     solved: SolvedSession | str,
 ) -> RecordedSolution | str:
     """Return a solution with colours; where few keyframes agree, one by itself with masks around what they expect."""
@@ -360,7 +355,7 @@ def _keyframes(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None]
 
 
 def _found_around(
-    solution: RecordedSolution, found: Mapping[int, PackedFrame | None], work: SessionProblem
+    solution: RecordedSolution, found: Mapping[int, PackedFrame | None], work: ArmSetup
 ) -> dict[int, PackedFrame | None]:
     """Find masks where few keyframes expect the instrument; those of the frames that agree are kept."""
     recorded, used = solution.recorded, set(solution.calibration.frames)
@@ -379,7 +374,7 @@ def _measured(recorded: RecordedFrames, found: Mapping[int, PackedFrame | None])
 
 def _with_colours(
     solution: RecordedSolution,
-    work: SessionProblem,
+    work: ArmSetup,
     *,
     found: Mapping[int, PackedFrame | None] | None = None,
     results: Mapping[str, Result] | None = None,

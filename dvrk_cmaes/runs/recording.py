@@ -14,7 +14,7 @@ from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run
 from dvrk_cmaes.calibration.model import ecm_readings, outer_readings
 from dvrk_cmaes.calibration.prediction import Prediction
-from dvrk_cmaes.calibration.session_state import SessionProblem
+from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path, read_frame, read_frame_image
@@ -232,7 +232,7 @@ class RecordedSolution:
         return [fitted for block in run(fit, blocks) for fitted in block]
 
 
-def follow_window(solution: RecordedSolution, work: SessionProblem) -> list[TrackResult]:
+def follow_window(solution: RecordedSolution, work: ArmSetup) -> list[TrackResult]:
     """Fit all frames, solve them as one window, judge their poses, and describe them, in order."""
     recorded, session, instrument = solution.recorded, solution.calibration, work.instrument
     source = "mask" if solution.colours is None else "image"

@@ -18,9 +18,8 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration, read_calibration
-from dvrk_cmaes.calibration.endoscope import Place
-from dvrk_cmaes.calibration.session_state import SessionProblem, SessionState
-from dvrk_cmaes.calibration.together import Begun
+from dvrk_cmaes.calibration.session_problem import ArmSetup
+from dvrk_cmaes.calibration.together import Begun, Outcome
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
@@ -135,7 +134,7 @@ class TrackedArm:
         self._opened, self._finished = ExitStack(), False
         given = settings.calibration
         self._given = given if given is None or settings.lag is None else replace(given, lag=None)
-        self._work: SessionProblem | None = None
+        self._work: ArmSetup | None = None
         self._solution: RecordedSolution | str | None = None  # or why there is none
         self.rows: list[dict[str, Any]] = []
         self.calibration: SessionCalibration | None = None
@@ -156,10 +155,10 @@ class TrackedArm:
         """Frames a second that are followed."""
         return 1 / (self.clock.interval * self.settings.every)
 
-    def begin(self, places: Sequence[Place] = (), stop: threading.Event | None = None) -> Begun[TrackedArm]:
+    def begin(self, stop: threading.Event | None = None) -> Begun[TrackedArm]:
         """Open the folder, and solve the keyframes of the recording, which `solved_together` finishes.
 
-        ``places`` are those at which another arm found the endoscope. Once ``stop`` is set, the run ends soon.
+        Once ``stop`` is set, the run ends soon.
 
         Raises
         ------
@@ -177,9 +176,9 @@ class TrackedArm:
             self._open(stack)
             if settings.use_joints and not (settings.causal or self._finished):
                 with suppress(_StoppedError):
-                    begun = self._begin_keyframes(stack, places)
+                    begun = self._begin_keyframes(stack)
             self._opened = stack.pop_all()
-        return Begun(partial(self._finish, begun), begun.state)
+        return Begun(partial(self._finish, begun), begun.arm)
 
     def _open(self, stack: ExitStack) -> None:
         """Open the folder; results of a run that was finished are read."""
@@ -205,7 +204,7 @@ class TrackedArm:
                 self.rows, self._finished = rows, True
                 self.calibration = read_calibration(session) if session.exists() else None
 
-    def _begin_keyframes(self, stack: ExitStack, places: Sequence[Place]) -> Begun[RecordedSolution | str | None]:
+    def _begin_keyframes(self, stack: ExitStack) -> Begun[RecordedSolution | str | None]:
         """Use the calibration that was given, or else solve the keyframes."""
         settings, instrument = self.settings, self.body.instrument
         frames, series = self.frames, series_of(self.session)
@@ -216,7 +215,7 @@ class TrackedArm:
         config = replace(settings.config, threads=1)
         pool = stack.enter_context(instrument_pool(instrument, settings.workers or usable_cores(), frames))
         run = partial(self._in_groups, partial(run_with_body, pool, instrument_digest(instrument), config))
-        work = SessionProblem(series, instrument, settings.arm, config, run, self._stage, lag=lag)
+        work = ArmSetup(series, instrument, settings.arm, config, run, self._stage, lag=lag)
         if self._stop.is_set():
             raise _StoppedError
         by_masks = settings.evidence == "masks"
@@ -229,17 +228,17 @@ class TrackedArm:
         elif given is not None and by_masks:
             self._solution = RecordedSolution(recorded, given)
         elif by_masks:
-            return begin_keyframes(recorded, work, places)
+            return begin_keyframes(recorded, work)
         else:
-            return begin_images(recorded, given, settings.hints or Hints(), work, places)
+            return begin_images(recorded, given, settings.hints or Hints(), work)
         return Begun.of(None)
 
-    def _finish(self, begun: Begun[RecordedSolution | str | None], others: Sequence[SessionState]) -> TrackedArm:
+    def _finish(self, begun: Begun[RecordedSolution | str | None], outcome: Outcome | None) -> TrackedArm:
         """Finish the keyframes of the arm, whose folder and processes are open."""
         with ExitStack() as stack:
             stack.enter_context(self._opened)
             with suppress(_StoppedError):
-                self._solution = begun.finish(others) or self._solution
+                self._solution = begun.finish(outcome) or self._solution
             self._opened = stack.pop_all()
         return self
 
@@ -283,7 +282,7 @@ class TrackedArm:
         self._notice(f"followed from image to image, as by --causal: {because}")
         return False
 
-    def _fit_all(self, solution: RecordedSolution, work: SessionProblem) -> None:
+    def _fit_all(self, solution: RecordedSolution, work: ArmSetup) -> None:
         """Fit all frames of a recording by the solution of its keyframes, and write the rows."""
         self._stage("fitting", len(self.frames))
         results = follow_window(solution, work)

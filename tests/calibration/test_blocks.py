@@ -13,13 +13,13 @@ from helpers.session_worlds import BASE, EXPECTED_OFFSETS, NAMES, SMALL, make_fr
 from helpers.transforms import moved, transform
 
 from dvrk_cmaes import Body, EstimateConfig, FrameData, Renderer, Rig, SessionCalibration, calibrate_session
-from dvrk_cmaes.calibration import imaging
+from dvrk_cmaes.calibration import session_problem
 from dvrk_cmaes.calibration.blocks import Block, Calibration, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.endoscope import Endoscope, Pieces, Steered
-from dvrk_cmaes.calibration.imaging import TESTED
 from dvrk_cmaes.calibration.mask_growth import MaskGrowth
 from dvrk_cmaes.calibration.session_camera import CameraChange
 from dvrk_cmaes.calibration.session_masks import MaskMargin
+from dvrk_cmaes.calibration.session_problem import TESTED
 from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
 from dvrk_cmaes.calibration.stored_frame import StoredFrame
 from dvrk_cmaes.geometry import Posed
@@ -191,7 +191,7 @@ def test_a_block_of_the_list_is_found_stated_and_widens_the_calibration(
 ) -> None:
     frames = make_frames_in_memory(bundled_body, 10, level="clean")[2]
     plain = calibrate_session(frames, bundled_body).calibration
-    monkeypatch.setattr(imaging, "TESTED", (lambda config, camera: Aspect(),))
+    monkeypatch.setattr(session_problem, "TESTED", (lambda config, camera: Aspect(),))
     right = calibrate_session(frames, bundled_body).calibration
     flat = replace(SMALL, fy=SMALL.fy / 1.06)
     stretched = [replace(one, data=one.data.with_camera(flat)) for one in frames if isinstance(one.data, FrameData)]

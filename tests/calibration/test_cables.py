@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dvrk_cmaes.calibration.cables import CableFit, CableSession, fit_cables
-from dvrk_cmaes.calibration.session_cables import CablesAlone, SessionCables
+from dvrk_cmaes.calibration.cables import CableFit, CablesAlone, CableSession, SessionCables, fit_cables
 from dvrk_cmaes.joints.cable_prior import cable_prior, measured_cables
 from dvrk_cmaes.joints.play import play_of
 

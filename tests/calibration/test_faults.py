@@ -10,9 +10,8 @@ from helpers.session_worlds import SEEN, World, make_world
 from helpers.transforms import exp_rotation, transform
 
 from dvrk_cmaes import InputError
-from dvrk_cmaes.calibration.consensus import Mode, find_consensus
+from dvrk_cmaes.calibration.consensus import Mode, check_arm, find_consensus
 from dvrk_cmaes.calibration.endoscope_search import find_pieces
-from dvrk_cmaes.calibration.faults import check_arm
 
 
 def modes_of(world: World, seed: int = 0) -> list[list[Mode]]:

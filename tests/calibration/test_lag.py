@@ -10,12 +10,10 @@ from helpers.session_worlds import EXPECTED_OFFSETS, NAMES, SEEN, World, make_wo
 
 from dvrk_cmaes import InputError, Lag, ReadingSeries
 from dvrk_cmaes.calibration.blocks import Calibration
-from dvrk_cmaes.calibration.clock import Clock
 from dvrk_cmaes.calibration.consensus import Mode, find_consensus
-from dvrk_cmaes.calibration.lag_search import search_lag
+from dvrk_cmaes.calibration.lag import POSTURES, Refined, SessionLag, in_common, refine_lag
 from dvrk_cmaes.calibration.model import SessionModel
-from dvrk_cmaes.calibration.session_lag import POSTURES, FramesOfLag, LagEstimate, describe_lag, refine_lag
-from dvrk_cmaes.calibration.solve import FrameFits
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.pose.terms.term import Quadratic
@@ -31,7 +29,7 @@ def moving_world(
     every: int = 6,
     drift: float = 0.0,
     noise: float = 0.3,
-) -> tuple[World, Clock, list[list[Mode]]]:
+) -> tuple[World, SessionLag, list[list[Mode]]]:
     """Make a smooth motion read at 30 Hz, and frames at every 6th row whose images are ``lag`` rows late.
 
     The lag is that of the middle frame and drifts. The noise of the readings is in standard deviations of the model's.
@@ -59,7 +57,7 @@ def moving_world(
     read_at = frames - lag - drift * (frames - (frames[0] + frames[-1]) / 2)
     shown = true_readings(read_at)
     at = SessionModel(shown[:, :4], shown[:, 4:], NAMES, blank.model.deviations).predict(blank.truth)
-    clock = Clock.of(series, list(series.frames), blank.model.deviations.outer)
+    clock = SessionLag.of(series, list(series.frames), blank.model.deviations.outer)
     read = series.at((*OUTER_JOINTS, *NAMES), frames)
     usual = blank.model.deviations
     model = SessionModel(read[:, :4], read[:, 4:], NAMES, usual, offset_std=EXPECTED_OFFSETS)
@@ -73,23 +71,25 @@ def only(lag: float, drift: float = 0.0) -> np.ndarray:
 
 
 def refined_near(
-    lag: float, world: World, clock: Clock, modes: list[list[Mode]], free: tuple[int, ...] = (0,)
+    lag: float, world: World, clock: SessionLag, modes: list[list[Mode]], free: tuple[int, ...] = (0,)
 ) -> tuple[np.ndarray, np.ndarray]:
     """Refine some values of a lag, from the whole frame nearest to it; returns these, and standard deviations."""
     start = only(round(lag))
     model = clock.model_at(world.model, start)
     found = find_consensus(model, modes, hypothesis_frames=6)
-    refined = refine_lag(FramesOfLag(clock, model, fits_of(modes), found.calibration), start, free)
+    frames = ArmFrames(model, fits_of(modes), found.calibration)
+    refined = refine_lag([(clock, frames)], start, drift=len(free) > 1)
     assert refined is not None
-    return refined[0][[*free]], refined[1][[*free]]
+    return refined.values[[*free]], refined.std[[*free]]
 
 
-def found_lag(lag: float, world: World, clock: Clock, modes: list[list[Mode]]) -> tuple[float, float]:
+def found_lag(lag: float, world: World, clock: SessionLag, modes: list[list[Mode]]) -> tuple[float, float]:
     """Search a lag, which must be found to a frame, and refine it."""
-    found = search_lag(clock, world.model, modes)
-    assert found.lag == pytest.approx(lag, abs=1.0)
-    value, std = refined_near(found.lag or 0.0, world, clock, modes)
-    return float(value[0]), float(std[0])
+    found = clock.searched(world.model, modes)
+    assert found.curve is not None
+    assert found.curve.lags[found.curve.misfit.argmin()] == pytest.approx(lag, abs=1.0)
+    assert found.known is not None
+    return found.known
 
 
 def fits_of(modes: list[list[Mode]]) -> FrameFits:
@@ -130,22 +130,17 @@ def test_wrong_frames_do_not_change_the_lag() -> None:
 def test_arm_that_hardly_moves_determines_no_lag() -> None:
     world, clock, _ = moving_world(3.0, seed=3)
     slow = {name: values.mean() + 1e-3 * (values - values.mean()) for name, values in clock.series.values.items()}
-    still = Clock.of(replace(clock.series, values=slow), list(clock.series.frames), world.model.deviations.outer)
+    still = SessionLag.of(replace(clock.series, values=slow), list(clock.series.frames), world.model.deviations.outer)
     model = still.model_at(world.model, only(0.0))
     held = replace(world, model=model, at=model.predict(world.truth))
     own = held.modes(np.random.default_rng(0))
-    found = search_lag(still, held.model, own)
-    if found.lag is None or found.calibration is None:
-        assert "quickly" in found.undetermined
-        return
-    start = only(found.lag)
-    frames = FramesOfLag(still, still.model_at(model, start), fits_of(own), found.calibration)
-    refined = refine_lag(frames, start)
-    assert refined is None or isinstance(describe_lag(still, *refined), str)
+    found = still.searched(held.model, own)
+    assert found.lag is None
+    assert found.undetermined
 
 
-def described(clock: Clock, value: float, std: float) -> Lag:
-    lag = describe_lag(clock, only(value), only(std))
+def described(clock: SessionLag, value: float, std: float) -> Lag:
+    lag = clock.decided(Refined(only(value), only(std)))
     assert isinstance(lag, Lag)
     return lag
 
@@ -156,7 +151,7 @@ def test_lag_is_applied_only_if_it_differs_from_zero() -> None:
     assert not described(clock, 0.5, 0.3).applied
     assert described(clock, 0.5, 0.1).applied
     assert described(clock, -1.0, 0.2).applied
-    undetermined = describe_lag(clock, only(4.0), only(1.5))
+    undetermined = clock.decided(Refined(only(4.0), only(1.5)))
     assert undetermined == (
         "standard deviation 1.5 frames; a recording in which the arm moves quickly would determine it"
     )
@@ -172,9 +167,9 @@ def test_clocks_that_run_at_different_rates_make_the_lag_drift(drift: float) -> 
     assert (lag.drift, lag.std_drift) == pytest.approx((value[1], std[1]), rel=0.3)
 
 
-def estimated(world: World, clock: Clock, modes: list[list[Mode]]) -> Lag:
+def estimated(world: World, clock: SessionLag, modes: list[list[Mode]]) -> Lag:
     """The lag that the frames' modes tell."""
-    estimate = LagEstimate.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
+    estimate = SessionLag.of(clock.series, list(clock.series.frames), world.model.deviations.outer)
     lag = estimate.searched(world.model, modes).lag
     assert lag is not None
     return lag
@@ -192,21 +187,24 @@ def test_arms_that_agree_share_their_lag_and_others_do_not() -> None:
     _, clock, _ = moving_world(2.0, 1)
     frame = clock.series.interval
     own, near, far = (
-        LagEstimate(clock, Lag.of(value * frame, std * frame, clock.series.unit, frame, applied=True))
+        replace(clock, lag=Lag.of(value * frame, std * frame, clock.series.unit, frame, applied=True))
         for value, std in ((2.0, 0.2), (2.3, 0.1), (4.0, 0.1))
     )
-    both = own.with_others([near])
+    both, other = in_common([own, near])
     assert both.lag is not None
+    assert both.lag == other.lag
     assert both.lag.frames == pytest.approx((2.0 / 0.04 + 2.3 / 0.01) / (1 / 0.04 + 1 / 0.01))
     assert both.lag.std_frames == pytest.approx((1 / 0.04 + 1 / 0.01) ** -0.5)
-    assert both.shared
-    assert own.with_others([far]) is own
-    unknown = replace(own, lag=None, undetermined="the arm hardly moves").with_others([near])
+    assert not both.alone
+    apart = in_common([own, far])
+    assert [lag.lag for lag in apart] == [own.lag, far.lag]
+    assert all(lag.alone for lag in apart)
+    unknown, _ = in_common([replace(own, lag=None, undetermined="the arm hardly moves"), near])
     assert unknown.lag is not None
     assert unknown.lag.frames == pytest.approx(2.3)
 
 
-def shuffled(clock: Clock) -> ReadingSeries:
+def shuffled(clock: SessionLag) -> ReadingSeries:
     """The rows of a series, and with them its frames, in another order."""
     order = np.random.default_rng(0).permutation(ROWS)
     place = np.argsort(order)
@@ -218,13 +216,13 @@ def shuffled(clock: Clock) -> ReadingSeries:
 def test_lag_is_found_in_rows_that_move_smoothly_and_not_in_shuffled_ones() -> None:
     world, clock, modes = moving_world(4.0, seed=1)
     names, outer_std = list(clock.series.frames), world.model.deviations.outer
-    smooth = LagEstimate.of(clock.series, names, outer_std).searched(world.model, modes)
+    smooth = SessionLag.of(clock.series, names, outer_std).searched(world.model, modes)
     assert smooth.lag is not None
     assert smooth.lag.frames == pytest.approx(4.0, abs=0.3)
-    estimate = LagEstimate.of(shuffled(clock), names, outer_std)
+    estimate = SessionLag.of(shuffled(clock), names, outer_std)
     found = estimate.searched(world.model, modes)
     assert (found.lag, found.applied, found.undetermined) == (None, None, POSTURES)
-    asked = LagEstimate.of(shuffled(clock), names, outer_std, "auto")
+    asked = SessionLag.of(shuffled(clock), names, outer_std, "auto")
     assert asked.searched(world.model, modes).curve is not None
 
 
@@ -232,24 +230,24 @@ def test_given_lag_is_neither_searched_nor_refined() -> None:
     world, clock, modes = moving_world(4.0, seed=1)
     names, outer_std = list(clock.series.frames), world.model.deviations.outer
     for text, frames in (("0", 0.0), ("3.5frames", 3.5)):
-        given = LagEstimate.of(clock.series, names, outer_std, Lag.parse("--lag", text))
+        given = SessionLag.of(clock.series, names, outer_std, Lag.parse("--lag", text))
         found = given.searched(world.model, modes)
-        assert found.refined(world.model, fits_of(modes), world.truth) == found == given
+        assert found is given
         assert found.lag == Lag(frames, 0.0, applied=frames != 0)
-    assert LagEstimate.of(None, names, outer_std, Lag.parse("--lag", "0")).applied is None
+    assert SessionLag.of(None, names, outer_std, Lag.parse("--lag", "0")).applied is None
     with pytest.raises(InputError, match="expected readings of numbered frames"):
-        LagEstimate.of(None, names, outer_std, Lag(2.0))
+        SessionLag.of(None, names, outer_std, Lag(2.0))
 
 
 def test_counted_frames_whose_readings_jump_have_no_known_times() -> None:
     world, clock, _ = moving_world(0.0, 1)
     names, outer_std = list(clock.series.frames), world.model.deviations.outer
-    followed = LagEstimate.of(clock.series, names, outer_std)
+    followed = SessionLag.of(clock.series, names, outer_std)
     assert followed.seconds() is not None
     far = np.random.default_rng(0).permutation(ROWS)
     picked = replace(clock.series, values={name: values[far] for name, values in clock.series.values.items()})
-    estimate = LagEstimate.of(picked, names, outer_std)
+    estimate = SessionLag.of(picked, names, outer_std)
     assert estimate.seconds() is None
     assert estimate.play(NAMES, world.model.joints, np.full(len(NAMES), 0.1)) is None
-    timed = LagEstimate.of(replace(picked, unit="s"), names, outer_std)
+    timed = SessionLag.of(replace(picked, unit="s"), names, outer_std)
     assert timed.seconds() is not None

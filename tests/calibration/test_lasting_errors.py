@@ -16,8 +16,8 @@ from dvrk_cmaes.calibration.lasting_errors import (
     LastingSize,
     without_lasting,
 )
-from dvrk_cmaes.calibration.lasting_estimate import LastingEstimate, estimate_lasting
 from dvrk_cmaes.calibration.solve import FrameFits, solve
+from dvrk_cmaes.calibration.variances import LastingEstimate, estimate_lasting
 from dvrk_cmaes.pose.terms.term import Quadratic
 
 SIZE = 6 + len(NAMES)

@@ -10,8 +10,6 @@ import pytest
 from helpers.session_worlds import make_frames_in_memory
 
 from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, calibrate_session
-from dvrk_cmaes.calibration.session_masks import Margin
-from dvrk_cmaes.calibration.session_state import Imaging
 
 FRAMES = 10
 
@@ -53,20 +51,3 @@ def test_exact_masks_are_left_as_they_are(calibrations: dict[int, tuple[SessionC
     assert not masks.applied
     assert masks.taken_off == 0
     assert abs(masks.margin_px) < 0.15
-
-
-def test_arms_share_the_margins_of_their_masks_and_the_camera() -> None:
-    """Each is the mean by the standard deviations; a margin that two arms tell together is taken off."""
-    one = Imaging(np.array([0.01, 2.0, 0.0]), np.diag([1e-4, 4.0, 4.0]), margins=(("left", Margin.of(0.3, 0.15)),))
-    other = Imaging(np.array([0.03, 4.0, 0.0]), np.diag([1e-4, 1.0, 4.0]), margins=(("left", Margin.of(0.36, 0.12)),))
-    assert not one.margins[0][1].applied
-    both = one.with_others([other])
-    ((view, margin),) = both.margins
-    assert view == "left"
-    assert margin.px == pytest.approx((0.3 / 0.15**2 + 0.36 / 0.12**2) / (0.15**-2 + 0.12**-2))
-    assert margin.applied
-    assert both.change is not None
-    assert both.of_change is not None
-    np.testing.assert_allclose(both.change, [0.02, 3.6, 0.0])
-    np.testing.assert_allclose(np.diag(both.of_change), [0.5e-4, 0.8, 2.0])
-    assert one.with_others([Imaging()]).change is one.change

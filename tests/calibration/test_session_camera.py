@@ -12,7 +12,7 @@ from helpers.transforms import change_between
 from dvrk_cmaes import Body, EstimateConfig, FrameData, SessionFrame
 from dvrk_cmaes.calibration.blocks import Calibration
 from dvrk_cmaes.calibration.lasting_errors import CommonErrors
-from dvrk_cmaes.calibration.linearise import FramesAt, SessionOutlines
+from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines
 from dvrk_cmaes.calibration.model import Deviations, SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraChange, CameraCheck, CameraEstimate, SessionCamera, check_camera
 from dvrk_cmaes.calibration.session_masks import MaskMargin
@@ -69,8 +69,8 @@ def check(
     of_camera = outlines.near(at, {one.name: one.start for one in outlines.blocks}).outlines
     fits = FrameFits(at, Quadratic(of_camera.information[:, :-4, :-4], of_camera.slope[:, :-4]))
     solution = solve(model, fits, Calibration.of(base, np.zeros(len(EXPECTED_OFFSETS)), EXPECTED_OFFSETS))
-    frames = FramesAt(model, solution.calibration, at)
-    return check_camera(frames, EstimateConfig(session=config), outlines), solution
+    arm = ArmOutlines(model, solution.calibration, at, outlines)
+    return check_camera([arm], EstimateConfig(session=config))[0], solution
 
 
 def estimate(change: tuple[float, float, float], std: tuple[float, float, float]) -> CameraEstimate:

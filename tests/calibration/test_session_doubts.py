@@ -10,13 +10,13 @@ import pytest
 from helpers.page_calibrations import calibration, solved
 
 from dvrk_cmaes import SessionCalibration, TrackResult
+from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, SessionCamera
 from dvrk_cmaes.calibration.session_doubts import (
     bad_predictions,
     doubts_of,
     resting_on,
 )
-from dvrk_cmaes.calibration.session_lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_masks import SessionMasks
 from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.geometry import Posed

@@ -10,14 +10,8 @@ from helpers.session_worlds import BASE, EXPECTED_OFFSETS, NAMES, SEEN, World, m
 from helpers.transforms import change_between, moved, rotation_angle
 from scipy.special import chdtri
 
-from dvrk_cmaes.calibration.blocks import Block, Calibration
-from dvrk_cmaes.calibration.solve import (
-    FrameFits,
-    Solved,
-    leave_one_out,
-    solution_at,
-    solve,
-)
+from dvrk_cmaes.calibration.blocks import Base, Block, Calibration, Offsets
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, Solved, leave_one_out, solution_at, solve, solve_arms
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.terms.term import Quadratic
 
@@ -132,11 +126,11 @@ def test_information_and_slope_are_the_derivatives_of_the_frames_cost(further: i
 
     def half(step: np.ndarray) -> float:
         """Give half the sum of the frames' costs, whose weights are 1."""
-        found = solution_at(world.model, fits, start.changed(step))
+        found = solution_at([ArmFrames(world.model, fits, start.changed(step))])[0]
         np.testing.assert_array_equal(found.weights, 1)
         return float(found.misfit.sum() / 2)
 
-    found = solution_at(world.model, fits, start)
+    found = solution_at([ArmFrames(world.model, fits, start)])[0]
     steps = np.diag(scale)
     slope = [(half(step) - half(-step)) / 2 for step in steps]
     curvature = [half(step) - 2 * half(0 * step) + half(-step) for step in steps]
@@ -157,20 +151,57 @@ def test_further_unknowns_that_act_are_found_beside_the_calibration() -> None:
     assert (np.abs(off) < 3 * std[:6]).all()
 
 
-def test_unknown_that_changes_what_is_predicted_is_found_as_an_offset_is() -> None:
-    """An unknown with the effect of an offset of the wrist, which is itself kept at zero, takes its value."""
-    world = make_world(offsets=np.zeros(5))
-    fits, wrist = world.fits(np.random.default_rng(0)), 6 + NAMES.index("wrist_yaw")
-    place = 8 + NAMES.index("wrist_yaw")
-    effect = np.zeros((len(world.at), 6 + len(NAMES), 1))
-    effect[:, wrist] = 1.0
-    std = EXPECTED_OFFSETS.copy()
-    std[place - 6] = 1e-6
-    start = Calibration.of(a_start(world).camera_from_base, np.zeros(5), std)
-    start = start.beside(Block("turned", EXPECTED_OFFSETS[place - 6 : place - 5]), turned=np.zeros(1))
-    plain = solve(world.model, fits, a_start(world))
-    beside = solve(world.model, fits.along("turned", np.zeros(1), effect), start)
-    assert beside.calibration.further == pytest.approx(plain.calibration.offsets[place - 6 : place - 5], rel=1e-3)
-    np.testing.assert_allclose(beside.weights, plain.weights, rtol=1e-3)
-    std = np.sqrt(np.diag(np.linalg.inv(beside.information)))[-1]
-    assert std == pytest.approx(np.sqrt(np.diag(np.linalg.inv(plain.information)))[place], rel=1e-3)
+class SharedBase(Base):
+    """A base that two arms have in common."""
+
+    shared = True
+
+
+class SharedOffsets(Offsets):
+    """Offsets that two arms have in common."""
+
+    shared = True
+
+
+def test_what_arms_share_stands_in_their_problem_once() -> None:
+    """Frames in two arms that share all unknowns tell what they tell as those of one arm."""
+    world = make_world(20)
+    fits = world.fits(np.random.default_rng(1))
+    whole = solve(world.model, fits, a_start(world))
+    start = Calibration((SharedBase(), SharedOffsets(EXPECTED_OFFSETS, NAMES)), a_start(world).values)
+    halves = [list(range(10)), list(range(10, 20))]
+    one, other = solve_arms([ArmFrames(world.model.subset(own), fits.subset(own), start) for own in halves])
+    np.testing.assert_allclose(one.calibration.camera_from_base, whole.calibration.camera_from_base, atol=1e-9)
+    np.testing.assert_allclose(other.calibration.offsets, whole.calibration.offsets, atol=1e-9)
+    np.testing.assert_allclose(one.whole.information, whole.information, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(one.information, whole.information, rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(np.concatenate([one.weights, other.weights]), whole.weights, atol=1e-9)
+
+
+def test_arms_that_share_nothing_are_solved_as_by_themselves() -> None:
+    worlds = make_world(8, seed=1), make_world(12, seed=2)
+    frames = [
+        ArmFrames(world.model, world.fits(np.random.default_rng(seed)), a_start(world))
+        for seed, world in enumerate(worlds)
+    ]
+    for both, own in zip(solve_arms(frames), frames, strict=True):
+        alone = solve(*own)
+        np.testing.assert_allclose(both.calibration.offsets, alone.calibration.offsets, atol=1e-5)
+        np.testing.assert_allclose(both.information, alone.information, rtol=1e-3, atol=1e-3 * alone.information.max())
+
+
+def test_an_arm_that_is_seen_well_helps_the_other_one_by_what_they_share() -> None:
+    """Of an unknown with the effect of a roll of both arms, one arm tells much."""
+    worlds = make_world(6, seed=1), make_world(40, seed=2)
+    block = Block("some", np.ones(1))
+    block.shared = True
+    frames = []
+    for seed, world in enumerate(worlds):
+        columns = np.zeros((len(world.at), 9, 1))
+        columns[:, 5] = 0.1
+        fits = with_further(world, world.fits(np.random.default_rng(seed)), columns, np.zeros(1))
+        start = Calibration.of(a_start(world).camera_from_base, np.zeros(5), np.array([1e-3, 0.02, 0.3, 0.3, 0.3]))
+        frames.append(ArmFrames(world.model, fits, start.beside(block, some=np.zeros(1))))
+    alone, both = solve_arms(frames[:1])[0], solve_arms(frames)
+    assert both[0].calibration.values["some"] == pytest.approx(both[1].calibration.values["some"])
+    assert np.diag(both[0].covariance)[-1] < 0.8 * np.diag(alone.covariance)[-1]

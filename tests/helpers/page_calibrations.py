@@ -10,7 +10,7 @@ import numpy as np
 
 from dvrk_cmaes import Result, SessionCalibration
 from dvrk_cmaes.calibration.blocks import BASE_AXES
-from dvrk_cmaes.calibration.session_cables import CablesAlone, SessionCables
+from dvrk_cmaes.calibration.cables import CablesAlone, SessionCables
 from dvrk_cmaes.draw.left_out_overlay import draw_left_out
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.results.paths import left_out_path

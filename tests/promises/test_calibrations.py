@@ -136,3 +136,4 @@ def test_session_without_outer_joints_cannot_be_calibrated(tmp_path: Path, quick
     (tmp_path / "session" / "joints.csv").write_text(text + "\n")
     words = ("calibrate", tmp_path / "session", "--out", tmp_path / "out", "--config", quick, "--workers", 1)
     assert "yaw" in run(*words).refusal
+    assert not (tmp_path / "out").exists()

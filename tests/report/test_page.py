@@ -15,7 +15,7 @@ from helpers.page_results import doubtful, failed, page_of, result, write_result
 from helpers.transforms import exp_rotation, transform
 
 from dvrk_cmaes import InputError, Lag, Result
-from dvrk_cmaes.calibration.lag_search import LagCurve
+from dvrk_cmaes.calibration.lag import LagCurve
 from dvrk_cmaes.report.page import session_charts, write_page
 from dvrk_cmaes.report.template import counted_reasons
 

@@ -23,7 +23,7 @@ from dvrk_cmaes import (
     read_calibration,
     read_session,
 )
-from dvrk_cmaes.calibration.session_state import SessionProblem
+from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import solved_alone
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.results.track_files import read_tracks
@@ -152,7 +152,7 @@ def test_keyframes_start_from_where_the_first_of_them_expect_them(
     def run(function: Any, tasks: Sequence[Any]) -> list[Any]:
         return [function(body, config, task) for task in tasks]
 
-    problem = SessionProblem(recorded.series, body.instrument, "classic", config, run)
+    problem = ArmSetup(recorded.series, body.instrument, "classic", config, run)
     solved = solved_alone(begin_keyframes(recorded, problem))
     assert isinstance(solved, RecordedSolution)
     assert [task.start is None for task in tried] == [True] * 7 + [False] * (len(tried) - 7)

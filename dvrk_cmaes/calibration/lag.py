@@ -1,0 +1,700 @@
+"""The lag of the images behind the readings, which all frames of a session share.
+
+A wrong lag gives a moving arm readings of another moment, so that the frames' poses no longer agree on one
+camera_from_base. A search by the frames' own modes finds where they agree best. From then on the lag is a block beside
+base and offsets: a change of it changes what is predicted of a frame by the velocity of its readings. Clocks of
+different rates make the lag drift; the drift is estimated with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+
+from dvrk_cmaes.calibration.blocks import Calibration, PredictedBlock
+from dvrk_cmaes.calibration.consensus import IMPROVEMENT, Consensus, Mode, choose_modes, find_consensus
+from dvrk_cmaes.calibration.endoscope import Steered
+from dvrk_cmaes.calibration.model import Deviations, Late, SessionModel
+from dvrk_cmaes.calibration.solve import ArmFrames, FrameFits, solve_arms
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.geometry import Bool, Float64, Indices
+from dvrk_cmaes.instrument.arm import OUTER_JOINTS
+from dvrk_cmaes.io.encode import Document
+from dvrk_cmaes.io.typed_document import Number
+from dvrk_cmaes.joints.lag import Lag, Unit
+from dvrk_cmaes.joints.names import ECM_JOINTS
+from dvrk_cmaes.joints.play import Play, play_between
+from dvrk_cmaes.joints.series import ReadingSeries
+
+LAG: Final = "lag"
+"""Name of the block."""
+RANGE: Final = {"frames": (-5.0, 15.0), "s": (-0.25, 0.75)}
+"""Least and largest lag of the search, by unit."""
+FARTHEST: Final = {"frames": 90.0, "s": 3.0}
+"""Largest lag of the search, in either direction, where the frames agree at no lag in `RANGE`."""
+UNLIKELY: Final = 1.5
+"""Ratio to the least misfit, from which on a lag is unlikely."""
+MOST_LAGS: Final = 3
+"""Largest number of lags at which a session is solved, beside none."""
+MOVE: Final = "a recording in which the arm moves quickly would determine it"
+NO_READINGS_AT_LAG: Final = "no readings once the lag is taken out"
+"""Why a frame is left out."""
+POSTURES: Final = (
+    "the rows have no times, and readings jump from row to row, as those of postures: none is looked for unless --lag "
+    "auto asks for it; give times of a recording"
+)
+"""Why no lag is looked for."""
+
+# readings
+_FRAME_SECONDS = 1 / 30  # between images that have no times
+_STEP = {"frames": 1.0, "s": _FRAME_SECONDS}  # of the search, at most the time between images
+_MOST_STEPS = 61
+_CABLE_SECONDS = 2.0  # for which the errors of the joints that cables move stay alike
+_ROUGH = 5.0  # standard deviations of a reading that it may change unevenly from row to row
+# search
+_LEAST_FRAMES = 6  # of a session; with fewer, a lag cannot be distinguished from outliers
+_LEAST_AT_LAG, _LEAST_SHARE = 4, 0.5  # frames, and share of them, that must have readings at a lag
+_HYPOTHESIS_FRAMES, _TEST_FRAMES = 12, 60  # of each consensus of the search
+_DISAGREE = 2.0  # mean misfit, of at most 4, from which on the frames agree hardly, and a lag is looked for far away
+_NOWHERE = 3.0  # mean misfit from which on most frames disagree, and the best lag is one by chance
+_COARSE = 3  # steps of the search, in each of the far one: the misfit falls over many times as much
+# what a curve tells
+_TOLD_BY_A_FRAME = 1.25  # degrees of freedom, of 5 of its pose: frames of a recording share errors
+_FLAT = 1.0  # steps of the curve: root mean square of what it allows, from which on it hardly tells a lag
+_OF_A_LAG, _OF_NONE = 0.5, 0.7  # of that, least standard deviation of a lag, and of none
+_UNDETERMINED, _UNKNOWN = 2.0, 3.0  # frames, least and largest standard deviation of a lag that is not determined
+# refinement
+_LAG, _DRIFT = range(2)  # of the values of a lag
+_DRIFT_STD = 1e-3  # expected beforehand: clocks differ by parts per thousand at most
+_SHARED_ERRORS = 2.0  # factor on the standard deviation: the frames of a recording share errors of masks and readings
+_LINEARISATIONS, _MOST_LINEARISATIONS = 4, 10  # those that do not move the lag by half a step of the search, and all
+_DRIFT_STEPS = 4.0  # range of the change of the lag in half of the session, in steps of the search
+_LEAST_STEP = 0.25  # of the refinement's differences, relative to the search's
+_SETTLED, _SETTLING = 0.01, 0.45  # steps of the search, by which a refined value still changes, and by which at most
+# decision
+_SIGNIFICANT = 2.0  # standard deviations
+_LEAST_LAG = 0.3  # frames, below which a lag, or its change in half of the session, is not corrected
+_LARGEST_STD = 1.0  # frames, above which the lag is not determined
+_APART = 1.0  # frames, from which on two lags differ
+_AGREE = 3.0  # standard deviations of each lag, within which those of several arms are taken for one
+
+
+class LagBlock(PredictedBlock):
+    """Some values of a lag: that in the middle of the frames, in the unit of their times, and its change by time."""
+
+    shared = True
+
+    def __init__(self, std: Float64) -> None:
+        super().__init__(LAG, std, (LAG, "drift")[: len(std)])
+
+    def derivative(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes of the predictions by those of the readings (`SessionModel.late`)."""
+        assert model.late is not None
+        return model.late.effect
+
+
+@dataclass(frozen=True)
+class LagCurve(Document):
+    """Disagreement of the frames as a function of the lag.
+
+    Each of the ``points`` is a lag in a ``unit``, s or frames, and a misfit: the mean of the frames' squared
+    Mahalanobis distances from their consensus by degree of freedom, each at most `INLIER_MISFIT`.
+    """
+
+    unit: Unit
+    points: tuple[tuple[Number, Number], ...]
+
+    @classmethod
+    def of(cls, unit: Unit, lags: Float64, misfit: Float64) -> LagCurve:
+        """Return the curve of lags (L,) and their misfits (L,)."""
+        return cls(unit, tuple(zip(lags.tolist(), misfit.tolist(), strict=True)))
+
+    @property
+    def lags(self) -> Float64:
+        """The lags (L,)."""
+        return np.array([lag for lag, _ in self.points])
+
+    @property
+    def misfit(self) -> Float64:
+        """The misfits (L,)."""
+        return np.array([misfit for _, misfit in self.points])
+
+    @property
+    def against_none(self) -> bool:
+        """Whether the frames disagree much more without a lag than at the lag at which they agree best."""
+        if len(self.lags) < 3:
+            return False
+        return bool(self.misfit[np.argmin(np.abs(self.lags))] > UNLIKELY * self.misfit.min())
+
+    @property
+    def minima(self) -> list[float]:
+        """The minima between the ends that are not much higher than the lowest point, by increasing misfit."""
+        misfit = self.misfit
+        inner = np.arange(1, max(len(misfit) - 1, 1))
+        inner = (
+            inner[(misfit[inner] <= misfit[inner - 1]) & (misfit[inner] <= misfit[inner + 1])]
+            if len(misfit) > 2
+            else inner[:0]
+        )
+        order = inner[np.argsort(misfit[inner], kind="stable")]
+        return [float(self.lags[k]) for k in order if misfit[k] <= UNLIKELY * misfit.min()]
+
+    @property
+    def to_try(self) -> list[float]:
+        """The lags at which a session is solved, the best first; without zero."""
+        if len(self.lags) < 3:
+            return []
+        step = float(np.diff(self.lags).min())
+        return [lag for lag in self.minima if abs(lag) > 0.5 * step][:MOST_LAGS]
+
+    def root_mean_square(self, frames: int, unknown: float, about: float = 0.0) -> float:
+        """Return the root mean square of how far the lags that the curve allows are from one, in its unit.
+
+        Parameters
+        ----------
+        frames
+            Number of frames of which the curve is.
+        unknown
+            Standard deviation of the lag beforehand, in the unit of the curve. The result is at most the root mean
+            square of what is allowed beforehand.
+        about
+            The lag from which the others are counted.
+        """
+        told = _TOLD_BY_A_FRAME * frames * (self.misfit - self.misfit.min())
+        weights = np.exp(-0.5 * (told + (self.lags / unknown) ** 2))
+        return float(min(np.sqrt(weights @ (self.lags - about) ** 2 / weights.sum()), np.hypot(unknown, about)))
+
+    def least_std(self, frames: int, unknown: float, value: float, *, applied: bool) -> float:
+        """Return the least standard deviation of a lag, in the unit of the curve: 0 where the curve tells the lag.
+
+        Where the curve is flat, as of few frames that follow each other closely, errors that the frames share displace
+        its minimum.
+
+        Parameters
+        ----------
+        frames
+            Number of frames of which the curve is.
+        unknown
+            Standard deviation of the lag beforehand, in the unit of the curve.
+        value
+            The lag, in the unit of the curve.
+        applied
+            Whether it differs from none.
+        """
+        if len(self.lags) < 2:
+            return 0.0
+        allowed = self.root_mean_square(frames, unknown, value)
+        if allowed <= _FLAT * float(np.diff(self.lags).max()):
+            return 0.0
+        return allowed * (_OF_A_LAG if applied else _OF_NONE)
+
+
+class Refined(NamedTuple):
+    """Values (2,) of a lag, in the unit of the readings' times, and their standard deviations (2,)."""
+
+    values: Float64
+    std: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class SessionLag:
+    """The readings of an arm's N frames at any lag of the images, and what is known of the lag.
+
+    ``series`` are all readings, None where the frames have no order; ``times`` (N,) those of the frames' images on its
+    clock, ``middle`` the middle of the times of all frames. ``interpolable`` tells whether the readings may be
+    interpolated, because the rows follow each other closely in time. ``step`` is that of the search, in the unit of the
+    series; for readings that cannot be interpolated it is the time between their rows, None if that is not constant.
+
+    ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
+    frames as a function of the lag, ``nowhere`` tells that they agree at none. ``rivals`` are lags, in the unit of the
+    series, that fit about as well as the one of the search. ``fixed`` tells that the lag was given, or is not looked
+    for: neither is it searched nor refined. ``alone`` tells that the other arms of the session have another one.
+
+    Values (2,) of a lag are that in the middle of the frames, in the unit of the series, and its change by time.
+    """
+
+    series: ReadingSeries | None
+    times: Float64
+    middle: float = 0.0
+    interpolable: bool = False
+    step: float | None = None
+    lag: Lag | None = None
+    undetermined: str = ""
+    nowhere: bool = False
+    curve: LagCurve | None = None
+    rivals: tuple[float, ...] = ()
+    fixed: bool = False
+    alone: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        series: ReadingSeries | None,
+        names: Sequence[str],
+        outer_std: Float64,
+        given: Lag | Literal["auto"] | None = None,
+    ) -> SessionLag:
+        """Return what is known before anything is estimated.
+
+        Parameters
+        ----------
+        series
+            The readings as functions of time, with the frames' times; None if there are none.
+        names
+            Those of the frames in the order of their model.
+        outer_std
+            (4,), of the readings of the outer joints.
+        given
+            The lag that is taken out, and neither searched nor refined; ``auto`` to look for it in readings without
+            times that jump from row to row, too, which are those of postures and no recording.
+
+        Raises
+        ------
+        InputError
+            The given lag is not known in the unit of the series, or there are no readings to take it out of.
+        """
+        if series is None or not all(name in series.frames for name in names):
+            return cls._without_order(len(names), given)
+        low, high = RANGE[series.unit]
+        postures = series.unit == "frames" and series.jumps(OUTER_JOINTS, _ROUGH * outer_std)
+        interpolable = not postures and series.is_interpolable(OUTER_JOINTS, _ROUGH * outer_std)
+        fine = max(min(_STEP[series.unit], series.interval), (high - low) / (_MOST_STEPS - 1))
+        step = fine if interpolable else series.spacing(OUTER_JOINTS[0])
+        times = np.array([series.frames[name] for name in names])
+        found = cls(series, times, float(times.min() + times.max()) / 2, interpolable, step)
+        if isinstance(given, Lag):
+            value = given.in_unit(series.unit)
+            lag = Lag.of(value, 0.0, series.unit, series.interval, applied=value != 0)
+            return replace(found, lag=lag, fixed=True)
+        return replace(found, undetermined=POSTURES, fixed=True) if postures and given is None else found
+
+    @classmethod
+    def _without_order(cls, frames: int, given: Lag | Literal["auto"] | None) -> SessionLag:
+        """Return that of frames without an order, of which only a lag of zero may be given."""
+        times = np.full(frames, np.nan)
+        if isinstance(given, Lag):
+            if given.frames or given.seconds:
+                raise InputError(
+                    "lag: expected readings of numbered frames, or times of images and readings, got neither"
+                )
+            return cls(None, times, lag=Lag.of(0.0, 0.0, "frames", 1.0, applied=False), fixed=True)
+        return cls(
+            None,
+            times,
+            undetermined="the frames have no order: name them by numbers, or give the times of images (images.csv) and "
+            "readings",
+        )
+
+    def subset(self, index: Sequence[int] | Indices) -> SessionLag:
+        """Return that of the frames at some indices."""
+        return replace(self, times=self.times[np.asarray(index, dtype=np.intp)])
+
+    # readings at a lag
+
+    @property
+    def _known(self) -> ReadingSeries:
+        assert self.series is not None
+        return self.series
+
+    @property
+    def applied(self) -> Lag | None:
+        """The lag that is taken out of the readings; None if none is."""
+        return self.lag if self.lag is not None and self.lag.applied else None
+
+    @property
+    def values(self) -> Float64:
+        """Values (2,) of the lag that is taken out; zero if none is."""
+        return self.values_of(self.applied)
+
+    def values_of(self, lag: Lag | None) -> Float64:
+        """Return the values (2,) of a lag; zero for None."""
+        if lag is None or self.series is None:
+            return np.zeros(2)
+        middle = np.array([self.middle + self.series.origin])
+        return np.array([lag.at(middle, self.series.unit)[0], lag.drift])
+
+    @property
+    def half_duration(self) -> float:
+        """Half of the time between the first and the last image."""
+        return float(np.ptp(self.times)) / 2
+
+    def read_times(self, values: Float64) -> Float64:
+        """Return the times (N,) at which the arm was read as the images show it."""
+        return np.asarray(self.times - values[_LAG] - values[_DRIFT] * (self.times - self.middle))
+
+    def has_readings(self, values: Float64) -> Bool:
+        """Whether each frame has readings of all outer joints at a lag, (N,)."""
+        return np.asarray(~np.isnan(self._known.at(OUTER_JOINTS, self.read_times(values))).any(axis=1))
+
+    @property
+    def all_have_readings(self) -> bool:
+        """Whether each frame has readings of all outer joints at the lag that is taken out."""
+        return self.applied is None or bool(self.has_readings(self.values).all())
+
+    def has_readings_near(self) -> Bool:
+        """Whether each frame has readings at the lag that is taken out, and half a step of the search beside it."""
+        reach = (self.step or 0.0) / 2 if self.interpolable else 0.0
+        near = [self.has_readings(self.values + by * np.eye(2)[_LAG]) for by in (-reach, reach)]
+        return np.asarray(near[0] & near[1])
+
+    def model_at(self, model: SessionModel, values: Float64) -> SessionModel:
+        """Return a model with the readings of the times of the images less a lag."""
+        return self._model_at(model, values, model.deviations, smoothed=False)
+
+    def corrected(self, model: SessionModel) -> SessionModel:
+        """Return a model with the readings of the times of the images less the lag that is taken out."""
+        return model if self.applied is None else self.model_at(model, self.values)
+
+    def model_to_compare(self, model: SessionModel, values: Float64) -> SessionModel:
+        """Return the model of `model_at` by which lags are compared.
+
+        Its readings are smoothed where they may be interpolated: otherwise a lag between two rows would agree better
+        than one at a row, because it averages the noise of both. The errors of joints that cables move last for
+        seconds, so that frames close to each other count as one for these joints: play in the cables would
+        otherwise be taken for a lag.
+        """
+        count = len(self.times)
+        spacing = 2 * self.half_duration / max(count - 1, 1) * self._unit_seconds
+        factor = float(np.sqrt(np.clip(_CABLE_SECONDS / max(spacing, 1e-9), 1.0, count)))
+        own = model.deviations
+        outer = own.outer * np.where(np.array(OUTER_JOINTS) == "roll", factor, 1.0)
+        return self._model_at(model, values, replace(own, outer=outer, joints=factor * own.joints), smoothed=True)
+
+    def _model_at(
+        self, model: SessionModel, values: Float64, deviations: Deviations, *, smoothed: bool
+    ) -> SessionModel:
+        read, spline = self.read_times(values), smoothed and self.interpolable
+        outer = self._known.at(OUTER_JOINTS, read, smoothed=spline)
+        joints = self._known.at(model.names, read, smoothed=spline)
+        endoscope = model.endoscope
+        if isinstance(endoscope, Steered):
+            endoscope = endoscope.at(self._known.at(ECM_JOINTS, read))
+        return replace(model, outer=outer, joints=joints, deviations=deviations, endoscope=endoscope)
+
+    # times of the frames
+
+    @property
+    def _unit_seconds(self) -> float:
+        """Length of the unit of the series, s; images that are only counted are 1 / 30 s apart."""
+        return 1.0 if self._known.unit == "s" else _FRAME_SECONDS
+
+    @property
+    def _timed(self) -> bool:
+        """Whether the time between frames is known.
+
+        Frames that are only counted are taken for consecutive images, but not if their readings jump from row to row:
+        then they were picked from a recording, and the time between them is not known.
+        """
+        return self.series is not None and (self.series.unit == "s" or self.interpolable)
+
+    def seconds(self) -> Float64 | None:
+        """Return the times (N,), s, at which the arm was read as the images show it; None where they are not known."""
+        return self._unit_seconds * self.read_times(self.values) if self._timed else None
+
+    def play(self, names: Sequence[str], readings: Float64, width: Float64) -> Play | None:
+        """Return how far C joints stay behind their readings (N, C); None where the times are not known.
+
+        ``width`` (C,), rad, is that of their play; all readings of the series count.
+        """
+        if not self._timed:
+            return None
+        at, of_joints, series = self.read_times(self.values), [], self._known
+        for name, column, band in zip(names, readings.T, width, strict=True):
+            times, values = series.times.get(name), series.values.get(name)
+            if times is None or values is None:
+                times, values = np.zeros(1), np.full(1, np.nan)
+            of_joints.append(play_between(times, values, float(band), at, column))
+        return Play(*(np.stack(part, axis=1) for part in zip(*of_joints, strict=True)))
+
+    # what is known of the lag
+
+    @property
+    def can_be_tried(self) -> bool:
+        """Whether no lag is known, and the readings follow each other closely enough that one can be taken out."""
+        return self.lag is None and not self.fixed and self.interpolable
+
+    def with_trial(self, value: float) -> SessionLag:
+        """Return the estimate with a lag to be tried, in the unit of the series; the frames' fits refine it."""
+        if self.series is None:
+            return self
+        step = self.step or self.series.interval
+        return replace(self, lag=Lag.of(value, step, self.series.unit, self.series.interval, applied=True))
+
+    def undecided(self) -> SessionLag:
+        """Return the estimate without the lag that the search has found, which is one of several."""
+        assert self.series is not None
+        lags = ", ".join(f"{lag:.3g}" for lag in sorted(self.rivals))
+        alike = f"frames agree about as well at {lags} {self.series.unit}"
+        return replace(self, lag=None, undetermined=f"{alike}, and at none they predict left-out frames clearly better")
+
+    def with_estimate(self, found: Refined | None) -> SessionLag:
+        """Return the estimate with a refined lag where that is determined; one that is taken out stays so."""
+        lag: Lag | str = "the frames' disagreement has no minimum there, or too few frames have readings"
+        if found is not None:
+            lag = self.decided(found)
+        if isinstance(lag, Lag):
+            return replace(self, lag=replace(lag, applied=lag.applied or self.applied is not None))
+        return replace(self, undetermined=lag) if self.lag is None else self
+
+    def decided(self, found: Refined) -> Lag | str:
+        """Decide whether a lag is to be taken out; a text that says why where it is not determined."""
+        (value, drift), std, series = found.values, found.std, self._known
+        if std[_LAG] > _LARGEST_STD * series.interval:
+            return f"standard deviation {std[_LAG] / series.interval:.1f} frames; {MOVE}"
+        significant = abs(value) > max(_SIGNIFICANT * std[_LAG], _LEAST_LAG * series.interval) or drift != 0
+        described = Lag.of(float(value), float(std[_LAG]), series.unit, series.interval, applied=bool(significant))
+        if drift == 0:
+            return described
+        return replace(described, drift=float(drift), std_drift=float(std[_DRIFT]), middle=self.middle + series.origin)
+
+    @property
+    def known(self) -> tuple[float, float] | None:
+        """The lag and its standard deviation in the unit of the series; None where it is not determined, or drifts."""
+        if self.lag is None or self.series is None or self.lag.drift:
+            return None
+        std = self.lag.std_seconds if self.series.unit == "s" else self.lag.std_frames
+        return None if std is None else (float(self.values_of(self.lag)[_LAG]), std)
+
+    def change_of_predictions(self, model: SessionModel, calibration: Calibration) -> Float64:
+        """Return the changes (N, D) of what is predicted of the frames, by one standard deviation of the lag.
+
+        They are in the root's axes and of the joints, m and rad; zero where the readings cannot be interpolated, or a
+        frame has none there. A lag that the frames do not determine has the standard deviation that the curve tells,
+        but at least `_UNDETERMINED` frames.
+        """
+        none = np.zeros((len(model.outer), 6 + len(model.names)))
+        if not self.interpolable:
+            return none
+        series, count = self._known, len(self.times)
+        told = None if self.lag is None else (self.lag.std_seconds if series.unit == "s" else self.lag.std_frames)
+        unknown, applied = _UNKNOWN * series.interval, self.applied is not None
+        if told is not None:
+            least = self.curve.least_std(count, unknown, self.values[_LAG], applied=applied) if self.curve else 0.0
+            step = max(told, least)
+        else:
+            allowed = self.curve.root_mean_square(count, unknown) if self.curve and len(self.curve.lags) > 2 else 0.0
+            step = max(_UNDETERMINED * series.interval, allowed)
+        ends = [self.model_at(model, self.values + by * np.eye(2)[_LAG]) for by in (step, -step)]
+        later, earlier = (end.predict(calibration) for end in ends)
+        change = later.minus(earlier) / 2
+        return np.where(np.isnan(change).any(axis=1, keepdims=True), none, change)
+
+    # search by the frames' modes
+
+    def searched(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SessionLag:
+        """Find the lag from the frames' own modes; arguments as in `find_consensus`.
+
+        Where the lags that follow from several minima of the curve differ, they are ``rivals``.
+        """
+        if self.series is None or self.fixed:
+            return self
+        found, best = self._search(model, modes)
+        if best is None:
+            return found
+        refined = found.with_estimate(found._refined_modes(model, modes, best))
+        assert found.curve is not None
+        if not found.interpolable or refined.applied is None:
+            return refined
+        others = [one for lag in found.curve.minima if (one := found._refined_modes(model, modes, lag)) is not None]
+        lags, apart = [float(refined.values[_LAG])], _APART * found._known.interval
+        for lag in (float(one.values[_LAG]) for one in others):
+            if all(abs(lag - other) > apart for other in lags):
+                lags.append(lag)
+        return replace(refined, rivals=tuple(lags) if len(lags) > 1 else ())
+
+    def _refined_modes(self, model: SessionModel, modes: Sequence[Sequence[Mode]], lag: float) -> Refined | None:
+        """Refine a lag of the search by the modes that agree there."""
+        start = np.array([lag, 0.0])
+        consensus = self._consensus(model, modes, start)
+        if consensus is None:
+            return None
+        has = np.flatnonzero(self.has_readings(start))
+        shifted = self.model_at(model, start).subset(has)
+        chosen = choose_modes(shifted, [modes[int(i)] for i in has], consensus.calibration)
+        frames = ArmFrames(shifted, FrameFits.of_modes(chosen), consensus.calibration)
+        return refine_lag([(self.subset(has), frames)], start)
+
+    def _search(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> tuple[SessionLag, float | None]:
+        """Find the lag at which the frames' modes agree best; None with the reason where they do not determine it.
+
+        Where they agree at no lag of the usual range, the far range is searched too. The lag is not determined by too
+        few frames, nor if the best lag is at the end of the range, or the frames agree at none. Readings that cannot be
+        interpolated must be at regular times, and the lag must halve the mean misfit.
+        """
+        if len(modes) < _LEAST_FRAMES:
+            text = f"{len(modes)} frames have a pose and readings, at least {_LEAST_FRAMES} are needed"
+            return replace(self, undetermined=text), None
+        if self.step is None:
+            text = (
+                "the readings are too far apart in time to be interpolated, and at uneven times: give all rows of the "
+                "recording, not only those of the frames"
+            )
+            return replace(self, undetermined=text), None
+        unit, step, ends = self._known.unit, self.step, tuple[float, ...]()
+        low, high = RANGE[unit]
+        lags, costs = self._costs(model, modes, low, high, step)
+        if self.interpolable and not costs.min() <= _DISAGREE:
+            low, high = -FARTHEST[unit], FARTHEST[unit]
+            coarse, far = self._costs(model, modes, low, high, _COARSE * step)
+            if far.min() < costs.min() / UNLIKELY:
+                about, ends = float(coarse[far.argmin()]), (low, high)
+                near = max(low, about - _COARSE * step), min(high, about + _COARSE * step)
+                lags, costs = self._costs(model, modes, *near, step)
+        best, synchronous = int(np.argmin(costs)), int(np.argmin(np.abs(lags)))
+        found = replace(self, curve=LagCurve.of(unit, lags[np.isfinite(costs)], costs[np.isfinite(costs)]))
+        if not np.isfinite(costs[best]):
+            return replace(found, undetermined="too few frames have readings at any lag"), None
+        if not self.interpolable and best != synchronous and costs[best] > IMPROVEMENT * costs[synchronous]:
+            text = (
+                "the readings are too far apart in time to be interpolated, and no lag of whole rows is much better "
+                "than none: give all rows of the recording"
+            )
+            return replace(found, undetermined=text), None
+        at_end = min((abs(lags[best] - end) for end in ends), default=np.inf) < _COARSE * step
+        nowhere = (at_end or costs[best] > _DISAGREE) if ends else bool(costs[best] > _NOWHERE)
+        if nowhere:
+            text = (
+                f"not determined in the range searched, {low:g} to {high:+g} {unit}: the frames agree at no lag in it; "
+                "it may lie beyond (take a first guess out by import --lag, or subtract it from image times)"
+            )
+            return replace(found, undetermined=text, nowhere=True), None
+        if not ends and best in (0, len(lags) - 1):
+            text = f"the frames agree best at the end of the range that was searched; {MOVE}"
+            return replace(found, undetermined=text), None
+        return found, float(lags[best])
+
+    def _costs(
+        self, model: SessionModel, modes: Sequence[Sequence[Mode]], low: float, high: float, step: float
+    ) -> tuple[Float64, Float64]:
+        """Return the lags (L,) of a search and the mean misfits (L,) there; infinite with too few readings."""
+        lags = np.asarray(step * np.arange(round(low / step), round(high / step) + 1), np.float64)
+        agreed = [self._consensus(model, modes, np.array([lag, 0.0])) for lag in lags]
+        return lags, np.array([np.inf if each is None else each.mean_misfit for each in agreed])
+
+    def _consensus(self, model: SessionModel, modes: Sequence[Sequence[Mode]], values: Float64) -> Consensus | None:
+        """Return the consensus of the frames' modes at a lag; None if too few frames have readings there."""
+        has = np.flatnonzero(self.has_readings(values))
+        if len(has) < max(_LEAST_AT_LAG, _LEAST_SHARE * len(modes)):
+            return None
+        few = {"hypothesis_frames": _HYPOTHESIS_FRAMES, "test_frames": _TEST_FRAMES}
+        own = [modes[int(i)] for i in has]
+        return find_consensus(self.model_to_compare(model, values).subset(has), own, **few)
+
+    # refinement
+
+    def near(self, frames: ArmFrames, values: Float64, own: Sequence[int], reach: Float64) -> ArmFrames | None:
+        """Return frames with what is predicted of them linearised at a lag in those ``own`` values that are unknowns.
+
+        ``reach`` (n,) are the largest changes of these; None if too few frames have readings there. Each frame counts
+        as one, and its errors as independent of others.
+        """
+        rows = reach[:, None] * np.eye(2)[list(own)]
+        has = np.logical_and.reduce([self.has_readings(values + by) for by in (*rows, *-rows)])
+        if has.sum() < _LEAST_AT_LAG:
+            return None
+        order = np.flatnonzero(has)[np.argsort(self.times[has], kind="stable")]
+        of_these, model, fits = self.subset(order), frames.model.subset(order), frames.fits.subset(order)
+        alone, changes = frames.calibration.without(LAG), []
+        for row in _LEAST_STEP * rows:
+            later, earlier = (of_these.model_to_compare(model, values + by).predict(alone) for by in (row, -row))
+            changes.append(later.minus(earlier))
+        late = Late(np.stack(changes, axis=2) / (2 * _LEAST_STEP * reach), values[list(own)])
+        model = replace(of_these.model_to_compare(model, values), late=late)
+        return ArmFrames(model, FrameFits(fits.at, fits.outlines), frames.calibration)
+
+
+LateFrames = tuple[SessionLag, ArmFrames]
+"""An arm's frames, and their readings at any lag."""
+
+
+def refine_lag(arms: Sequence[LateFrames], start: Float64, *, drift: bool = True) -> Refined | None:
+    """Refine a lag, and its drift where that is significant, together with the calibrations of arms of one clock.
+
+    A drift is kept if it changes the lag noticeably in half of the session. A lag of readings that cannot be
+    interpolated is left as it is. None if too few frames have readings around the lag, or the frames agree best
+    nowhere near the start.
+
+    Parameters
+    ----------
+    arms
+        The arms.
+    start : (2,)
+        The values to start from.
+    drift
+        Whether the drift may be one of the unknowns.
+    """
+    clock, _ = arms[0]
+    if not clock.step:
+        return None
+    if not clock.interpolable:
+        return Refined(start, np.array([clock.step / np.sqrt(12), 0.0]))
+    half, least = max(lag.half_duration for lag, _ in arms), _LEAST_LAG * clock._known.interval
+    found = None
+    if drift and half * _DRIFT_STD >= least / 4:
+        found = _refine(arms, start, (_LAG, _DRIFT))
+    if found is not None:
+        if abs(found.values[_DRIFT]) > max(_SIGNIFICANT * found.std[_DRIFT], least / half):
+            return found
+        start = np.array([found.values[_LAG], 0.0])
+    return _refine(arms, start, (_LAG,))
+
+
+def _refine(arms: Sequence[LateFrames], start: Float64, own: tuple[int, ...]) -> Refined | None:
+    """Refine those values of a lag that are unknowns, as `refine_lag`."""
+    (clock, _), half = arms[0], max(lag.half_duration for lag, _ in arms)
+    assert clock.step is not None
+    unknowns, step = list(own), clock.step
+    reach = np.array([step, _DRIFT_STEPS * step / max(half, step)])[unknowns]
+    block = LagBlock(np.array([FARTHEST[clock._known.unit], _DRIFT_STD])[unknowns] / _SHARED_ERRORS)
+    values, left = start, _LINEARISATIONS
+    calibrations = [frames.calibration.beside(block, lag=start[unknowns]) for _, frames in arms]
+    solutions, moved = None, np.zeros(len(own))
+    for _ in range(_MOST_LINEARISATIONS):
+        pairs = zip(arms, calibrations, strict=True)
+        near = [lag.near(frames._replace(calibration=at), values, own, reach) for (lag, frames), at in pairs]
+        linearised = [one for one in near if one is not None]
+        if len(linearised) < len(near):
+            break
+        at = values[unknowns]
+        solutions = solve_arms(linearised)
+        change = np.clip(solutions[0].calibration.values[LAG] - at, -reach / 2, reach / 2)
+        values, moved = start.copy(), np.abs(change) / reach
+        values[unknowns] = at + change
+        calibrations = [own.calibration for own in solutions]
+        left -= int((moved < 0.5).all())
+        if not left or (moved < _SETTLED).all():
+            break
+    if solutions is None or (moved > _SETTLING).any():
+        return None
+    place, std = solutions[0].calibration.place(LAG), np.zeros(2)
+    alone = _SHARED_ERRORS**2 * np.diag(np.linalg.inv(solutions[0].information))
+    std[unknowns] = np.sqrt(np.maximum(alone, np.diag(solutions[0].covariance)))[place]
+    return Refined(values, std)
+
+
+def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
+    """Return the lags of a session's arms, of which those that agree become their mean by the standard deviations.
+
+    An arm whose frames do not tell its lag has that of the others. A lag that disagrees, that drifts, or at which a
+    frame would have no readings, is that of its arm alone: arms may have clocks of their own.
+    """
+    if len(lags) < 2:
+        return list(lags)
+    units = {lag.series.unit for lag in lags if lag.series is not None}
+    usable = [lag.interpolable and not lag.fixed and (lag.lag is None or lag.known is not None) for lag in lags]
+    told = [known for lag, use in zip(lags, usable, strict=True) if use and (known := lag.known) is not None]
+    if len(units) != 1 or not all(usable) or not told:
+        return [replace(lag, alone=True) for lag in lags]
+    values, stds = np.array(told).T
+    weights = stds**-2.0
+    mean, std = weights @ values / weights.sum(), weights.sum() ** -0.5
+    if (np.abs(values - mean) > _AGREE * stds).any():
+        return [replace(lag, alone=True) for lag in lags]
+    found = Refined(np.array([mean, 0.0]), np.array([std, 0.0]))
+    shared = [replace(lag, lag=None).with_estimate(found) for lag in lags]
+    if not all(lag.lag is not None and lag.all_have_readings for lag in shared):
+        return [replace(lag, alone=True) for lag in lags]
+    return [replace(lag, undetermined="") for lag in shared]

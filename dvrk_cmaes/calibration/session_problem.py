@@ -1,0 +1,762 @@
+"""A session as one least-squares problem: the frames of its arms, and the blocks of unknowns that these share.
+
+`initialised` finds by the frames' own modes the camera_from_base that most frames of each arm agree on, and faults of
+the session as a whole. `solved` then alternates: each frame is fitted to its outline with what the blocks predict as a
+prior, and the blocks of all arms are estimated from all fits. `checked` tests the cameras and the masks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+
+from dvrk_cmaes.calibration.blocks import Calibration, SeenBlock
+from dvrk_cmaes.calibration.cables import CableFit, estimate_cables
+from dvrk_cmaes.calibration.consensus import (
+    Consensus,
+    Mode,
+    check_arm,
+    check_motion,
+    choose_modes,
+    find_consensus,
+    find_consensus_at_any_roll,
+)
+from dvrk_cmaes.calibration.endoscope import Pieces
+from dvrk_cmaes.calibration.endoscope_search import describe_pieces, find_pieces
+from dvrk_cmaes.calibration.frame_fit import FrameFit, first_starts, next_starts
+from dvrk_cmaes.calibration.frame_task import Run, SessionFrame, fit_task, gather_task, with_changed_cameras
+from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag, in_common, refine_lag
+from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors, frames_alike
+from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines, few_of
+from dvrk_cmaes.calibration.mask_growth import GrowthEstimate, MaskGrowth
+from dvrk_cmaes.calibration.masks_again import MasksAgain, with_masks
+from dvrk_cmaes.calibration.model import Deviations, SessionModel
+from dvrk_cmaes.calibration.session_camera import (
+    IMPLAUSIBLE,
+    CameraChange,
+    CameraCheck,
+    camera_undetermined,
+    check_camera,
+    estimate_camera,
+    file_deviations,
+)
+from dvrk_cmaes.calibration.session_lens import Lens
+from dvrk_cmaes.calibration.session_masks import Margin, MaskMargin, SessionMasks, estimate_margin, margins_of
+from dvrk_cmaes.calibration.session_rig import ViewRotation
+from dvrk_cmaes.calibration.session_shaft import InstrumentSizes
+from dvrk_cmaes.calibration.solve import (
+    ArmFrames,
+    FrameFits,
+    Solved,
+    leave_one_out,
+    solution_at,
+    solve_arms,
+    solve_with_modes,
+)
+from dvrk_cmaes.calibration.stored_frame import StoredFrame
+from dvrk_cmaes.calibration.variances import LastingEstimate, estimate_lasting, solve_with_variances
+from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.config import EstimateConfig
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.seen_view import PackedMask
+from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.instrument import Instrument
+from dvrk_cmaes.instrument.arm import Arm
+from dvrk_cmaes.joints.lag import Lag
+from dvrk_cmaes.joints.series import ReadingSeries
+from dvrk_cmaes.pose.doubts import DISAGREES, frame_disagrees
+from dvrk_cmaes.pose.terms.expected import Expected
+
+TESTED: Final[tuple[Callable[[EstimateConfig, Camera], SeenBlock], ...]] = (Lens,)
+"""What makes the further blocks that every session is tested for, each of which states itself."""
+LEAST_FRAMES = 3
+"""Smallest number of frames from which an arm can be calibrated."""
+
+_ROLLED_ITERATIONS = 2  # first rounds, in which frames also start from poses rotated about the shaft
+_NEAR = 1.0  # standard deviations per parameter, by which fits move to where the last solution expects them
+_CAMERA_PASSES = 2  # linearisations of the outlines about the camera between two fits of the frames
+_MOST_NAMED = 4
+_TO_TRY = (
+    "try another --instrument, --tool or --arm, other readings, the lag of all rows of the recording, or --lag auto "
+    "for postures whose rows have no times"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSetup:
+    """What an arm's session is estimated with, beside its frames.
+
+    ``series`` are the readings as functions of time, with the frames' times; None if the lag is not to be estimated.
+    ``instrument``, ``arm`` and ``config`` are the instrument, the kinematics of the outer arm and all settings. ``run``
+    applies a function to many tasks, ``progress`` is called before each stage with its name and the number of frames.
+    ``refine_camera`` is whether the change of the camera that the frames fit is used, ``guessed_camera`` whether the
+    frames' camera is a guess, of which there is no file. ``may_cut`` is whether the session may be cut into pieces
+    between which the base moved. ``lag`` is the one that is taken out of the readings, ``auto`` to look for it in those
+    of postures, too, as of `SessionLag.of`. ``gathered`` keeps the frames' evidence by name, for all solutions.
+    """
+
+    series: ReadingSeries | None
+    instrument: Instrument
+    arm: Arm
+    config: EstimateConfig
+    run: Run[Any, Any]
+    progress: Callable[[str, int], None] = lambda stage, count: None
+    refine_camera: bool = False
+    guessed_camera: bool = False
+    may_cut: bool = True
+    lag: Lag | Literal["auto"] | None = None
+    gathered: dict[str, StoredFrame] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMasks:
+    """Masks that were found again and are used, by frame and view, and the ``first`` evidence of these frames by index.
+
+    ``compared`` tells what changed, None before that is known.
+    """
+
+    masks: Mapping[str, Mapping[str, PackedMask]] = field(default_factory=dict)
+    first: Mapping[int, StoredFrame] = field(default_factory=dict)
+    compared: MasksAgain | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSession:
+    """The frames of one arm in a session, and how far its estimation is.
+
+    ``frames`` are the N frames in use, ``modes`` those of each and ``model`` the model of their readings, with what the
+    lag takes out of these; ``cables`` are the fits of what cables do to readings, None before the first. ``stored`` is
+    the frames' evidence and ``fits`` are their current fits, both empty before the first round. ``found`` is the
+    current solution, None before the first one; ``start`` and ``moved`` (N) are the calibration and the poses from
+    which the next round starts, where a camera or margins were estimated since.
+
+    ``change`` (3,) is that of the camera, as of `stored_frame.changed`, None where the camera's file is used, and
+    ``of_change`` (3, 3) its covariance, None until it is estimated; ``rig`` what the further views differ in from the
+    file; ``margins`` those of the views' masks by name, empty until they are estimated; ``lasting`` the size of
+    autocorrelated errors of the masks, ``growth`` what is known of their errors on some sides, None until estimated.
+    ``again`` are masks that were found again, None where they were not.
+
+    ``remarks`` are about faults of the session as a whole that are put right, ``undetermined`` about what it does not
+    determine; ``left_out`` are the reasons for which frames are left out, by name.
+    """
+
+    setup: ArmSetup
+    frames: tuple[SessionFrame, ...]
+    modes: tuple[Sequence[Mode], ...]
+    model: SessionModel
+    lag: SessionLag
+    rig: tuple[ViewRotation, ...] = ()
+    change: Float64 | None = None
+    of_change: Float64 | None = None
+    margins: tuple[tuple[str, Margin], ...] = ()
+    lasting: LastingEstimate | None = None
+    growth: GrowthEstimate | None = None
+    cables: tuple[CableFit, CableFit] | None = None
+    stored: tuple[StoredFrame, ...] = ()
+    fits: tuple[FrameFit, ...] = ()
+    found: Solved | None = None
+    start: Calibration | None = None
+    moved: Posed | None = None
+    again: FoundMasks | None = None
+    remarks: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, setup: ArmSetup, frames: Sequence[SessionFrame], rig: tuple[ViewRotation, ...] = ()) -> ArmSession:
+        """Return an arm before anything is estimated.
+
+        Parameters
+        ----------
+        setup
+            What the arm's session is estimated with.
+        frames
+            Frames with a pose, its covariance and readings of all outer joints, in the order they were taken.
+        rig
+            The rotations of the further views against the file that the frames' own results tell; those that are clear
+            are taken out of the frames.
+        """
+        readings, names = [frame.result.readings for frame in frames], setup.instrument.joint_names
+        model = SessionModel.of(readings, setup.instrument, setup.config, setup.arm)
+        lag = SessionLag.of(setup.series, [frame.name for frame in frames], model.deviations.outer, setup.lag)
+        modes = tuple(Mode.all_of(frame.result, names) for frame in frames)
+        change = np.zeros(3) if setup.refine_camera else None
+        return cls(setup, tuple(frames), modes, model, lag, rig, change)
+
+    @property
+    def solution(self) -> Solved:
+        """The current solution."""
+        assert self.found is not None
+        return self.found
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration from which the next round starts."""
+        return self.solution.calibration if self.start is None else self.start
+
+    def subset(self, index: Sequence[int]) -> ArmSession:
+        """Return the arm with the frames at some indices, before their first fit."""
+        return replace(
+            self,
+            frames=tuple(self.frames[i] for i in index),
+            modes=tuple(self.modes[i] for i in index),
+            model=self.model.subset(index),
+            lag=self.lag.subset(index),
+            stored=tuple(self.stored[i] for i in index) if self.stored else (),
+        )
+
+    def noted(self, *, remarks: Sequence[str] = (), undetermined: Sequence[str] = ()) -> ArmSession:
+        """Return the arm with further texts."""
+        return replace(self, remarks=(*self.remarks, *remarks), undetermined=(*self.undetermined, *undetermined))
+
+    @property
+    def times(self) -> Float64:
+        """Times (N,) of the frames, s; NaN where unknown."""
+        read = self.lag.seconds()
+        return np.full(len(self.frames), np.nan) if read is None else read
+
+    @property
+    def masks(self) -> SessionMasks | None:
+        """What is stated of errors that the masks share; None if their margin was not estimated."""
+        return SessionMasks.of(self.margins, self.lasting, self.growth) if self.margins else None
+
+    @property
+    def common(self) -> CommonErrors:
+        """The errors that the frames share."""
+        by_lag = self.lag.change_of_predictions(self.model, self.solution.calibration)
+        size = USUAL_SIZE if self.lasting is None else self.lasting.size
+        return CommonErrors(size, self.times, by_lag, self.setup.config.session.alike_seconds)
+
+    def outlines(self, *, keep_all: bool = False) -> FrameFits:
+        """Return the current fits; without the outlines that do not explain the mask, unless ``keep_all``."""
+        fits = [fit if fit.explains_mask or keep_all else fit.without_outline() for fit in self.fits]
+        terms = [fit.whole_outline for fit in fits]
+        return FrameFits.with_lasting(Posed.stacked(fit.at for fit in fits), terms, self.common)
+
+    def views_as_blocks(self, view: str | None = None, *, file_tells: bool = False) -> SessionOutlines:
+        """Return the outlines of all frames in a view, as functions of the camera and the margin.
+
+        ``view`` is by default that of the reference camera; of another one if it does not show the instrument in any
+        frame. ``file_tells`` is whether the camera's file counts as a measurement.
+        """
+        shown = [stored for stored in self.stored if stored.in_reference] or self.stored
+        name = str(shown[0].views[0].name) if view is None else view
+        pairs = zip(self.fits, self.stored, strict=True)
+        numbers = [stored.number_of(name) if fit.explains_mask else None for fit, stored in pairs]
+        file = file_deviations(self.stored[0].camera, self.setup.config.camera) if file_tells else None
+        camera = CameraChange(file, self.change)
+        margin = MaskMargin(0.0 if self.masks is None else self.masks.taken_off_in(name))
+        views = [() if number is None else (number,) for number in numbers]
+        return SessionOutlines(self.stored, views, self.setup.run, self.common, (camera, margin))
+
+    @property
+    def disagreements(self) -> list[str]:
+        """Why each frame disagrees with the calibration; an empty text where it agrees."""
+        misfits = self.solution.misfit / (6 + len(self.model.names))
+        return [self._disagreement(fit, misfit) for fit, misfit in zip(self.fits, misfits.tolist(), strict=True)]
+
+    @property
+    def agreeing(self) -> list[bool]:
+        """Whether each frame agrees with the session."""
+        return [not text for text in self.disagreements]
+
+    def _disagreement(self, fit: FrameFit, misfit: float = 0.0) -> str:
+        """Say why a fit disagrees, whose squared distance from what is expected, per parameter, is ``misfit``."""
+        most = self.setup.config.session.largest_misfit
+        return frame_disagrees(misfit, most, None if fit.explains_mask else (fit.iou, fit.own_iou)) or ""
+
+    def check_agreement(self, disagreements: Sequence[str] | None = None) -> None:
+        """Refuse an arm of which fewer than `LEAST_FRAMES` agree, by default as to whether fits explain their masks.
+
+        Parameters
+        ----------
+        disagreements
+            Why each frame disagrees; an empty text where it agrees.
+
+        Raises
+        ------
+        InputError
+            Names frames that do not agree, with by how much, and what to try.
+        """
+        texts = [self._disagreement(fit) for fit in self.fits] if disagreements is None else disagreements
+        named = zip(self.frames, texts, strict=True)
+        off = [f"{frame.name} {text.removeprefix(f'{DISAGREES}: ')}" for frame, text in named if text]
+        agree = len(self.frames) - len(off)
+        if agree < LEAST_FRAMES:
+            more = f"; and {len(off) - _MOST_NAMED} more" if len(off) > _MOST_NAMED else ""
+            raise InputError(
+                f"session: expected at least {LEAST_FRAMES} frames that agree on where the arm's base is, got {agree} "
+                f"of {len(self.frames)} ({'; '.join(off[:_MOST_NAMED])}{more}): {_TO_TRY}"
+            )
+
+    def left_out_predictions(self) -> list[Posed]:
+        """Return what all other frames predict of each frame."""
+        return [self.model.subset([i]).predict(leave_one_out(self.solution, i))[0] for i in range(len(self.frames))]
+
+    def camera_refused(self, reason: str) -> InputError:
+        """Return the refusal to find the camera of a session that does not determine it."""
+        if self.setup.guessed_camera:
+            return InputError(f"--camera: expected a camera file, which these frames do not replace: {reason}")
+        return InputError(f"--refine-camera: {reason}")
+
+
+Arms = list[ArmSession]
+"""The arms of a session."""
+
+
+def initialised(arm: ArmSession) -> ArmSession:
+    """Find the camera_from_base that most frames of an arm agree on, and faults of its session.
+
+    The lag of the arm is taken out of the readings.
+
+    Raises
+    ------
+    InputError
+        The arm does not move, the readings only fit another arm or tool, or too few frames remain; or the camera is to
+        be refined, and the session does not determine it.
+    """
+    check_motion(arm.model)
+    if arm.change is not None and (reason := camera_undetermined(arm.model)):
+        raise arm.camera_refused(reason)
+    arm, consensus = _on_one_base(_less_lag(arm))
+    return replace(arm, found=solve_with_modes(arm.model, arm.modes, consensus.calibration))
+
+
+def _less_lag(arm: ArmSession) -> ArmSession:
+    """Correct the readings by the lag if it differs from zero; frames without readings then are left out."""
+    applied = arm.lag.applied
+    if applied is None:
+        return arm
+    has = arm.lag.has_readings_near()
+    left_out = {frame.name: NO_READINGS_AT_LAG for frame, own in zip(arm.frames, has, strict=True) if not own}
+    arm = replace(arm.subset(np.flatnonzero(has).tolist()), left_out={**arm.left_out, **left_out})
+    if len(arm.frames) < LEAST_FRAMES:
+        raise InputError(
+            f"session: {applied.describe()}, which leaves {len(arm.frames)} frames with readings; "
+            f"expected at least {LEAST_FRAMES}"
+        )
+    return replace(arm, model=arm.lag.corrected(arm.model))
+
+
+def _on_one_base(arm: ArmSession) -> tuple[ArmSession, Consensus]:
+    """Return the consensus of the frames, in pieces if the base moved between them.
+
+    Pieces in which the lag was found are looked for again with the lag taken out: with it, a moving arm seems to have
+    another base.
+    """
+    lost = isinstance(arm.model.endoscope, Pieces)
+    if lost:
+        arm = replace(arm, model=replace(arm.model, endoscope=None))
+    consensus = find_consensus_at_any_roll(arm.model, arm.modes)
+    if not lost:
+        check_arm(arm.model, arm.modes, consensus)
+    cut = in_pieces(arm, consensus) if arm.model.endoscope is None else None
+    if cut is not None:
+        arm, consensus = cut, find_consensus_at_any_roll(cut.model, cut.modes)
+        assert isinstance(cut.model.endoscope, Pieces)
+        arm = cut.noted(remarks=[describe_pieces(cut.model.endoscope, cut.frames)])
+    if lost:
+        check_arm(arm.model, arm.modes, consensus)
+    return arm, consensus
+
+
+def in_pieces(arm: ArmSession, consensus: Consensus | None = None) -> ArmSession | None:
+    """Return an arm in the pieces in which its base stands still; None if it is not to be cut.
+
+    ``consensus`` is that of all frames, if it is known.
+    """
+    if not arm.setup.may_cut:
+        return None
+    if consensus is None:
+        consensus = find_consensus(arm.model, arm.modes)
+    alike = float(np.median(frames_alike(arm.times, arm.setup.config.session.alike_seconds)))
+    found = find_pieces(arm.model, arm.modes, consensus, alike=alike)
+    return None if found is None else replace(arm, model=replace(arm.model, endoscope=found[0]))
+
+
+class Round(NamedTuple):
+    """A round: its ``number`` of ``rounds``, the factor on the predictions' standard deviations, and what comes after.
+
+    That is to estimate the change of the camera, or the margins of the masks, in which the next round then fits.
+    """
+
+    number: int
+    rounds: int
+    scale: float
+    then: Literal["camera", "margins", ""]
+
+    @property
+    def last(self) -> bool:
+        """Whether it is the last one, whose fits are the results."""
+        return self.number + 1 == self.rounds
+
+
+def _rounds(setup: ArmSetup) -> list[Round]:
+    """Return the rounds of a session: standard deviations of predictions are widened by a factor that falls to 1."""
+    session = setup.config.session
+    scales = [*np.geomspace(session.loosened, 1.0, max(session.rounds - 1, 1)).tolist(), 1.0][: session.rounds]
+    if setup.refine_camera:
+        scales.append(1.0)  # with the camera that all rounds before have found
+    count = len(scales)
+    rounds = []
+    for number, scale in enumerate(scales):
+        then: Literal["camera", "margins", ""] = ""
+        if setup.refine_camera and number + 1 < count:
+            then = "camera"
+        elif not setup.refine_camera and number + 2 == count:
+            then = "margins"
+        rounds.append(Round(number, count, scale, then))
+    return rounds
+
+
+def solved(arms: Arms) -> Arms:
+    """Alternate between fitting the frames of all arms and estimating the blocks that they share.
+
+    Raises
+    ------
+    InputError
+        Too few frames of an arm agree, or the camera is to be refined and its estimate is not plausible.
+    """
+    arms = [_with_evidence(arm) for arm in arms]
+    rounds = _rounds(arms[0].setup)
+    arms, begun = _begun_with_few(arms, rounds)
+    for one in rounds[begun:]:
+        arms = _round(arms, one)
+        if one.then == "camera":
+            arms = _with_camera(arms)
+        elif one.then == "margins":
+            arms = _with_margins(arms)
+        if one.then == "camera" and one.number + 2 == one.rounds:
+            _check_cameras_found(arms)
+    return _finished(arms)
+
+
+def _with_evidence(arm: ArmSession) -> ArmSession:
+    """Gather the evidence of an arm's frames."""
+    setup = arm.setup
+    setup.progress("gathering evidence", len(arm.frames))
+    missing = [frame for frame in arm.frames if frame.name not in setup.gathered]
+    setup.gathered.update(zip((frame.name for frame in missing), setup.run(gather_task, missing), strict=True))
+    return replace(arm, stored=tuple(setup.gathered[frame.name] for frame in arm.frames))
+
+
+def _round(arms: Arms, one: Round) -> Arms:
+    """Fit all frames to what the blocks predict, and estimate these from the fits."""
+    for arm in arms:
+        arm.setup.progress(f"round {one.number + 1} of {one.rounds}", len(arm.frames))
+    fitted = [_fitted_in(arm, one) for arm in arms]
+    try:
+        # Fits that do not explain the mask are only excluded once the prior is no longer widened.
+        return _estimated(fitted, keep_all=one.scale != 1.0)
+    except InputError as error:
+        if arms[0].setup.refine_camera and one.number:
+            raise arms[0].camera_refused(IMPLAUSIBLE) from error
+        raise
+
+
+def _begun_with_few(arms: Arms, rounds: Sequence[Round]) -> tuple[Arms, int]:
+    """Do the rounds whose predictions are widened with few of many frames; also returns the number of these rounds.
+
+    They only serve to find the calibration from which all frames are then fitted. With another camera than the file's,
+    the frames' own modes are no starts after them, so all frames take part in all rounds.
+
+    Parameters
+    ----------
+    arms
+        The arms, initialised.
+    rounds
+        All rounds.
+    """
+    index = [few_of(len(arm.frames)) for arm in arms]
+    widened = [one for one in rounds[:-1] if one.scale != 1.0]  # all frames take part in the last one in any case
+    if arms[0].setup.refine_camera or not widened or all(of_arm is None for of_arm in index):
+        return arms, 0
+    few = [arm if own is None else arm.subset(own.tolist()) for arm, own in zip(arms, index, strict=True)]
+    few = [_with_modes(arm, whole.solution.calibration) for arm, whole in zip(few, arms, strict=True)]
+    for one in widened:
+        few = _round(few, one)
+    begun = []
+    for arm, own in zip(arms, few, strict=True):
+        told = replace(arm.lag, lag=own.lag.lag, undetermined=own.lag.undetermined)
+        lag = told if told.all_have_readings else arm.lag
+        model = lag.corrected(replace(arm.model, deviations=own.model.deviations))
+        begun.append(_with_modes(replace(arm, lag=lag, model=model), own.solution.calibration))
+    return begun, len(widened)
+
+
+def _with_modes(arm: ArmSession, calibration: Calibration) -> ArmSession:
+    """Return the arm with a calibration as its solution, and with what the frames' own modes tell of it."""
+    modes = FrameFits.of_modes(choose_modes(arm.model, arm.modes, calibration))
+    return replace(arm, found=solution_at([ArmFrames(arm.model, modes, calibration)])[0])
+
+
+def _fitted_in(arm: ArmSession, one: Round) -> ArmSession:
+    """Fit the frames of an arm in a round, each from its starts."""
+    angle = float(np.deg2rad(arm.setup.config.session.turn_deg))
+    expected = arm.model.priors(arm.calibration, scale=one.scale)
+    misfit = arm.solution.misfit / (6 + len(arm.model.names))
+    if not arm.fits:
+        chosen = choose_modes(arm.model, arm.modes, arm.solution.calibration)
+        pairs = zip(arm.modes, chosen, misfit, expected, strict=True)
+        return _fitted(arm, expected, [first_starts(*of_frame, angle) for of_frame in pairs], last=one.last)
+    turn = angle if one.number < _ROLLED_ITERATIONS else None
+    starts = []
+    for i, fit in enumerate(arm.fits):
+        own = float(misfit[i]) if fit.explains_mask else np.inf
+        changed = None if arm.moved is None else arm.moved[i]
+        starts.append(next_starts(fit, own, expected[i], turn, last=one.last, changed=changed))
+    return _fitted(arm, expected, starts, last=one.last)
+
+
+def _fitted(
+    arm: ArmSession, expected: Sequence[Expected], starts: Sequence[tuple[Posed, ...]], *, last: bool
+) -> ArmSession:
+    """Fit the frames that have starts, with what the session expects of each as its prior.
+
+    The others keep the linearisation of their outline, whose minimum is their fit in the ``last`` round.
+    """
+    again = [i for i, of_frame in enumerate(starts) if of_frame]
+    margins = [margins_of(arm.masks, [view.name for view in arm.stored[i].views]) for i in again]
+    tasks = [(arm.stored[i], expected[i], starts[i], arm.change, own) for i, own in zip(again, margins, strict=True)]
+    fits: dict[int, FrameFit] = dict(enumerate(arm.fits))
+    if last:
+        fits = {i: fit.moved_to(expected[i]) for i, fit in fits.items()}
+    fits |= zip(again, arm.setup.run(fit_task, tasks), strict=True)
+    return replace(arm, fits=tuple(fits[i] for i in range(len(arm.frames))))
+
+
+def _estimated(arms: Arms, *, keep_all: bool) -> Arms:
+    """Estimate base, offsets, variances, cables and lag of all arms from the current fits.
+
+    ``keep_all`` is whether fits that do not explain the mask count as well. `InputError` if too few do.
+    """
+    if not keep_all:
+        for arm in arms:
+            arm.check_agreement()
+    fits = [arm.outlines(keep_all=keep_all) for arm in arms]
+    arms = [replace(arm, start=None, moved=None) for arm in _with_variances(arms, fits)]
+    if not keep_all and arms[0].setup.config.session.cables:
+        arms = [_with_cables(arm, own) for arm, own in zip(arms, fits, strict=True)]
+        if any(arm.cables is not None and arm.cables[0].parts for arm in arms):
+            arms = _with_variances(arms, fits)
+    return _with_refined_lags(arms, fits)
+
+
+def _with_variances(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
+    """Estimate the calibrations together with the variances."""
+    session, usual = arms[0].setup.config.session, []
+    for arm in arms:
+        own = Deviations.of(session, arm.model.names)
+        usual.append(own if arm.cables is None else arm.cables[0].deviations(own))
+    frames = [ArmFrames(arm.model, own, arm.calibration) for arm, own in zip(arms, fits, strict=True)]
+    models, solutions = solve_with_variances(frames, session, usual)
+    each = zip(arms, models, solutions, strict=True)
+    return [replace(arm, model=model, found=own) for arm, model, own in each]
+
+
+def _with_cables(arm: ArmSession, fits: FrameFits) -> ArmSession:
+    """Fit what cables do to the readings, beside the blocks: `cables` says why."""
+    usual, std = Deviations.of(arm.setup.config.session, arm.model.names), arm.model.offset_std[1:]
+    cables = estimate_cables(arm.model, fits, arm.solution, arm.lag, usual, std)
+    own = cables[0].deviations(arm.model.deviations)
+    model = replace(arm.model, correction=cables[0].correction, deviations=own)
+    return replace(arm, cables=cables, model=model)
+
+
+def _with_refined_lags(arms: Arms, fits: Sequence[FrameFits]) -> Arms:
+    """Refine the lags that are taken out; one at which a frame would have no readings is not taken."""
+    together: list[list[int]] = [[k] for k, arm in enumerate(arms) if arm.lag.alone]
+    together.append([k for k, arm in enumerate(arms) if not arm.lag.alone])
+    lags = [arm.lag for arm in arms]
+    for members in together:
+        refined = [k for k in members if lags[k].applied is not None and not lags[k].fixed]
+        if not refined:
+            continue
+        late = [(lags[k], ArmFrames(arms[k].model, fits[k], arms[k].solution.calibration)) for k in refined]
+        found = refine_lag(late, lags[refined[0]].values)
+        new = [lags[k].with_estimate(found) for k in refined]
+        if all(lag.all_have_readings for lag in new):
+            for k, lag in zip(refined, new, strict=True):
+                lags[k] = lag
+    return [replace(arm, lag=lag, model=lag.corrected(arm.model)) for arm, lag in zip(arms, lags, strict=True)]
+
+
+def _by_camera(arms: Arms) -> list[list[int]]:
+    """Return the numbers of the arms that are seen by one camera, for each camera."""
+    found: list[list[int]] = []
+    for k, arm in enumerate(arms):
+        same = [group for group in found if arms[group[0]].stored[0].camera == arm.stored[0].camera]
+        if same:
+            same[0].append(k)
+        else:
+            found.append([k])
+    return found
+
+
+def _as_outlines(arm: ArmSession, outlines: SessionOutlines) -> ArmOutlines:
+    """Return the frames of an arm about their fits."""
+    at = Posed.stacked(fit.at for fit in arm.fits)
+    return ArmOutlines(arm.model, arm.solution.calibration, at, outlines)
+
+
+def _with_camera(arms: Arms) -> Arms:
+    """Estimate the change of the camera, and use it where it is plausible; else there is no covariance of it."""
+    out = list(arms)
+    for group in _by_camera(arms):
+        seen = [_as_outlines(arms[k], arms[k].views_as_blocks()) for k in group]
+        estimates = estimate_camera(seen, arms[group[0]].setup.config, passes=_CAMERA_PASSES)
+        for k, own in zip(group, estimates, strict=True):
+            out[k] = replace(arms[k], of_change=None)
+            if all(estimate.plausible for estimate in estimates):
+                out[k] = replace(arms[k], change=own.change, of_change=own.covariance)
+                out[k] = replace(out[k], start=own.calibration, moved=own.at)
+    return out
+
+
+def _check_cameras_found(arms: Arms) -> None:
+    """Refuse a session whose camera was not found."""
+    for arm in arms:
+        if arm.of_change is None:
+            raise arm.camera_refused(IMPLAUSIBLE)
+
+
+def _with_margins(arms: Arms) -> Arms:
+    """Estimate the margin of each view's masks, and take it off if it is clear."""
+    out = list(arms)
+    for group in _by_camera(arms):
+        shown = {k: {view.name for stored in arms[k].stored for view in stored.views} for k in group}
+        names = dict.fromkeys(view.name for k in group for stored in arms[k].stored for view in stored.views)
+        for name in names:
+            members = [k for k in group if name in shown[k]]
+            seen = [_as_outlines(arms[k], arms[k].views_as_blocks(name, file_tells=True)) for k in members]
+            margin, calibrations, at = estimate_margin(seen)
+            for k, own, moved in zip(members, calibrations, at, strict=True):
+                out[k] = replace(out[k], margins=(*out[k].margins, (name, margin)))
+                if margin.applied and out[k].start is None:
+                    out[k] = replace(out[k], start=own, moved=moved)
+    return out
+
+
+def _finished(arms: Arms) -> Arms:
+    """Solve once more with all that was found from the fits of the last round, and the size of lasting errors."""
+    arms = _solved_from(arms)
+    done = []
+    for arm in arms:
+        lasting = estimate_lasting(arm.model, arm.fits, arm.solution, arm.times)
+        done.append(replace(arm, lasting=lasting, fits=tuple(fit.with_size(lasting.size) for fit in arm.fits)))
+    arms, near = _solved_from(done), []
+    for arm in arms:
+        pairs = zip(arm.fits, arm.model.priors(arm.solution.calibration), strict=True)
+        fits = tuple(fit.moved_to(own) if fit.step_to(own) < _NEAR else fit for fit, own in pairs)
+        near.append(replace(arm, fits=fits))
+    return near
+
+
+def _solved_from(arms: Arms) -> Arms:
+    """Solve from the current fits."""
+    found = solve_arms([ArmFrames(arm.model, arm.outlines(), arm.solution.calibration) for arm in arms])
+    return [replace(arm, found=own) for arm, own in zip(arms, found, strict=True)]
+
+
+def with_lag_of_fits(arms: Arms) -> tuple[Arms, float | None]:
+    """Determine the lag from the frames' fits where the modes did not; also returns one that is to be tried, or None.
+
+    If it does not differ from zero, it is kept with its standard deviation, but for where the modes tell against it:
+    each fit is near what the session without a lag expects, so that fits hardly tell others. What is not known of the
+    lag does not widen the solution any more then.
+    """
+    late = [
+        (arm.lag, ArmFrames(arm.model, arm.outlines(), arm.solution.calibration))
+        for arm in arms
+        if arm.lag.can_be_tried
+    ]
+    found = refine_lag(late, np.zeros(2), drift=False) if late else None
+    lag = None if found is None else late[0][0].decided(found)
+    if found is None or not isinstance(lag, Lag):
+        return arms, None
+    if lag.applied:
+        return arms, float(found.values[0])
+    if any(own.curve is not None and own.curve.against_none for own, _ in late):
+        return arms, None
+    none = [replace(arm, lag=replace(arm.lag, lag=lag)) if arm.lag.can_be_tried else arm for arm in arms]
+    return _finished(none), None
+
+
+def with_other_masks(arms: Arms, masks: Sequence[Mapping[int, Mapping[str, PackedMask]]]) -> Arms:
+    """Return arms with other masks of some frames, by index, solved in one more round from the current solution."""
+    changed = []
+    for arm, of_arm in zip(arms, masks, strict=True):
+        frames, stored = list(arm.frames), list(arm.stored)
+        for i, own in of_arm.items():
+            frames[i] = frames[i].with_data(partial(with_masks, own))
+        arm.setup.progress("solving again", len(of_arm))
+        new = arm.setup.run(gather_task, [frames[i] for i in of_arm])
+        for i, of_frame in zip(of_arm, new, strict=True):
+            stored[i] = of_frame
+        first = {i: arm.stored[i] for i in of_arm}
+        found = FoundMasks({frames[i].name: own for i, own in of_arm.items()}, first)
+        changed.append(replace(arm, frames=tuple(frames), stored=tuple(stored), again=found))
+    return fitted_again(changed, masks)
+
+
+def fitted_again(arms: Arms, again: Sequence[Collection[int]]) -> Arms:
+    """Return arms solved in one more round from the current solution, with new fits of the frames at some indices."""
+    fitted = []
+    for arm, of_arm in zip(arms, again, strict=True):
+        starts = [(fit.at,) if i in of_arm else () for i, fit in enumerate(arm.fits)]
+        fitted.append(_fitted(arm, arm.model.priors(arm.solution.calibration), starts, last=True))
+    return _finished(_estimated(fitted, keep_all=False))
+
+
+def checked(arms: Arms) -> list[tuple[ArmSession, CameraCheck]]:
+    """Test whether the frames contradict the camera file, the instrument's sizes and the further blocks.
+
+    The evidence of the returned arms is as seen by the camera that is used.
+    """
+    out: dict[int, tuple[ArmSession, CameraCheck]] = {}
+    for group in _by_camera(arms):
+        seen = []
+        for arm in (arms[k] for k in group):
+            arm.setup.progress("checking the camera", len(arm.frames))
+            outlines, config = arm.views_as_blocks(), arm.setup.config
+            offsets = [fit.side_offsets for fit in arm.fits if fit.explains_mask and fit.side_offsets is not None]
+            outwards = max(0.0, *np.mean(offsets, axis=0).tolist()) if offsets else 0.0
+            growth = MaskGrowth(outwards, 0.0 if arm.masks is None else arm.masks.taken_off)
+            tested = growth, InstrumentSizes(arm.setup.instrument), *(make(config, outlines.camera) for make in TESTED)
+            seen.append(_as_outlines(arm, replace(outlines, blocks=(*outlines.blocks, *tested))))
+        checks = check_camera(seen, arms[group[0]].setup.config, applied=arms[group[0]].change)
+        out |= {k: (_with_check(arms[k], check), check) for k, check in zip(group, checks, strict=True)}
+    return [out[k] for k in range(len(arms))]
+
+
+def _with_check(arm: ArmSession, check: CameraCheck) -> ArmSession:
+    """Return an arm with what was found in the test of its camera, in words and in what it does to the solution."""
+    if check.growth is not None:
+        moves = check.growth.of_calibration
+        widened = replace(arm.solution, of_growth=moves @ check.growth.squares @ moves.T)
+        arm = replace(arm, found=widened, growth=check.growth)
+    if check.camera is None:
+        arm = arm.noted(undetermined=[check.undetermined])
+    elif arm.setup.guessed_camera:
+        arm = arm.noted(remarks=[check.camera.describe_found(arm.stored[0].camera)])
+    elif check.camera.applied:
+        arm = arm.noted(remarks=check.camera.contradictions())
+    if check.shaft is not None and not (check.camera and check.camera.contradicts):
+        arm = arm.noted(remarks=check.shaft.hints())
+    if arm.change is not None:
+        frames = [frame.with_data(partial(with_changed_cameras, arm.change)) for frame in arm.frames]
+        arm = replace(arm, stored=tuple(arm.setup.run(gather_task, frames)))
+    return arm
+
+
+def with_common_lag(arms: Arms) -> Arms:
+    """Return arms with the lag that their frames' modes tell in common."""
+    sure = [arm.lag.lag is not None and not arm.lag.rivals for arm in arms]
+    lags = [arm.lag for arm in arms]
+    if any(sure):  # the others' choice between several is that of those
+        lags = [replace(lag, lag=None, rivals=()) if lag.rivals else lag for lag in lags]
+    return [replace(arm, lag=lag) for arm, lag in zip(arms, in_common(lags), strict=True)]
