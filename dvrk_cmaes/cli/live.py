@@ -307,7 +307,7 @@ def _described(
     from dvrk_cmaes.io.output import output as folder_of_command
     from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
     from dvrk_cmaes.runs.live_session import earlier_calibration, save_calibration
-    from dvrk_cmaes.runs.pool import Pool
+    from dvrk_cmaes.runs.pool import serving_process
     from dvrk_cmaes.runs.solver_process import SolverProcess
 
     given = calibrated.calibration
@@ -341,7 +341,7 @@ def _described(
         camera.rectified,
         output.overlay,
         origin=time.time_ns(),
-        apart=lambda: Pool(int, 1, for_long=True).begin(),
+        apart=serving_process,
     )
 
 

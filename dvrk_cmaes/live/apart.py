@@ -1,10 +1,18 @@
-"""An arm that is followed in a process of its own, so that several arms are followed at once."""
+"""An arm that is followed in a process of its own, so that several arms are followed at once.
+
+The process is asked by tuples: readings, then the rig with which following begins anew, or the time, s, and the arrays
+of images to follow to. It answers with the result of a step, or what was raised, what is known of the base, and lines
+for the user.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
@@ -17,23 +25,43 @@ if TYPE_CHECKING:
     from dvrk_cmaes.live.follow import FollowedArm
 
 Arrays = Mapping[str, NDArray[Any]] | None
-R = TypeVar("R")
+Start = Callable[[Callable[[Connection], None]], tuple[Connection, BaseProcess]]
+"""Starts a process that calls a picklable function with its end of a connection; returns the other end."""
+_Readings = list[tuple[float, Mapping[str, float]]]
+_Images = tuple[float, Arrays, Arrays, Arrays]
 
-_OWN: Final = list["FollowedArm"]()  # the arm that this process follows
-_LINES: Final = list[str]()  # of this process for the user, until they are told
+
+def serve(make: Callable[[Report], FollowedArm], connection: Connection) -> None:
+    """Follow, in this process, the arm that ``make`` makes, as a connection asks, until that is closed."""
+    lines: list[str] = []
+    with make(lines.append) as own:
+        while True:
+            try:
+                readings, rig, images = connection.recv()
+            except (EOFError, OSError):
+                return
+            try:
+                found = _followed(own, readings, rig, images, lines.append)
+            except Exception as error:
+                found = error
+            connection.send((found, own.state, tuple(lines)))
+            lines.clear()
+            if images is not None:
+                own.after_step(images[0])
 
 
-class Process(Protocol):
-    """An executor with one process."""
-
-    def submit(self, call: Callable[..., R], *arguments: Any) -> Future[R]:
-        """Call a function that can be pickled in the process."""
-
-    def kill(self) -> None:
-        """Kill the process."""
-
-    def close(self) -> None:
-        """Wait until the process has ended."""
+def _followed(
+    own: FollowedArm, readings: _Readings, rig: Rig | None, images: _Images | None, report: Report
+) -> TrackResult | Exception | None:
+    """Do what the process is asked for."""
+    for time, joints in readings:
+        try:
+            own.add_readings(time, joints)
+        except InputError as error:
+            report(str(error))
+    if rig is not None:
+        own.begin(rig)
+    return None if images is None else own.step(*images)
 
 
 class TrackerApart:
@@ -49,87 +77,62 @@ class TrackerApart:
         Takes lines for the user.
     """
 
-    def __init__(self, start: Callable[[], Process], make: Callable[[Report], FollowedArm], report: Report) -> None:
+    apart = True
+
+    def __init__(self, start: Start, make: Callable[[Report], FollowedArm], report: Report) -> None:
         self.state = ""
-        self._start, self._make, self._report = start, make, report
-        self._process: Process | None = start()
-        self._made = False
-        self._readings: list[tuple[float, Mapping[str, float]]] = []
+        self._start, self._serve, self._report = start, partial(serve, make), report
+        self._opened: tuple[Connection, BaseProcess] | None = start(self._serve)
+        self._readings: _Readings = []
 
     def begin(self, rig: Rig) -> TrackerApart:
         """Follow anew, by these cameras."""
-        if self._process is None:
-            self._process, self._made = self._start(), False
+        self._opened = self._opened or self._start(self._serve)
         self._readings = []
-        self._ask("begin", rig)
-        self._made = True
+        self._asked(rig, None)()
         return self
 
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         """Keep the readings of one time, s, until the next step."""
         self._readings.append((time, joints))
 
-    def step(self, time: float, mask: Arrays = None, image: Arrays = None, ignore: Arrays = None) -> TrackResult:
-        """Follow to the images of a later time, s, as `Tracker.step`."""
-        result = self._ask("step", time, mask, image, ignore)
-        assert result is not None
-        return result
+    def start_step(
+        self, time: float, mask: Arrays = None, image: Arrays = None, ignore: Arrays = None
+    ) -> Callable[[], TrackResult]:
+        """Begin to follow to the images of a later time, s; returns what waits for the result."""
+        return self._asked(None, (time, mask, image, ignore))
 
     def after_step(self, time: float) -> None:
-        """Begin what is due after the step to a time, s."""
-        self._ask("after_step", time)
+        """Do nothing: what is due after a step is begun in the process once it has answered."""
 
     def close(self) -> None:
         """End the process, whatever it is at."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.close()
+        if self._opened is not None:
+            (connection, process), self._opened = self._opened, None
+            process.kill()
+            process.join()
+            connection.close()
 
-    def _ask(self, name: str, *arguments: Any) -> TrackResult | None:
-        """Call a method of the arm in the process, and take what it says; `begin` starts one again that has died."""
-        if self._process is None:
-            raise DvrkCmaesError("the process of this arm has ended")
+    def _asked(self, rig: Rig | None, images: _Images | None) -> Callable[[], Any]:
+        """Ask the process, if it is there; returns what takes its answer."""
         readings, self._readings = self._readings, []
-        make = None if self._made else self._make
+        if self._opened is not None:
+            with suppress(OSError):  # of a process that has died, as the end of its answers tells
+                self._opened[0].send((readings, rig, images))
+        return self._answer
+
+    def _answer(self) -> TrackResult | None:
+        """Take the answer of the process; one that has died is started again by `begin`."""
+        if self._opened is None:
+            raise DvrkCmaesError("the process of this arm has ended")
+        found: TrackResult | Exception | None
         try:
-            result, self.state, lines = self._process.submit(_called, make, readings, name, arguments).result()
-        except Exception:
-            if self._lives():
-                raise
+            found, self.state, lines = self._opened[0].recv()
+        except (EOFError, OSError):
             self.close()
-            self._process = None
             raise DvrkCmaesError("the process of this arm died") from None
         for line in lines:
             self._report(line)
-        return result
-
-    def _lives(self) -> bool:
-        """Return whether the process answers: what it was asked for may have failed there."""
-        try:
-            return self._process is not None and self._process.submit(bool).result() is False
-        except Exception:
-            return False
-
-
-def _called(
-    make: Callable[[Report], FollowedArm] | None,
-    readings: Sequence[tuple[float, Mapping[str, float]]],
-    name: str,
-    arguments: tuple[Any, ...],
-) -> tuple[TrackResult | None, str, list[str]]:
-    """In the process, make the arm first where that is given, add readings, and call one of its methods.
-
-    Returns the result of a step, None of other methods; how far the arm's base is known, in words; lines for the user.
-    """
-    if make is not None:
-        _OWN[:] = [make(_LINES.append)]
-    (own,) = _OWN
-    for time, joints in readings:
-        try:
-            own.add_readings(time, joints)
-        except InputError as error:
-            _LINES.append(str(error))
-    result = getattr(own, name)(*arguments)
-    lines = _LINES.copy()
-    _LINES.clear()
-    return (result if name == "step" else None), own.state, lines
+        if isinstance(found, Exception):
+            raise found
+        return found

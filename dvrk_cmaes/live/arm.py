@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -38,6 +37,9 @@ _STATE_EVERY: Final = 1.0  # s without a result, after which the status says why
 class LiveTracker(Protocol):
     """Follows an instrument; times are in seconds, arrays by eye."""
 
+    apart: bool
+    """Whether steps are done in another process."""
+
     @property
     def state(self) -> str:
         """How far the arm's base is known, in words."""
@@ -45,14 +47,14 @@ class LiveTracker(Protocol):
     def add_readings(self, time: float, joints: Mapping[str, float]) -> None:
         """Add the readings of one time: joints by name, rad (insertion: m)."""
 
-    def step(
+    def start_step(
         self,
         time: float,
         mask: Mapping[str, Mask] | None = None,
         image: Mapping[str, Pixels] | None = None,
         ignore: Mapping[str, Mask] | None = None,
-    ) -> TrackResult:
-        """Follow the instrument to the images of a later time."""
+    ) -> Callable[[], TrackResult]:
+        """Begin to follow the instrument to the images of a later time; returns what waits for the result."""
 
     def after_step(self, time: float) -> None:
         """Begin what is due beside the steps, after that to a time."""
@@ -78,8 +80,6 @@ class LiveArm:
         The clock, s.
     draw
         Makes, for cameras, a function that draws a result over the image of the first eye; None to publish no overlay.
-    run
-        Begins a step, and returns its future result; by default the step is done at once.
     origin
         The time, ns, from which those of the tracker are counted: seconds since 1970 have few digits left.
     """
@@ -93,7 +93,6 @@ class LiveArm:
         now: Callable[[], float],
         *,
         draw: Callable[[Rig], DrawOverlay] | None = None,
-        run: Callable[[Callable[[], TrackResult]], Future[TrackResult]] | None = None,
         origin: int = 0,
     ) -> None:
         self.name, self.state, self.base_state = name, "waiting for the camera", ""
@@ -102,7 +101,6 @@ class LiveArm:
         self.draws = draw is not None
         self._make_tracker, self._make_drawing = make_tracker, draw
         self._outputs, self._report, self._now = outputs, report, now
-        self._run = _at_once if run is None else run
         self._reason, self._ros1, self._told = "", False, now()
         self._failures, self._origin = 0, origin
 
@@ -129,18 +127,13 @@ class LiveArm:
     def start(self, frame: LiveFrame, arrays: Decoded) -> None:
         """Begin to follow a frame."""
         self._began, self._frame, self._arrays = self._now(), frame, arrays
-        self._result = self._run(self._step)
+        masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)
+        self._result = self._tracker.start_step(self._seconds, masks, arrays.images or None, ignored or None)
 
     @property
     def runs(self) -> bool:
         """Whether the step that was started goes on elsewhere."""
-        return not self._result.done()
-
-    def _step(self) -> TrackResult:
-        """Follow the frame."""
-        arrays = self._arrays
-        masks, ignored = arrays.masks.get(self.name), arrays.ignored(self.name)
-        return self._tracker.step(self._seconds, masks, arrays.images or None, ignored or None)
+        return self._tracker.apart
 
     @property
     def _seconds(self) -> float:
@@ -153,7 +146,7 @@ class LiveArm:
         Returns whether it was followed, and whether following is to begin anew, after several that were not.
         """
         try:
-            self._publish(self._result.result(), age, silent)
+            self._publish(self._result(), age, silent)
         except InputError as error:
             self._report(str(error))
             self.leave_out(str(error))
@@ -213,13 +206,3 @@ class LiveArm:
         if self._now() - self._told >= _STATE_EVERY:
             self._told = self._now()
             self._outputs.publish_state(self.state, self._reason, ros1=self._ros1, silent=silent)
-
-
-def _at_once(step: Callable[[], TrackResult]) -> Future[TrackResult]:
-    """Do a step, and return its result or what it raised as a future one."""
-    done = Future[TrackResult]()
-    try:
-        done.set_result(step())
-    except Exception as error:
-        done.set_exception(error)
-    return done

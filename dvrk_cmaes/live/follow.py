@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,7 +17,7 @@ from dvrk_cmaes.errors import DvrkCmaesError, nearest_first
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.live.apart import Arrays, Process, TrackerApart
+from dvrk_cmaes.live.apart import Arrays, Start, TrackerApart
 from dvrk_cmaes.live.arm import DrawOverlay, LiveArm
 from dvrk_cmaes.live.connection import Connection, RepeatedLines, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
@@ -69,17 +68,16 @@ class LiveSetup:
     rectified: bool = False
     overlay: bool = False
     origin: int = 0
-    apart: Callable[[], Process] | None = None
+    apart: Start | None = None
 
     def arm(self, own: ArmSetup, inputs: Inputs, connection: Connection, report: Report, stack: ExitStack) -> LiveArm:
         """Return an arm that publishes on a connection."""
         followed: FollowedArm | TrackerApart
         if self.apart is None or len(self.arms) == 1:
-            followed, run = stack.enter_context(FollowedArm(self, own, report)), None
+            followed = stack.enter_context(FollowedArm(self, own, report))
         else:
             alone = replace(self, arms=(own,), apart=None)
             followed = stack.enter_context(closing(TrackerApart(self.apart, partial(FollowedArm, alone, own), report)))
-            run = stack.enter_context(ThreadPoolExecutor(1)).submit
         return LiveArm(
             own.names.arm,
             followed.begin,
@@ -87,7 +85,6 @@ class LiveSetup:
             report,
             inputs.now,
             draw=partial(_drawing, own.body, followed) if self.overlay else None,
-            run=run,
             origin=self.origin,
         )
 
@@ -107,6 +104,8 @@ class LiveSetup:
 
 class FollowedArm(ExitStack):
     """An arm that is followed in this process: its newest tracker, and the solution of its keyframes."""
+
+    apart = False
 
     def __init__(self, setup: LiveSetup, own: ArmSetup, report: Report) -> None:
         super().__init__()
@@ -148,6 +147,12 @@ class FollowedArm(ExitStack):
         if self._solutions is not None:
             self._solutions.before_step(time)
         return self._tracker.step(time, mask, image, ignore)
+
+    def start_step(
+        self, time: float, mask: Arrays = None, image: Arrays = None, ignore: Arrays = None
+    ) -> Callable[[], TrackResult]:
+        """Return what follows to the images of a later time, s."""
+        return partial(self.step, time, mask, image, ignore)
 
     def after_step(self, time: float) -> None:
         """Do what is due after the step to a time, s."""

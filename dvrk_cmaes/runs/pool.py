@@ -25,6 +25,7 @@ from concurrent.futures import wait as wait_for
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, TypeVar
@@ -126,12 +127,10 @@ class Pool(Workers):
         Number of processes, each of which is started when there is a task for it.
     here
         Whether this process does tasks as well, beside the others, with one thread in its libraries.
-    for_long
-        Whether the processes run for hours.
     """
 
-    def __init__(self, start: Callable[[], object], count: int, *, here: bool = False, for_long: bool = False) -> None:
-        self.start, self.count, self.here, self._for_long = start, count, here, for_long
+    def __init__(self, start: Callable[[], object], count: int, *, here: bool = False) -> None:
+        self.start, self.count, self.here = start, count, here
         self.at_once = lambda: 2 * count if here else count  # one waits while this process is at a task
         self._pool: ProcessPoolExecutor | None = None
         self._packed: IO[bytes] | None = None
@@ -161,7 +160,7 @@ class Pool(Workers):
                     self._packed.write(pickle.dumps(self.start))
                     self._packed.flush()
                 spawn = multiprocessing.get_context("spawn")
-                self._pool = ProcessPoolExecutor(self.count, spawn, _begin, (self._packed.name, self._for_long))
+                self._pool = ProcessPoolExecutor(self.count, spawn, _begin, (self._packed.name,))
             return self._pool.submit(call, *arguments)
 
     @contextlib.contextmanager
@@ -339,17 +338,37 @@ def _interrupts_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(packed: str, for_long: bool) -> None:
+def _prepared() -> None:
     """Prepare a process, which ends when the one that started it does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     limit_library_threads()
-    if for_long:
-        prepare_long_run()
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
+
+
+def serving_process(serve: Callable[[Connection], None]) -> tuple[Connection, BaseProcess]:
+    """Start a process for hours that calls a picklable function with a connection; returns the other end of that."""
+    spawn = multiprocessing.get_context("spawn")
+    here, there = spawn.Pipe()
+    process = spawn.Process(target=_serve, args=(serve, there))
+    with _interrupts_blocked():
+        process.start()
+    there.close()
+    return here, process
+
+
+def _serve(serve: Callable[[Connection], None], connection: Connection) -> None:
+    _prepared()
+    prepare_long_run()
+    serve(connection)
+
+
+def _begin(packed: str) -> None:
+    """Prepare a worker process."""
+    _prepared()
     try:
         with open(packed, "rb") as file:
             start: Callable[[], object] = pickle.load(file)

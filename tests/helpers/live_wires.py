@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -70,7 +71,13 @@ class Stage(Connection):
 class NothingBeside:
     """What a tracker has besides its steps, where nothing goes on beside them."""
 
-    state = ""
+    state, apart = "", False
+
+    def start_step(self, *arguments: Any) -> Any:
+        return partial(self.step, *arguments)
+
+    def step(self, *arguments: Any) -> Any:
+        raise NotImplementedError
 
     def after_step(self, time: float) -> None: ...
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from collections.abc import Sequence
 from contextlib import ExitStack
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -15,13 +14,14 @@ import pytest
 from helpers.live_wires import Stage
 from helpers.moving_worlds import SMALL, moving_world
 
-from dvrk_cmaes import Rig
+from dvrk_cmaes import Rig, TrackResult
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import header
-from dvrk_cmaes.live.apart import Process, TrackerApart
+from dvrk_cmaes.live.apart import Start, TrackerApart
+from dvrk_cmaes.live.connection import Report
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
-from dvrk_cmaes.runs.pool import Pool
+from dvrk_cmaes.runs.pool import serving_process
 
 SEEDS = {"PSM1": 3, "PSM2": 4}
 MASKS = {arm: f"/left/{arm}/mask" for arm in SEEDS}
@@ -31,7 +31,7 @@ TOPICS = InputTopics(
 BEGIN = 10**9  # ns
 
 
-def played(apart: Callable[[], Process] | None, images: int, dies_at: int | None = None) -> tuple[Stage, list[str]]:
+def played(apart: Start | None, images: int, dies_at: int | None = None) -> tuple[Stage, list[str]]:
     """Play images of two arms through the loop, before one of which all processes are killed; also returns lines."""
     stage, lines, others = Stage(stamp=BEGIN), list[str](), workers()
     arms = {arm: moving_world(seed=seed) for arm, seed in SEEDS.items()}
@@ -77,7 +77,7 @@ def workers(others: Sequence[psutil.Process] = ()) -> list[psutil.Process]:
 
 
 def test_arms_in_processes_of_their_own_have_the_same_poses() -> None:
-    (here, lines), (apart, same_lines) = (played(start, 26) for start in (None, partial(Pool, int, 1, for_long=True)))
+    (here, lines), (apart, same_lines) = (played(start, 26) for start in (None, serving_process))
     assert lines == same_lines
     for arm, poses in here.poses.items():
         both = poses.keys() & apart.poses[arm].keys()
@@ -86,35 +86,39 @@ def test_arms_in_processes_of_their_own_have_the_same_poses() -> None:
         assert all(here.statuses[arm][stamp] == apart.statuses[arm][stamp] for stamp in both)
 
 
+@dataclass
+class Faulty:
+    """An arm whose every step fails."""
+
+    report: Report
+    state: str = "faulty"
+
+    def __enter__(self) -> Faulty:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def step(self, *arguments: object) -> TrackResult:
+        self.report("a line")
+        raise ValueError("a fault of the tracker")
+
+    def after_step(self, time: float) -> None: ...
+
+
 def test_step_that_fails_does_not_end_the_process() -> None:
-    class Failing:
-        killed = False
-
-        def submit(self, call: Callable[..., Any], *arguments: Any) -> Future[Any]:
-            future = Future[Any]()
-            if call is bool:
-                future.set_result(False)
-            else:
-                future.set_exception(ValueError("a fault of the tracker"))
-            return future
-
-        def kill(self) -> None:
-            self.killed = True
-
-        def close(self) -> None: ...
-
-    process = Failing()
-    tracker = TrackerApart(lambda: process, cast(Any, None), print)
+    lines, others = list[str](), workers()
+    tracker = TrackerApart(serving_process, cast(Any, Faulty), lines.append)
+    (process,) = workers(others)
     for _ in range(2):
         with pytest.raises(ValueError, match="a fault of the tracker"):
-            tracker.step(0.0)
-    assert not process.killed
+            tracker.start_step(0.0)()
+    assert (lines, tracker.state) == (["a line"] * 2, "faulty")
     tracker.close()
-    assert process.killed
+    assert not process.is_running()
 
 
 def test_process_that_dies_costs_three_images_and_its_arm_begins_anew() -> None:
-    stage, lines = played(partial(Pool, int, 1, for_long=True), 40, dies_at=18)
+    stage, lines = played(serving_process, 40, dies_at=18)
     assert sum("the process of this arm died" in line for line in lines) == len(SEEDS)
     assert sum("the process of this arm has ended" in line for line in lines) == 2 * len(SEEDS)
     for arm, poses in stage.poses.items():
