@@ -272,11 +272,11 @@ def live(
     """
     if not output.seconds > 0:
         raise InputError(f"--seconds: expected a time above 0, got {output.seconds:g}")
-    from dvrk_cmaes.live.connection import RepeatedLines
+    from dvrk_cmaes.live.connection import LogThrottle
     from dvrk_cmaes.live.follow import follow
     from dvrk_cmaes.runs.live_session import prepare_long_run
 
-    connection = server.connection(RepeatedLines(note))  # of the connection; follow has its own
+    connection = server.connection(LogThrottle(note))  # of the connection; follow has its own
     with ExitStack() as stack:
         setup = _described(topics, camera, instrument, calibrated, lag, config, output, stack)
         prepare_long_run()
@@ -341,7 +341,7 @@ def _described(
         camera.rectified,
         output.overlay,
         origin=time.time_ns(),
-        apart=serving_process,
+        start_process=serving_process,
     )
 
 

@@ -37,7 +37,7 @@ _STATE_EVERY: Final = 1.0  # s without a result, after which the status says why
 class LiveTracker(Protocol):
     """Follows an instrument; times are in seconds, arrays by eye."""
 
-    apart: bool
+    elsewhere: bool
     """Whether steps are done in another process."""
 
     @property
@@ -57,7 +57,7 @@ class LiveTracker(Protocol):
         """Begin to follow the instrument to the images of a later time; returns what waits for the result."""
 
     def after_step(self, time: float) -> None:
-        """Begin what is due beside the steps, after that to a time."""
+        """Begin what is due after the step to a time."""
 
 
 class LiveArm:
@@ -133,7 +133,7 @@ class LiveArm:
     @property
     def runs(self) -> bool:
         """Whether the step that was started goes on elsewhere."""
-        return self._tracker.apart
+        return self._tracker.elsewhere
 
     @property
     def _seconds(self) -> float:

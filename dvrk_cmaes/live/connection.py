@@ -107,10 +107,10 @@ _MOST_KINDS: Final = 500
 class _Kind:
     said: float
     heard: float
-    untold: int = 0
+    suppressed: int = 0
 
 
-class RepeatedLines:
+class LogThrottle:
     """Hands lines on, but of lines that differ only in numbers one, and after a minute one more with their number.
 
     May be called from several threads. A line that cannot be written, as on a full disk, is lost without an error.
@@ -143,7 +143,7 @@ class RepeatedLines:
             return line
         kind.heard = now
         if now - kind.said <= _OFTEN:
-            kind.untold += 1
+            kind.suppressed += 1
             return None
-        untold, kind.untold, kind.said = kind.untold, 0, now
-        return f"{line} (and {untold} like it)" if untold else line
+        suppressed, kind.suppressed, kind.said = kind.suppressed, 0, now
+        return f"{line} (and {suppressed} like it)" if suppressed else line

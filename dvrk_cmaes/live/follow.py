@@ -17,9 +17,9 @@ from dvrk_cmaes.errors import DvrkCmaesError, nearest_first
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.instrument.arm import Arm
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.live.apart import Arrays, Start, TrackerApart
 from dvrk_cmaes.live.arm import DrawOverlay, LiveArm
-from dvrk_cmaes.live.connection import Connection, RepeatedLines, Report
+from dvrk_cmaes.live.arm_process import ArmProcess, Arrays, Start
+from dvrk_cmaes.live.connection import Connection, LogThrottle, Report
 from dvrk_cmaes.live.inputs import Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveCounts, LiveLoop
 from dvrk_cmaes.live.outputs import LiveOverlay, Outputs
@@ -38,8 +38,8 @@ class ArmSetup:
     """An arm that is followed: its names and instrument, and what is known of its base.
 
     With a ``solver``, which is made for the time of following, masks, and no given lag, the arm's base is found from
-    keyframes, which are solved beside the loop; ``earlier`` is the calibration of an earlier run, and ``save`` keeps
-    what is found.
+    keyframes, which are solved meanwhile; ``earlier`` is the calibration of an earlier run, and ``save`` keeps what is
+    found.
     """
 
     names: FrameNames
@@ -56,8 +56,8 @@ class LiveSetup:
     """What is followed, and how.
 
     ``rig`` is used instead of the topics' cameras if given; ``rectified`` says which of the topics' matrices is used.
-    ``overlay`` publishes an overlay of each image. Trackers count time from ``origin``, ns. ``apart`` starts a process
-    in which one of several arms is followed; without it all are followed in this one.
+    ``overlay`` publishes an overlay of each image. Trackers count time from ``origin``, ns. ``start_process`` starts
+    one in which one of several arms is followed; without it all are followed in this one.
     """
 
     topics: InputTopics
@@ -68,16 +68,18 @@ class LiveSetup:
     rectified: bool = False
     overlay: bool = False
     origin: int = 0
-    apart: Start | None = None
+    start_process: Start | None = None
 
     def arm(self, own: ArmSetup, inputs: Inputs, connection: Connection, report: Report, stack: ExitStack) -> LiveArm:
         """Return an arm that publishes on a connection."""
-        followed: FollowedArm | TrackerApart
-        if self.apart is None or len(self.arms) == 1:
+        followed: FollowedArm | ArmProcess
+        if self.start_process is None or len(self.arms) == 1:
             followed = stack.enter_context(FollowedArm(self, own, report))
         else:
-            alone = replace(self, arms=(own,), apart=None)
-            followed = stack.enter_context(closing(TrackerApart(self.apart, partial(FollowedArm, alone, own), report)))
+            alone = replace(self, arms=(own,), start_process=None)
+            followed = stack.enter_context(
+                closing(ArmProcess(self.start_process, partial(FollowedArm, alone, own), report))
+            )
         return LiveArm(
             own.names.arm,
             followed.begin,
@@ -105,7 +107,7 @@ class LiveSetup:
 class FollowedArm(ExitStack):
     """An arm that is followed in this process: its newest tracker, and the solution of its keyframes."""
 
-    apart = False
+    elsewhere = False
 
     def __init__(self, setup: LiveSetup, own: ArmSetup, report: Report) -> None:
         super().__init__()
@@ -178,7 +180,7 @@ def follow(
     DvrkCmaesError
         Nothing to follow came before the end, or within ``begin_within`` s.
     """
-    say = RepeatedLines(report)
+    say = LogThrottle(report)
     inputs = Inputs(setup.topics, say, rectified=setup.rectified)
     with ExitStack() as stack:
         loop = setup.loop(inputs, connection, say, stack, show)
@@ -188,7 +190,7 @@ def follow(
     return counts
 
 
-def _drawing(body: Body, followed: FollowedArm | TrackerApart, rig: Rig) -> DrawOverlay:
+def _drawing(body: Body, followed: FollowedArm | ArmProcess, rig: Rig) -> DrawOverlay:
     return LiveOverlay(body, rig.camera, lambda: followed.state)
 
 

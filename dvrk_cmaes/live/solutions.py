@@ -1,4 +1,4 @@
-"""Keyframes that are solved beside the loop, and the calibration that is found, saved, and taken up again."""
+"""Keyframes that are solved in another process, and the calibration that is found, saved, and taken up again."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ def predict(
     readings = _late_readings(recorded.files, recorded.series, session)
     outer = outer_readings(readings)
     joints = np.array([[own.get(name, np.nan) for name in joint_names] for own in readings])
-    told = np.asarray(~np.isnan(outer).any(axis=1))
+    has_outer = np.asarray(~np.isnan(outer).any(axis=1))
     endoscope = None
     if session.endoscope is not None:
         read, times = ecm_readings(readings), [own.time for own in recorded.files]
@@ -145,25 +145,25 @@ def predict(
         if isinstance(found, str):
             raise InputError(f"recording: {found}: expected those by which the calibration tells the endoscope's place")
         endoscope = found
-    known = np.flatnonzero(told)
-    nearest = known[np.abs(np.arange(len(told))[:, None] - known).argmin(axis=1)]
-    outer, joints = (_continued(values, recorded.times, told, nearest) for values in (outer, joints))
+    known = np.flatnonzero(has_outer)
+    nearest = known[np.abs(np.arange(len(has_outer))[:, None] - known).argmin(axis=1)]
+    outer, joints = (_continued(values, recorded.times, has_outer, nearest) for values in (outer, joints))
     sparse = _sparseness(recorded, session)
     errors = np.array([one.error for one in sparse])
     moving = ~recorded.frozen
     predicted = Prediction.of(
-        session, outer, joints, joint_names, told=told, moving=moving, errors=errors, endoscope=endoscope
+        session, outer, joints, joint_names, told=has_outer, moving=moving, errors=errors, endoscope=endoscope
     )
     return predicted, sparse
 
 
-def _continued(values: Float64, times: Float64, told: Bool, nearest: Indices) -> Float64:
+def _continued(values: Float64, times: Float64, has_outer: Bool, nearest: Indices) -> Float64:
     """Return the readings (N, K) at all frames: those of the nearest one that has any, or as they go on from there."""
     found = values[nearest]
-    for i in np.flatnonzero(~told):
+    for i in np.flatnonzero(~has_outer):
         near = int(nearest[i])
         inner = near + (1 if near > i else -1)
-        if abs(i - near) > _CONTINUED or not 0 <= inner < len(told) or not told[inner]:
+        if abs(i - near) > _CONTINUED or not 0 <= inner < len(has_outer) or not has_outer[inner]:
             continue
         rate = (values[near] - values[inner]) / (times[near] - times[inner])
         found[i] += rate * (times[i] - times[near])

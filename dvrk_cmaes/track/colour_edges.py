@@ -45,8 +45,9 @@ _DEPENDENT = 0.3  # weight of a pixel's log-odds: neighbours are alike
 _CHANGE_SCORE = 1.0 / _DEPENDENT  # weight of the log-odds of a change relative to those of a pixel
 _LEAST_CLEARANCE = 3.0  # px within the instrument and beside it
 _LEAST_ODDS = 0.4  # mean log-odds of the pixels on either side of an edge
-_CHANGE_WEIGHT = 0.5  # of the log-odds of a change beside those means, and the least of their sum, by which an edge
-_LEAST_CLEAR = 1.0  # is told where the outer side's colours do not tell, as in a shadow that is as dark as the shaft
+# weight of the log-odds of a change relative to those means, and the least of their sum, from which on an edge counts
+# where the outer side's colours do not discriminate, as in a shadow as dark as the shaft
+_CHANGE_WEIGHT, _LEAST_CLEAR = 0.5, 1.0
 _LARGEST_STD = 3.0  # px
 _REFINEMENTS = 2  # of the exact place of an edge
 _WINDOW = 1  # px on either side of an edge within which its exact place is found
@@ -165,9 +166,9 @@ class ImageEvidence:
         inner, outer, changed = (np.take_along_axis(values, best, axis=1) for values in (within, beside, change))
         inner, outer = inner / np.maximum(inside, 1), outer / np.maximum(outside, 1)
         clear = (inner - outer) / 2 + _CHANGE_WEIGHT * changed > _LEAST_CLEAR
-        told = (inner > _LEAST_ODDS) & ((outer < -_LEAST_ODDS) | clear)
-        told &= (best > 0) & (best < 2 * count) & (np.minimum(inside, outside) >= _LEAST_CLEARANCE)
-        found = told[:, 0] & (variance < _LARGEST_STD**2)
+        observed = (inner > _LEAST_ODDS) & ((outer < -_LEAST_ODDS) | clear)
+        observed &= (best > 0) & (best < 2 * count) & (np.minimum(inside, outside) >= _LEAST_CLEARANCE)
+        found = observed[:, 0] & (variance < _LARGEST_STD**2)
         mean, fine = _refined(image, pixels, outline.normals, mean)
         variance = np.where(fine, _FINE_STD**2, variance + _COARSE_STD**2)
         return EdgeDistances(np.where(found, -mean, 0.0).astype(np.float64), found, variance.astype(np.float64))
@@ -180,9 +181,9 @@ class ImageEvidence:
         odds = _odds_of(self._model.colours, bins_of(colours), outline, valid)
         valid &= along <= outline.clearance[1][:, None] - 1
         count = valid.sum(axis=1)
-        told = count >= _LEAST_CLEARANCE
-        like = told & ((odds * valid).sum(axis=1) > _LEAST_ODDS * count)
-        return float(outline.lengths[like].sum() / outline.lengths[told].sum()) if told.any() else 1.0
+        seen_well = count >= _LEAST_CLEARANCE
+        like = seen_well & ((odds * valid).sum(axis=1) > _LEAST_ODDS * count)
+        return float(outline.lengths[like].sum() / outline.lengths[seen_well].sum()) if seen_well.any() else 1.0
 
 
 def _both_seen(valid: Bool) -> Bool:
@@ -309,33 +310,38 @@ class ColourEdges(OutlineTerm[tuple[Float64, Float64, Float64]]):
 class EdgeFit(LocalFit):
     """The fit of a pose to the edges that the colours of images show.
 
-    ``supported`` is the share of the outline near which there is an edge, ``beside`` the share beside which the
+    ``supported`` is the share of the outline near which there is an edge, ``unexplained`` the share next to which the
     instrument's colours go on; ``sigma`` px is the robust standard deviation of the supporting edges, None without any.
     ``by_masks`` (D, 7) is as of `FrameFit`.
     """
 
     supported: float
-    beside: float
+    unexplained: float
     sigma: float | None
     by_masks: Float64 | None = None
 
     def with_margin(self, along: Float64) -> EdgeFit:
         """Return the fit without what all edges tell wrongly together; ``along`` (D,) is the pose's change by that."""
-        told = self.information @ along
-        share = told / (1 + along @ told)
-        information = self.information - np.outer(share, told)
+        moved = self.information @ along
+        share = moved / (1 + along @ moved)
+        information = self.information - np.outer(share, moved)
         return replace(self, information=information, slope=self.slope - share * float(along @ self.slope))
+
+    @property
+    def net_support(self) -> float:
+        """The share of the outline that has an edge, less that which is unexplained."""
+        return self.supported - self.unexplained
 
     @property
     def holds(self) -> bool:
         """Whether the images support the pose at all."""
         least, most = SUPPORTED
-        return self.supported >= least and self.beside <= most
+        return self.supported >= least and self.unexplained <= most
 
     @property
     def doubts(self) -> list[str]:
         """The reasons, in words, for which the pose does not fit its images well."""
-        return reasons(outline_without_edge(self.supported), colours_without_outline(self.beside))
+        return reasons(outline_without_edge(self.supported), colours_without_outline(self.unexplained))
 
 
 def fit_edges(

@@ -96,7 +96,7 @@ def confirmed_by(
 
 
 _BY_THE_BASE = 1.3  # of the error of the tips that is ok: the most that a first solution may leave, before any image
-_TOLD_LAG = 0.055  # s, largest standard deviation of a lag that keyframes tell
+_LAG_STD = 0.055  # s, largest standard deviation of a lag that keyframes tell
 _OWN_IS_ENOUGH = 32  # keyframes, from which on their solution replaces an earlier calibration in any case
 _NEW_THAT_DISAGREE = 5  # keyframes, of the largest number, with which they are solved anew if images disagree
 _LATELY = 0.5  # s, since an image from which fits by a new calibration start
@@ -229,8 +229,8 @@ class CalibratedFollower:
         """
         assert solution.calibration is not None
         _, std = lag_and_std(solution.calibration, self._given.config.track.lag_std)
-        told = std <= _TOLD_LAG or solution.keyframes >= _OWN_IS_ENOUGH
-        return told and solution.tip_mm <= self._given.config.trust.tip_mm * _BY_THE_BASE
+        known = std <= _LAG_STD or solution.keyframes >= _OWN_IS_ENOUGH
+        return known and solution.tip_mm <= self._given.config.trust.tip_mm * _BY_THE_BASE
 
     def _is_better(self, solution: Solution) -> bool:
         """Whether a solution is to replace the calibration: one of an earlier run only if that is another or worse."""
@@ -339,7 +339,7 @@ class CalibratedFollower:
     def unconfirmed(self, result: TrackResult, readings: ReadingBuffer) -> TrackResult:
         """Return the result of an image that is not followed by a calibration, whether readings tell the base or not.
 
-        It is ok only if a solution whose lag is not told expects it there.
+        It is ok only if a solution that does not determine the lag expects it there.
         """
         if result.status == "lost":
             return result

@@ -105,7 +105,7 @@ class _Mode:
     cost: float
     following: Follower | None = None
     reads: bool = False
-    """Whether readings of a moving arm have told how it moves since it was based on them."""
+    """Whether readings of a moving arm have stated how it moves since it was based on them."""
     counted: Posed | None = None
     """Where it was in the last image that counted; those of the same scene tell nothing new."""
 
@@ -114,7 +114,7 @@ class _Mode:
 class UnknownBase:
     """Searches for an instrument, and follows it while no calibration is known.
 
-    ``background`` tells whether a search is done in a thread, beside the steps after its image.
+    ``background`` is whether a search is done in a thread while the steps after its image go on.
     """
 
     given: Followed

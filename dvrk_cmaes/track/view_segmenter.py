@@ -241,7 +241,7 @@ class ViewSegmenter:
         found = fit_edges(self._outlines, images, start, expected, far=not near)
         if near and (found is None or found.doubts):
             far = fit_edges(self._outlines, images, start, expected, far=True)
-            if far is not None and (found is None or far.supported - far.beside > found.supported - found.beside):
+            if far is not None and (found is None or far.net_support > found.net_support):
                 return far
         return found
 

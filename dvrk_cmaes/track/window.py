@@ -100,30 +100,30 @@ def smoothed_deviations(
     factors = np.concatenate([1 / parts[None], 1 / noise])
     factors[:-1] += left**2 / noise
     diagonal = np.tile(information, (1, 2, 2))  # the deviation is the sum of both parts
-    beside = np.zeros((len(left), 2 * size, 2 * size))  # between a frame and the next one
+    coupling = np.zeros((len(left), 2 * size, 2 * size))  # between a frame and the next one
     for k, part in enumerate((slice(0, size), slice(size, None))):
         diagonal[:, part, part] += factors[:, k, None, None] * own
-        beside[:, part, part] = -(left / noise)[:, k, None, None] * across
+        coupling[:, part, part] = -(left / noise)[:, k, None, None] * across
     right = np.concatenate([optimum[:, :, None], -information @ jacobian, by_masks], axis=2)
     both = np.tile(np.eye(size), 2)
-    pivots, sides = _kernel.eliminate_chain(diagonal, beside, np.tile(right, (1, 2, 1)))
+    pivots, sides = _kernel.eliminate_chain(diagonal, coupling, np.tile(right, (1, 2, 1)))
     if only_last:
         pivots, found = pivots[-1:], pivots[-1:] @ sides[-1:]
     else:
-        found, pivots = _substituted(pivots, sides, beside)
+        found, pivots = _substituted(pivots, sides, coupling)
     found = both @ found
     moves = np.concatenate([jacobian, np.zeros_like(by_masks)], axis=2)[-len(found) :]
     return found[:, :, 0], both @ pivots @ both.T, moves + found[:, :, 1:]
 
 
-def _substituted(pivots: Float64, sides: Float64, beside: Float64) -> tuple[Float64, Float64]:
+def _substituted(pivots: Float64, sides: Float64, coupling: Float64) -> tuple[Float64, Float64]:
     """Solve a system whose frames were eliminated, for columns (N, M, C).
 
     Also returns the diagonal blocks (N, M, M) of the inverse.
     """
     solution, blocks = pivots @ sides, pivots.copy()
     for k in range(len(pivots) - 2, -1, -1):
-        gain = pivots[k] @ beside[k]
+        gain = pivots[k] @ coupling[k]
         solution[k] -= gain @ solution[k + 1]
         blocks[k] += gain @ blocks[k + 1] @ gain.T
     return solution, blocks

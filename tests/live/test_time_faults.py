@@ -18,7 +18,7 @@ from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.live import arm as live_arm
 from dvrk_cmaes.live import loop as live_loop
 from dvrk_cmaes.live.arm import LiveArm
-from dvrk_cmaes.live.connection import RepeatedLines
+from dvrk_cmaes.live.connection import LogThrottle
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
 from dvrk_cmaes.live.loop import LiveLoop
 from dvrk_cmaes.live.outputs import Outputs
@@ -83,7 +83,7 @@ def live(monkeypatch: pytest.MonkeyPatch) -> Iterator[Live]:
         trackers.append(Follower(errors))
         return trackers[-1]
 
-    say = RepeatedLines(lines.append)
+    say = LogThrottle(lines.append)
     inputs = Inputs(TOPICS, say, longest_silence=1e6)
     inputs.subscribe(wire)
     outputs = Outputs(wire, FrameNames())

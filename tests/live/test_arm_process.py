@@ -17,7 +17,7 @@ from helpers.moving_worlds import SMALL, moving_world
 from dvrk_cmaes import Rig, TrackResult
 from dvrk_cmaes.export.frames import FrameNames
 from dvrk_cmaes.export.ros_messages import header
-from dvrk_cmaes.live.apart import Start, TrackerApart
+from dvrk_cmaes.live.arm_process import ArmProcess, Start
 from dvrk_cmaes.live.connection import Report
 from dvrk_cmaes.live.follow import ArmSetup, LiveSetup
 from dvrk_cmaes.live.inputs import EyeTopics, Inputs, InputTopics
@@ -31,7 +31,7 @@ TOPICS = InputTopics(
 BEGIN = 10**9  # ns
 
 
-def played(apart: Start | None, images: int, dies_at: int | None = None) -> tuple[Stage, list[str]]:
+def played(start: Start | None, images: int, dies_at: int | None = None) -> tuple[Stage, list[str]]:
     """Play images of two arms through the loop, before one of which all processes are killed; also returns lines."""
     stage, lines, others = Stage(stamp=BEGIN), list[str](), workers()
     arms = {arm: moving_world(seed=seed) for arm, seed in SEEDS.items()}
@@ -46,7 +46,7 @@ def played(apart: Start | None, images: int, dies_at: int | None = None) -> tupl
         ),
         rig=Rig.of(SMALL),
         origin=BEGIN,
-        apart=apart,
+        start_process=start,
     )
     with ExitStack() as stack:
         inputs = Inputs(TOPICS, lines.append, now=lambda: stage.now)
@@ -107,7 +107,7 @@ class Faulty:
 
 def test_step_that_fails_does_not_end_the_process() -> None:
     lines, others = list[str](), workers()
-    tracker = TrackerApart(serving_process, cast(Any, Faulty), lines.append)
+    tracker = ArmProcess(serving_process, cast(Any, Faulty), lines.append)
     (process,) = workers(others)
     for _ in range(2):
         with pytest.raises(ValueError, match="a fault of the tracker"):

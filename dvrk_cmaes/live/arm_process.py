@@ -64,8 +64,8 @@ def _followed(
     return None if images is None else own.step(*images)
 
 
-class TrackerApart:
-    """Follows an arm in another process, as its tracker and what goes on beside it would in this one.
+class ArmProcess:
+    """Follows an arm in another process, as `FollowedArm` does in this one.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class TrackerApart:
         Takes lines for the user.
     """
 
-    apart = True
+    elsewhere = True
 
     def __init__(self, start: Start, make: Callable[[Report], FollowedArm], report: Report) -> None:
         self.state = ""
@@ -85,7 +85,7 @@ class TrackerApart:
         self._opened: tuple[Connection, BaseProcess] | None = start(self._serve)
         self._readings: _Readings = []
 
-    def begin(self, rig: Rig) -> TrackerApart:
+    def begin(self, rig: Rig) -> ArmProcess:
         """Follow anew, by these cameras."""
         self._opened = self._opened or self._start(self._serve)
         self._readings = []
