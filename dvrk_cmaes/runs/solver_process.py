@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
-from threading import Lock
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.instrument import Instrument
@@ -31,6 +30,7 @@ class SolverProcess(ExitStack):
     """Solves keyframes in a process of its own; a context manager.
 
     The process is started with the first problem; one in the background is at once, so that no step is delayed by it.
+    It is given one thing at a time to do, the next one with the next call of a method.
 
     Parameters
     ----------
@@ -44,51 +44,40 @@ class SolverProcess(ExitStack):
 
     def __init__(self, instrument: Instrument, *, threads: int = 1, background: bool = False) -> None:
         super().__init__()
-        self._threads = threads
-        self._key = instrument_digest(instrument)
-        self._driver = ThreadPoolExecutor(1)
-        self._process, self._over = Pool(partial(_prepare, instrument, background), 1), False
-        self._futures: deque[Future[Solution]] = deque()
-        self._problems: deque[tuple[KeyframeProblem, Future[Solution]]] = deque()  # not begun
+        self._threads, self._key = threads, instrument_digest(instrument)
+        self._process = self.enter_context(Pool(partial(_prepare, instrument, background), 1))
+        self.callback(self._process.kill)
+        self._call: Future[Any] | None = None  # what the process does
+        self._task: KeyframeTask | None = None  # that this estimates; None if it solves the first problem
+        self._tries = 0  # of the first problem
+        self._problems: deque[KeyframeProblem] = deque()  # not solved yet
+        self._found: deque[Solution | Exception] = deque()  # not asked for yet
         self._tasks: dict[str, KeyframeTask] = {}  # the keyframes that no solution has estimated yet
-        self._ahead: dict[str, Result | None] = {}  # what was found of these, None where that failed
-        self._solved: Mapping[str, Result] = {}  # the own results of the keyframes of the last solution
-        self._works = False  # whether the driver does
-        self._lock = Lock()
-        self.callback(self._end)
+        self._alone: dict[str, Result | None] = {}  # what was found of these, None where that failed
+        self._solved: dict[str, Result] = {}  # the own results of the keyframes of the last solution
         if background:
             self._process.begin()
 
     def begin(self, problem: KeyframeProblem) -> None:
         """Begin with a problem, after those before it; returns at once."""
-        future = Future[Solution]()
-        self._futures.append(future)
-        with self._lock:
-            self._problems.append((problem, future))
-            self._drive()
+        self._problems.append(problem)
+        self._go_on()
 
     def prepare(self, tasks: Sequence[KeyframeTask]) -> None:
         """Estimate keyframes by themselves, each once, while there is no problem; returns at once.
 
-        ``tasks`` are all that no solution has estimated yet, in the order in which they are wanted. Those before that
-        are not among them any more, as where others were kept instead, are not estimated, and forgotten.
+        ``tasks`` are all that no solution has estimated yet, in the order in which they are wanted. Others are
+        forgotten.
         """
-        with self._lock:
-            self._tasks = {task.keyframe.name: task for task in tasks}
-            self._ahead = {name: result for name, result in self._ahead.items() if name in self._tasks}
-            if self._tasks:
-                self._drive()
-
-    def _drive(self) -> None:
-        """Have the driver work, unless it does."""
-        if not self._works:
-            self._works = True
-            self._driver.submit(self._work)
+        self._tasks = {task.keyframe.name: task for task in tasks}
+        self._alone = {name: result for name, result in self._alone.items() if name in self._tasks}
+        self._go_on()
 
     @property
     def ready(self) -> bool:
         """Whether the next solution is there."""
-        return bool(self._futures) and self._futures[0].done()
+        self._go_on()
+        return bool(self._found)
 
     def solution(self) -> Solution:
         """Return the next solution, for which this waits.
@@ -98,63 +87,64 @@ class SolverProcess(ExitStack):
         DvrkCmaesError
             The process died twice on it.
         """
-        return self._futures.popleft().result()
+        while not self._found:
+            self._go_on(wait=True)
+        found = self._found.popleft()
+        if isinstance(found, Exception):
+            raise found
+        return found
 
-    def _end(self) -> None:
-        """End the process, whatever it is at."""
-        self._over = True
-        self._process.kill()
-        self._driver.shutdown()
-        self._process.close()
+    def _go_on(self, *, wait: bool = False) -> None:
+        """Take what the process has done, and give it the next problem, or else the next keyframe."""
+        if self._call is not None:
+            if not (wait or self._call.done()):
+                return
+            self._take(self._call)
+        names = (name for name in self._tasks if name not in self._alone and name not in self._solved)
+        if self._problems:
+            self._task, self._call = None, self._submitted(_solve, self._with_known(self._problems[0]))
+        elif (name := next(names, None)) is not None:
+            self._task = self._tasks[name]
+            self._call = self._submitted(_estimate, self._task)
 
-    def _work(self) -> None:
-        """Solve all problems, one after the other; while there is none, estimate the first keyframe by itself."""
-        while self._works:
-            with self._lock:
-                problem, future = self._problems.popleft() if self._problems else (None, None)
-                names = (name for name in self._tasks if not {name} & (self._ahead.keys() | self._solved.keys()))
-                name = next(names, None)
-                task = None if name is None else self._tasks[name]
-                self._works = problem is not None or task is not None
-            if problem is not None and future is not None:
-                try:
-                    future.set_result(self._solution_of(problem))
-                except Exception as error:
-                    future.set_exception(error)
-            elif name is not None and task is not None:
-                found: Result | None = None
-                with suppress(Exception):  # which is tried again, and raised, with a problem
-                    found = self._call(_estimate, task)
-                with self._lock:
-                    self._ahead[name] = found
-
-    def _solution_of(self, problem: KeyframeProblem) -> Solution:
-        """Solve a problem in the process, and once more in a new one if that dies.
-
-        No keyframe is solved by itself twice, where problems were given before the solutions of others were there.
-        """
-        with self._lock:
-            known = self._ahead | {**self._solved}
-        names = {keyframe.name for keyframe in problem.keyframes}
-        alone = {name: result for name, result in known.items() if name in names and result is not None}
-        problem = replace(problem, alone={**alone, **problem.alone})
-        for _ in range(_TRIES):
-            with suppress(BrokenProcessPool):
-                solution = self._call(_solve, problem)
-                give_back_memory()
-                self._solved = solution.alone
-                return solution
-        raise DvrkCmaesError(f"keyframes: their process died {_TRIES} times: out of memory?")
-
-    def _call(self, function: Callable[[str, T, int], R], task: T) -> R:
-        """Call a function with the instrument in the process; one that dies on it is started again by the next call."""
-        if self._over:
-            raise BrokenProcessPool
+    def _take(self, call: Future[Any]) -> None:
+        """Take what a call has found; a problem on which the process died is tried once more."""
+        found: Any = None
+        error: Exception | None = None
+        self._call, died = None, False
         try:
-            return self._process.submit(function, self._key, task, self._threads).result()
+            found = call.result()
         except BrokenProcessPool:
             self._process.kill()
-            raise
+            error, died = DvrkCmaesError(f"keyframes: their process died {_TRIES} times: out of memory?"), True
+        except Exception as raised:
+            error = raised
+        if self._task is not None:  # if that failed, it is tried again, and raised, with a problem
+            self._alone[self._task.keyframe.name] = found
+            return
+        self._tries += 1
+        if died and self._tries < _TRIES:
+            return
+        self._problems.popleft()
+        self._tries = 0
+        self._found.append(found if error is None else error)
+        if error is None:
+            self._solved = dict(found.alone)
+            give_back_memory()
+
+    def _with_known(self, problem: KeyframeProblem) -> KeyframeProblem:
+        """Return a problem with what was found of its keyframes by themselves, so that none is estimated twice."""
+        known, names = self._alone | {**self._solved}, {keyframe.name for keyframe in problem.keyframes}
+        alone = {name: result for name, result in known.items() if name in names and result is not None}
+        return replace(problem, alone={**alone, **problem.alone})
+
+    def _submitted(self, function: Callable[[str, T, int], R], task: T) -> Future[R]:
+        """Begin to call a function with the instrument in the process; one that has died is started again."""
+        try:
+            return self._process.submit(function, self._key, task, self._threads)
+        except BrokenProcessPool:
+            self._process.kill()
+            return self._process.submit(function, self._key, task, self._threads)
 
 
 def _prepare(instrument: Instrument, background: bool) -> None:

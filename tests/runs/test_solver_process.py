@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -44,15 +43,20 @@ def test_process_that_is_not_needed_ends_at_once() -> None:
 
 
 class FakeProcess:
-    """Notes what it is called with; the own result of a keyframe is a text."""
+    """Notes what it is called with, and answers at once, unless ``busy``; the own result of a keyframe is a text."""
 
     def __init__(self) -> None:
         self.estimated: list[str] = []
         self.problems: list[dict[str, str]] = []
+        self.busy: list[Future[Any]] | None = None
 
     def submit(self, function: Callable[..., Any], key: str, given: Any, threads: int) -> Future[Any]:
         future = Future[Any]()
-        future.set_result(self._answer(function, given))
+        answer = self._answer(function, given)
+        if self.busy is None:
+            future.set_result(answer)
+        else:
+            self.busy.append(future)
         return future
 
     def _answer(self, function: Callable[..., Any], given: Any) -> Any:
@@ -64,28 +68,27 @@ class FakeProcess:
 
     def kill(self) -> None: ...
 
-    def close(self) -> None: ...
+
+RIG, CONFIG = Rig.of(Camera(160, 120, 200.0, 200.0, 80.0, 60.0)), EstimateConfig()
+TASKS = [KeyframeTask(Keyframe(0.1 * k, {}, {}, {}, {}), RIG, CONFIG) for k in range(40)]
 
 
-def keyframe(time: float) -> Keyframe:
-    return Keyframe(time, {}, {}, {}, {})
+def problem(*numbers: int) -> KeyframeProblem:
+    keyframes = tuple(TASKS[k].keyframe for k in numbers)
+    return KeyframeProblem(keyframes, ReadingSeries("s", {}, {}, {}, 0.1), RIG, "classic", CONFIG)
 
 
 def test_keyframes_are_estimated_ahead_of_their_problem_each_once() -> None:
-    rig, config = Rig.of(Camera(160, 120, 200.0, 200.0, 80.0, 60.0)), EstimateConfig()
-    keyframes = tuple(keyframe(0.1 * k) for k in range(4))
-    tasks = [KeyframeTask(one, rig, config) for one in keyframes]
-    process, no_readings = FakeProcess(), ReadingSeries("s", {}, {}, {}, 0.1)
+    process = FakeProcess()
     with SolverProcess(prepare("lnd").instrument) as solver:
         solver._process = cast(Any, process)
         for known in (1, 2, 2):
-            solver.prepare(tasks[:known])
-        solver._driver.submit(int).result(30)
+            solver.prepare(TASKS[:known])
         for count in (3, 4):  # of which the last ones were not estimated ahead
-            solver.begin(KeyframeProblem(keyframes[:count], no_readings, rig, "classic", config))
-            solver.prepare(tasks[:count])
+            solver.begin(problem(*range(count)))
+            solver.prepare(TASKS[:count])
         first, second = solver.solution(), solver.solution()
-    names = [one.name for one in keyframes]
+    names = [task.keyframe.name for task in TASKS]
     assert process.estimated == names[:2]
     assert process.problems == [
         {name: f"result of {name}" for name in names[:2]},
@@ -94,36 +97,34 @@ def test_keyframes_are_estimated_ahead_of_their_problem_each_once() -> None:
     assert (first.keyframes, second.keyframes) == (3, 4)
 
 
-def test_problem_does_not_wait_for_keyframes_that_are_estimated_ahead() -> None:
-    rig, config = Rig.of(Camera(160, 120, 200.0, 200.0, 80.0, 60.0)), EstimateConfig()
-    tasks = [KeyframeTask(keyframe(0.1 * k), rig, config) for k in range(4)]
-    process, begin = FakeProcess(), threading.Event()
+def test_problem_does_not_wait_for_more_than_one_keyframe_that_is_estimated_ahead() -> None:
+    process = FakeProcess()
     with SolverProcess(prepare("lnd").instrument) as solver:
         solver._process = cast(Any, process)
-        solver._driver.submit(begin.wait, 30)  # the process is at something else
-        solver.prepare(tasks)
-        solver.begin(KeyframeProblem((tasks[2].keyframe,), ReadingSeries("s", {}, {}, {}, 0.1), rig, "classic", config))
-        begin.set()
+        process.busy = []
+        solver.prepare(TASKS[:4])
+        solver.begin(problem(2))
+        assert not solver.ready
+        process.busy.pop().set_result("result")
+        process.busy = None
         solver.solution()
-        solver._driver.submit(int).result(30)
+        for _ in range(4):
+            solver.prepare(TASKS[:4])
     assert process.problems == [{}]
-    assert process.estimated == [tasks[k].keyframe.name for k in (0, 1, 3)]  # the problem has estimated the other one
+    assert process.estimated == [TASKS[k].keyframe.name for k in (0, 1, 3)]  # the problem has estimated the other one
 
 
 def test_keyframes_that_others_replace_are_not_estimated_and_forgotten() -> None:
-    rig, config = Rig.of(Camera(160, 120, 200.0, 200.0, 80.0, 60.0)), EstimateConfig()
-    tasks = [KeyframeTask(keyframe(0.1 * k), rig, config) for k in range(40)]
-    process, begin = FakeProcess(), threading.Event()
+    process = FakeProcess()
     with SolverProcess(prepare("lnd").instrument) as solver:
         solver._process = cast(Any, process)
-        solver._driver.submit(begin.wait, 30)  # the process is at something else
+        process.busy = []
         for k in range(30):  # of three that are kept, the oldest one is replaced
-            solver.prepare(tasks[k : k + 3])
-        assert solver._driver._work_queue.qsize() <= 3
-        begin.set()
-        solver._driver.submit(int).result(30)
-        assert process.estimated == [task.keyframe.name for task in tasks[29:32]]
-        for k in range(30, 38):
-            solver.prepare(tasks[k : k + 3])
-            solver._driver.submit(int).result(30)
-        assert set(solver._ahead) == {task.keyframe.name for task in tasks[37:40]}
+            solver.prepare(TASKS[k : k + 3])
+        assert process.estimated == [TASKS[0].keyframe.name]
+        process.busy.pop().set_result("result")
+        process.busy = None
+        for _ in range(4):
+            solver.prepare(TASKS[29:32])
+        assert process.estimated[1:] == [task.keyframe.name for task in TASKS[29:32]]
+        assert set(solver._alone) == {task.keyframe.name for task in TASKS[29:32]}
