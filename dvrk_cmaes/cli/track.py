@@ -338,7 +338,8 @@ def _lines(arm: TrackedArm) -> Iterator[Line]:
         yield Line("lag: not determined" if lag is None else f"lag: {lag.describe()}")
         offsets = ", ".join(f"{name} {np.degrees(v):+z.1f}" for name, v in list(arm.calibration.offsets.items())[1:])
         yield Line(f"offsets, deg (true = reading + offset): {offsets}")
-    yield Line(f"written: {arm.out / 'tracks.jsonl'}")
+    if arm.rows:
+        yield Line(f"written: {arm.out / 'tracks.jsonl'}")
     if not arm.interrupted:
         if (arm.out / VIDEO).is_file():
             yield Line(f"video: {arm.out / VIDEO}")
