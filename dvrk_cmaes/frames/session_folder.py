@@ -228,19 +228,9 @@ def read_session(
     if fit.crop is not None:
         frames = tuple(frame.changed(crop=fit.crop) for frame in frames)
     stereo = _is_stereo(root, mask_folder)
-    if camera_right is not None and not stereo:
-        raise InputError(
-            f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
-        )
     without_file = camera is None and not stereo and not os.path.lexists(_camera_file(root))
     guessed = guess is not None and (guess.focal_px is not None or without_file)
-    if guessed and stereo:
-        raise InputError(
-            f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
-        )
-    without = camera is None and not stereo and not (root / "camera.yaml").exists() and not guessed
-    if without and notes[0] != "a session folder":
-        raise InputError(f"{root}: expected a camera file with the frames (--camera FILE), got none; {UNCALIBRATED}")
+    _check_cameras(root, camera, camera_right, stereo=stereo, guessed=guessed, plain=notes[0] == "a session folder")
     if stereo:
         lens = fit.lens(_read_eyes(own, root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
@@ -265,6 +255,22 @@ def read_session(
         image_times=times,
         guessed=guessed,
     )
+
+
+def _check_cameras(
+    root: Path, camera: Path | None, right: Path | None, *, stereo: bool, guessed: bool, plain: bool
+) -> None:
+    """Raise an InputError for camera files that a session, which is of the ``plain`` layout or not, cannot have."""
+    if right is not None and not stereo:
+        raise InputError(
+            f"{root}: expected a stereo session (masks/left) with a right camera, got one of a single view"
+        )
+    if guessed and stereo:
+        raise InputError(
+            f"{root}: expected the camera files of both eyes (--camera FILE), which are not guessed, got none"
+        )
+    if not plain and camera is None and not stereo and not guessed and not (root / "camera.yaml").exists():
+        raise InputError(f"{root}: expected a camera file with the frames (--camera FILE), got none; {UNCALIBRATED}")
 
 
 def _read_eyes(
@@ -306,6 +312,42 @@ def _masks_as_json(own: OwnFiles, root: Path, folder: Path) -> Mapping[str, Path
     return found if found or whole is None else dict.fromkeys(frames_of(own.check(whole)), whole)
 
 
+def _pictures(
+    own: OwnFiles, root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bool
+) -> list[list[Mapping[str, Path]]]:
+    """Find masks, images and ignored pixels by view and frame; InputError if there are none, and no video either."""
+    folders = (mask_folder, root / "images" if filmed else _image_folder(root), root / "ignore")
+    for folder in folders:
+        own.check(folder)
+        if folder.is_symlink() and not folder.exists():
+            raise InputError(f"{folder}: expected a folder, got a link to nothing")
+    of_views = [[image_files(folder / view) for folder in folders] for view in views]
+    if len(views) == 1 and not of_views[0][0]:
+        masks = of_views[0][0] = _masks_as_json(own, root, mask_folder)
+        _refuse_annotations(root, mask_folder, masks)
+    for kinds in of_views:
+        for of_kind in kinds:
+            own.check_all(of_kind.values())
+    if not filmed and not any(files for kinds in of_views for files in kinds[:2]):
+        raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
+    return of_views
+
+
+def _with_readings(
+    frame: FrameFiles, files: Sequence[JointFile], time: int | None, tolerance: int
+) -> tuple[FrameFiles, int | None]:
+    """Return a frame with its readings, and the farthest of these in time, ns; or with the problem that it has."""
+    odd = [path for path in (frame.mask, frame.image) if path is not None and escaped(path.name) != path.name]
+    if odd:
+        problem = f"{escaped(str(odd[0]))}: expected a name in UTF-8 without control characters: rename it"
+        return FrameFiles(frame.name, None, time=frame.time, problem=problem), None
+    try:
+        found = frame_readings(files, frame.name, time=time, tolerance=tolerance)
+    except InputError as error:
+        return replace(frame, problem=str(error), unread=isinstance(error, NoneNearError)), None
+    return replace(frame, readings=found.readings, notes=found.notes), found.farthest
+
+
 def _session_frames(
     own: OwnFiles,
     root: Path,
@@ -318,21 +360,8 @@ def _session_frames(
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
     views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
-    folders = (mask_folder, root / "images" if video is not None else _image_folder(root), root / "ignore")
-    for folder in folders:
-        own.check(folder)
-        if folder.is_symlink() and not folder.exists():
-            raise InputError(f"{folder}: expected a folder, got a link to nothing")
-    of_views = [[image_files(folder / view) for folder in folders] for view in views]
-    masks, images, ignore = of_views[0]
-    if views == (".",) and not masks:
-        masks = of_views[0][0] = _masks_as_json(own, root, mask_folder)
-        _refuse_annotations(root, mask_folder, masks)
-    for kinds in of_views:
-        for of_kind in kinds:
-            own.check_all(of_kind.values())
-    if video is None and not any(files for kinds in of_views for files in kinds[:2]):
-        raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
+    of_views = _pictures(own, root, mask_folder, views, filmed=video is not None)
+    _, images, ignore = of_views[0]
     files = [
         source if isinstance(source, JointFile) else read_joint_file(own.check(source), known=known, read_as=read_as)
         for source in (() if joints is None else joints or _joint_files(root))
@@ -371,18 +400,9 @@ def _session_frames(
             prompts=boxes.get(name),
             video=films.get(name),
         )
-        odd = [path for path in (frame.mask, frame.image) if path is not None and escaped(path.name) != path.name]
-        if odd:
-            problem = f"{escaped(str(odd[0]))}: expected a name in UTF-8 without control characters: rename it"
-            frames.append(FrameFiles(name, None, time=frame.time, problem=problem))
-            continue
-        try:
-            found = frame_readings(files, name, time=time, tolerance=tolerance)
-        except InputError as error:
-            frames.append(replace(frame, problem=str(error), unread=isinstance(error, NoneNearError)))
-            continue
-        frames.append(replace(frame, readings=found.readings, notes=found.notes))
-        farthest = max((d for d in (farthest, found.farthest) if d is not None), default=None)
+        frame, far = _with_readings(frame, files, time, tolerance)
+        frames.append(frame)
+        farthest = max((d for d in (farthest, far) if d is not None), default=None)
     if all(frame.problem for frame in frames):
         raise InputError(str(frames[0].problem))
     notes = (*(_described(files) or (NO_READINGS,)), *remarks, *_interpolation(farthest, tolerance))
