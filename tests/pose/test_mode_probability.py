@@ -58,4 +58,5 @@ def test_equal_twin_has_half_of_probability() -> None:
 def test_probability_falls_with_gap() -> None:
     gaps = [mode_probability([mode(0, 0.0), mode(180, gap)], 0.3) for gap in (0, 1, 2, 4, 12)]
     assert gaps == sorted(gaps)
+    assert gaps[1:3] == pytest.approx([0.65, 0.77], abs=0.02)  # scores are tempered: less than exp(1) and exp(2)
     assert gaps[-1] > 0.999
