@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,8 +14,6 @@ from helpers.canned_results import canned, write_results
 from helpers.commands import main
 from helpers.demo_files import CAMERA, DEMO, IMAGE, JOINTS, MASK, SMALL_CAMERA, frame
 from helpers.made_recordings import good, write_bag, write_video
-
-from dvrk_cmaes.cli.options import InstrumentOptions
 
 NAMES = {
     "empty": "",
@@ -48,14 +45,6 @@ READERS: dict[str, Callable[[str], list[object]]] = {
 }
 
 Said = Callable[[list[object]], str]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def loaded_once() -> Iterator[None]:
-    """Load the bundled instrument once."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(InstrumentOptions, "load", functools.cache(InstrumentOptions.load))
-        yield
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ process's largest memory use (MB).
 from __future__ import annotations
 
 import contextlib
-import functools
 import io
 import json
 import resource
@@ -201,9 +200,7 @@ def _jpeg(size: int) -> bytes:
 def _run_all() -> None:
     """Run the commands on stdin with limited address space and CPU time."""
     from dvrk_cmaes.cli import main
-    from dvrk_cmaes.cli.options import InstrumentOptions
 
-    InstrumentOptions.load = functools.cache(InstrumentOptions.load)  # type: ignore[method-assign]
     jobs = json.load(sys.stdin)
     with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
         for _, arguments in jobs["first"]:  # so that all libraries are loaded

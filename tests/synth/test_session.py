@@ -20,7 +20,7 @@ from dvrk_cmaes.frames.session_toml import read_session_toml
 from dvrk_cmaes.instrument.arm import base_from_root
 from dvrk_cmaes.synth.levels import LEVELS, LevelName
 from dvrk_cmaes.synth.readings import level_errors, sample_readings
-from dvrk_cmaes.synth.session import SessionPlan, default_camera, make_frames, make_truths, write_session
+from dvrk_cmaes.synth.session import SessionPlan, default_camera, write_session
 from dvrk_cmaes.synth.truth import Truth
 
 TABLE = read_marker_table(bundled_path("markers", "lnd.json"))
@@ -141,27 +141,7 @@ def test_reading_errors_agree_with_level(bundled_body: Body) -> None:
     assert np.degrees(np.abs(biases).max()) > 8
 
 
-def test_occlusion_rates_agree_with_level(bundled_body: Body) -> None:
-    many = plan(bundled_body, "hard", frames=24, markers={})
-    _, truths = make_truths(replace(many, frames=1))
-    frames = list(make_frames(many, truths * 24))
-    occluded = [frame for frame in frames if frame.occluder is not None]
-    told = [f for f in occluded if f.occluder is not None and f.ignore is not None and f.ignore[f.occluder].all()]
-    assert len(occluded) / 24 == pytest.approx(0.7, abs=0.2)
-    assert len(told) / len(occluded) == pytest.approx(0.5, abs=0.3)
-    assert all(frame.tips is None for frame in occluded)
-    assert not any((frame.mask & frame.occluder).sum() > 300 for frame in occluded)
-
-
 # other instruments and cameras
-
-
-def test_free_motion_has_no_outer_readings_or_base(bundled_body: Body, tmp_path: Path) -> None:
-    write_session(tmp_path / "free", plan(bundled_body, "clean", motion="free"), images=False)
-    session = read_session(tmp_path / "free")
-    assert session.truth.camera_from_base is None
-    assert all(set(frame.readings) == set(WRIST) for frame in session.frames)
-    assert not (tmp_path / "free" / "images").exists()
 
 
 def test_other_instrument_has_its_own_joints(shared: Path, tmp_path: Path) -> None:
