@@ -60,50 +60,35 @@ class SearchConfig:
     Attributes
     ----------
     method
-        Optimiser that runs from each start.
+        Optimiser that runs from the starts.
     samples
-        Number of random candidate poses that are scored first, by a coarse mesh in very small images.
-    screened
-        Number of these, the best ones, that are scored again in images of ``width_px``; a sixth as many of those drawn
-        without readings, the best without the readings' term, are as well.
+        Number of random candidate poses that are scored first.
     starts
-        Number of distinct best candidates from which the optimiser runs.
+        Number of distinct best candidates from which the optimiser runs; a quarter are the best of those drawn without
+        readings, by the loss without the readings' term, so that the outline can contradict wrong readings.
     evaluations
-        Evaluations of the loss in each run of the optimiser.
-    spares
-        Number of next best distinct candidates that are refined without a run of the optimiser.
+        Evaluations of the loss by the optimiser, from all starts together.
     width_px
         Approximate width of the images in which losses are computed; up to twice that where the mask is small.
     detail_m
         Cell size of the mesh decimation for these images.
-    screen_shrink, screen_detail_m
-        By how much smaller the very small images are than those of ``width_px``, and the cell size of the mesh
-        decimation for them. Where a mask is too narrow for such images, less small ones are used.
     use_edges
         Whether candidates are drawn from the shaft's edges in the mask, where these are found.
     free_share
         Fraction of the candidates that are drawn from the LookAt space without using the shaft's edges.
     unread_share
         Fraction of the candidates whose joints are drawn uniformly within their limits instead of around the readings.
-    unread_spares
-        Number of the latter, the best by the loss without its readings term, that are refined as well, so that the
-        outline can contradict wrong readings.
     """
 
     method: str = "cmaes"
-    samples: int = 768
-    screened: int = 168
-    starts: int = 4
-    evaluations: int = 33
-    spares: int = 22
+    samples: int = 320
+    starts: int = 16
+    evaluations: int = 800
     width_px: int = field(default=80, metadata=_WIDTH)
     detail_m: float = field(default=6e-4, metadata=Limits(least=1e-6).metadata)
-    screen_shrink: int = 3
-    screen_detail_m: float = field(default=2e-3, metadata=Limits(least=1e-6).metadata)
     use_edges: bool = True
     free_share: float = field(default=0.15, metadata=_SHARE_OR_ZERO)
     unread_share: float = 0.25
-    unread_spares: int = 5
 
 
 @dataclass(frozen=True)
@@ -213,58 +198,22 @@ class OutlineConfig:
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """Settings of the local refinement, from coarse to fine.
+    """Settings of the local refinement.
 
     Attributes
     ----------
-    method
-        Method at full image size. Gauss-Newton is always used at smaller sizes.
     derivatives
         How Gauss-Newton finds the derivatives of outlines: ``closed-form`` follows the outline's points on the surface,
         ``differences`` draws outlines anew after a small change of each unknown, either way.
-    evaluations
-        Evaluations of the loss, for methods other than Gauss-Newton.
     width_px
-        Approximate width of the smallest images of the refinement; they are larger where they show little of a mask.
-    first_steps
-        Gauss-Newton iterations for all candidates, at that image size.
-    first_candidates, agreed_gap
-        Number of candidates that are refined at first. The others are, too, unless two of these have reached the same
-        mode and no other mode is nearly as good: within this difference of the negative log-likelihood.
-    small_modes, small_steps
-        Number of best modes that are kept after that, and largest number of further iterations at the same size.
-    small_share, last_share
-        Share of the poses, the best ones, that continue after each iteration after the first ones; the last of them at
-        half and full image size, where at least one continues.
-    first_gap, small_gap, last_gap
-        Difference of the negative log-likelihood from the best pose beyond which a pose does not continue, if its
-        outline alone is worse than the best outline by a third of that too.
-    half_size_modes
-        Number of best modes that are refined at half the image size, or at about 400 px where that is larger.
-    modes, full_steps
-        Number of best modes that are refined at full image size, and largest number of iterations there before the
-        contour's noise is estimated. The last iterations follow.
+        Approximate width of the images in which what the search found is refined first; they are larger where they
+        show little of a mask. The best two modes, with their mirror twins, are refined at full size.
     outline
-        Settings of the Gauss-Newton refinement.
+        Settings of the Gauss-Newton steps.
     """
 
-    method: str = "gauss-newton"
     derivatives: str = "closed-form"
-    evaluations: int = 400
     width_px: int = field(default=110, metadata=_WIDTH)
-    first_steps: int = 3
-    first_candidates: int = 12
-    agreed_gap: float = 6.0
-    small_modes: int = 10
-    small_steps: int = 8
-    small_share: float = field(default=0.9, metadata=_SHARE)
-    last_share: float = field(default=0.93, metadata=_SHARE)
-    first_gap: float = 150.0
-    small_gap: float = 50.0
-    last_gap: float = 30.0
-    half_size_modes: int = 3
-    modes: int = 2
-    full_steps: int = 2
     outline: OutlineConfig = field(default_factory=OutlineConfig)
 
 
@@ -421,7 +370,6 @@ class TrackConfig:
         Points of the outline that are compared with the edges that an image's colours show.
     lag_std
         Standard deviation of the lag at the start, s, if it is not given.
-    modes
         Largest number of modes of the first frame that are followed until one is decided.
     black_level
         Value of the brightest pixel below which an image counts as black.
@@ -488,5 +436,12 @@ def _as_dict(tree: Any) -> dict[str, Any]:
 REMOVED = {
     "session.focal_length_percent": "see camera.focal_length_percent",
     "session.principal_point_px": "see camera.principal_point_percent, of the focal length",
+    **dict.fromkeys(("search.screened", "search.screen_shrink", "search.screen_detail_m"), "see search.samples"),
+    **dict.fromkeys(("search.spares", "search.unread_spares"), "see search.starts"),
+    **dict.fromkeys(("refine.method", "refine.evaluations"), "see refine.derivatives, or search.method of NLopt's"),
+    **dict.fromkeys([f"refine.first_{name}" for name in ("steps", "candidates", "gap")], "see search.starts"),
+    **dict.fromkeys([f"refine.small_{name}" for name in ("modes", "steps", "share", "gap")], "see search.starts"),
+    **dict.fromkeys([f"refine.{name}" for name in ("agreed_gap", "last_share", "last_gap")], "see search.starts"),
+    **dict.fromkeys([f"refine.{name}" for name in ("half_size_modes", "modes", "full_steps")], "see search.starts"),
 }
 """Settings of earlier versions, and what there is in their place."""

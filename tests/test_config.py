@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from dvrk_cmaes import EstimateConfig, InputError
+from dvrk_cmaes.config import REMOVED
 from dvrk_cmaes.io.toml_file import leaves, read_config, updated
 from dvrk_cmaes.pose.config_check import check_config
 
@@ -53,6 +54,14 @@ def test_unknown_name_or_other_type_is_refused(values: dict[str, object], expect
     assert message(values).startswith(expected)
 
 
+def test_removed_setting_is_refused_with_what_replaces_it() -> None:
+    assert len(REMOVED) == len(REMOVED.keys() - dict(leaves(EstimateConfig())))
+    for key, instead in REMOVED.items():
+        table, name = key.split(".")
+        with pytest.raises(InputError, match=f"own.toml: {key} is no longer a setting: {instead}"):
+            updated(EstimateConfig(), {table: {name: 1}}, where="own.toml")
+
+
 def test_every_setting_can_be_set_by_its_name(tmp_path: Path) -> None:
     lines = []
     for key, value in leaves(EstimateConfig()):
@@ -82,7 +91,6 @@ def test_defaults_are_valid() -> None:
         ({"search": {"samples": 0}}, "search.samples: expected a number above 0, got 0"),
         ({"search": {"method": "cmeas"}}, "search.method: expected one of cmaes, "),
         ({"search": {"free_share": 1.5}}, "search.free_share: expected a share, at most 1, got 1.5"),
-        ({"refine": {"method": "sbplex"}}, "refine.method: expected one of sbplx, "),
         ({"refine": {"derivatives": "difference"}}, "refine.derivatives: expected one of differences, "),
         ({"refine": {"outline": {"blur": -1.0}}}, "refine.outline.blur: expected a number above 0, got -1"),
         ({"distance_field": "fmn"}, "distance_field: expected one of fmm, "),
@@ -92,8 +100,8 @@ def test_defaults_are_valid() -> None:
         ({"seed": -1}, "seed: expected a number of at least 0, got -1"),
         ({"threads": 0}, "threads: expected a number above 0, got 0"),
         (
-            {"search": {"screen_detail_m": 1e-308}},
-            "search.screen_detail_m: expected a number from",
+            {"search": {"detail_m": 1e-308}},
+            "search.detail_m: expected a number from",
         ),
         (
             {"refine": {"outline": {"cauchy": 1e308}}},

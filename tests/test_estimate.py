@@ -30,12 +30,11 @@ from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose import find_pose
-from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
 from dvrk_cmaes.pose.search.modes import PoseCandidate
 
 QUICK = EstimateConfig()
-QUICK = replace(QUICK, search=replace(QUICK.search, samples=128, starts=3, evaluations=65))
+QUICK = replace(QUICK, search=replace(QUICK.search, samples=128, starts=3, evaluations=200))
 
 
 @pytest.fixture(scope="module")
@@ -90,20 +89,6 @@ def test_mirror_twin_is_alternative_farther_from_readings(quick_result: Result, 
 
 
 # reproducibility
-
-
-def test_other_candidates_are_refined_only_where_the_first_do_not_agree(
-    bundled_body: Body, frame: FrameData, readings: dict[str, float]
-) -> None:
-    config = EstimateConfig()
-    never = replace(config, refine=replace(config.refine, agreed_gap=1e6))
-    agreed, all_refined = (
-        estimate(frame.mask, frame.camera, readings, bundled_body, config=each) for each in (config, never)
-    )
-    assert agreed.evaluations < all_refined.evaluations
-    assert agreed.status == all_refined.status == "ok"
-    assert rotation_angle(agreed.camera_from_root, all_refined.camera_from_root) < np.deg2rad(0.05)
-    np.testing.assert_allclose(agreed.camera_from_root[:3, 3], all_refined.camera_from_root[:3, 3], atol=2e-5)
 
 
 def test_another_search_follows_where_the_first_does_not_explain_the_mask(
@@ -172,17 +157,6 @@ def test_every_search_method_runs(
     assert result.config["search"]["method"] == method
     assert result.quality is not None
     assert result.quality.iou > 0.9
-
-
-@pytest.mark.parametrize("method", REFINEMENTS)
-def test_every_refinement_method_runs(
-    bundled_body: Body, frame: FrameData, readings: dict[str, float], method: str
-) -> None:
-    config = replace(QUICK, refine=replace(QUICK.refine, method=method, evaluations=120))
-    result = estimate(frame.mask, frame.camera, readings, bundled_body, config=config)
-    assert result.config["refine"]["method"] == method
-    assert result.quality is not None
-    assert result.quality.iou > 0.93
 
 
 @pytest.mark.parametrize("field", ["fmm", "exact", "chamfer"])

@@ -18,7 +18,7 @@ TRUTH = lookat_pose(0.5, 1.0, 0.7, 0.11)
 JOINTS = np.array([0.4, -0.3, 0.5])
 READINGS = {"wrist_pitch": 0.45, "wrist_yaw": -0.2, "jaw": 0.4}
 QUICK = EstimateConfig()
-QUICK = replace(QUICK, threads=1, search=replace(QUICK.search, samples=128, starts=3, evaluations=65))
+QUICK = replace(QUICK, threads=1, search=replace(QUICK.search, samples=128, starts=3, evaluations=200))
 
 Masks = dict[str, np.ndarray]
 

@@ -15,7 +15,7 @@ from dvrk_cmaes.evaluate.pose_error import compare_poses
 from dvrk_cmaes.frames.frame import with_tool
 
 QUICK = EstimateConfig()
-QUICK = replace(QUICK, threads=1, search=replace(QUICK.search, samples=128, starts=3, evaluations=65))
+QUICK = replace(QUICK, threads=1, search=replace(QUICK.search, samples=128, starts=3, evaluations=200))
 
 
 def readings(tools: CrossingTools, number: int) -> dict[str, float]:

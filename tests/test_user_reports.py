@@ -86,7 +86,7 @@ def test_two_frames_of_one_time_count_as_one_moment(reports: Path, run: Run) -> 
     times = np.array([frame.time for frame in session.frames], np.float64)
     assert len(set(times.tolist())) < len(times)
     np.linalg.cholesky(LastingSize(0.4, 0.2).correlation(times))
-    Path("quick.toml").write_text("[search]\nsamples = 64\nstarts = 1\nevaluations = 20\n")
+    Path("quick.toml").write_text("[search]\nsamples = 64\nstarts = 1\nevaluations = 60\n")
     options = ("--no-video", "--no-page", "--causal", "--config", "quick.toml")
     done = run("track", reports / "time-twice", "--out", "tracks", *options)
     assert "left out, for they have the time of the frame before: 0024" in done.err

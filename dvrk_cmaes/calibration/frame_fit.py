@@ -27,6 +27,7 @@ from dvrk_cmaes.pose.terms.tips_term import terms_of_frame
 from dvrk_cmaes.pose.views import FrameView, overlap
 from dvrk_cmaes.silhouette import OutlinePoints
 
+_SHARE, _GAP = 0.9, 50.0  # of fits at half the image size that continue, as `Selection`
 _KEPT = 2  # fits at half the image size that are continued at the whole size
 _LARGEST_STEP = 3e-3  # m, by which a fit moves where the errors that masks share are eliminated
 _OVERLAP_LOSS = 0.1  # by which the fit's intersection over union may fall below that of the frame's own estimate
@@ -284,7 +285,7 @@ def _refined(
     at, count = Posed.stacked(starts), 0
     coarse, selection = preset.steps is None, ALL
     if coarse:
-        selection = Selection(config.refine.small_share, config.refine.small_gap, least=_KEPT)
+        selection = Selection(_SHARE, _GAP, least=_KEPT)
     for shrink in (2, 1) if coarse and len(starts) > 1 and views[0].evidence.camera.width >= 320 else (1,):
         coverage = _coverage(views, outline, lengths, shrink, margins)
         if own_estimate is not None:

@@ -63,7 +63,6 @@ _LIMITS: Final = {
 _TOOL: Final = "columns, packages, root_link or tool of [[tool]] in session.toml"
 _SETTINGS: Final = {
     "--search": "search.method in the settings file (--config)",
-    "--refine": "refine.method in the settings file (--config)",
     "--preset": "refine.derivatives in the settings file (--config)",
     "--seed": "seed in the settings file (--config)",
     "--threads": "threads in the settings file (--config)",
@@ -79,7 +78,10 @@ _OF_TRACK: Final = _OF_SESSION | {
     **dict.fromkeys(("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),
     "--not-point": "--box, or boxes.csv in the session",
 }
-_LINKS: Final = {"--follow-links": "copies of the files in the folder"}
+_OF_ALL: Final = {
+    "--follow-links": "copies of the files in the folder",
+    "--refine": "--preset card, or NLopt's bobyqa and sbplx by --search",
+}
 _REMOVED: Final = {
     "batch": _SETTINGS
     | dict.fromkeys(("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
@@ -100,7 +102,7 @@ _REMOVED: Final = {
     },
     "track": _OF_TRACK,
 }
-"""By command, options and values that are no longer there, and what is used instead; ``_LINKS`` of all commands."""
+"""By command, options and values that are no longer there, and what is used instead; ``_OF_ALL`` of all commands."""
 
 
 def _version() -> str:
@@ -194,7 +196,7 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
 def _removed(tokens: Sequence[str]) -> str | None:
     """Return the message for the first option, or value of one, that is no longer there; None without one."""
     words = [word for token in tokens for word in (token.split("=", 1) if token.startswith("--") else [token])]
-    gone = _LINKS | _REMOVED.get(tokens[0] if tokens else "", {})
+    gone = _OF_ALL | _REMOVED.get(tokens[0] if tokens else "", {})
     names = (name for name in (*words, *(" ".join(pair) for pair in pairwise(words))) if name in gone)
     return next((f"{name}: no longer an option; use {gone[name]}" for name in names), None)
 

@@ -305,9 +305,7 @@ class MethodOptions:
     Parameters
     ----------
     search
-        Method of the global search: cmaes (default), crs2, esch, isres or direct-l.
-    refine
-        Method of the local refinement: gauss-newton (default), coordinate-descent, bobyqa or sbplx.
+        Method of the global search: cmaes (default), crs2, esch, isres, direct-l, bobyqa or sbplx.
     preset
         card: Gauss-Newton takes its derivatives by central differences of outlines drawn anew, not in closed form:
         nearly the same poses, in more than twice the time.
@@ -322,7 +320,6 @@ class MethodOptions:
     """
 
     search: str | None = None
-    refine: str | None = None
     preset: Literal["card"] | None = None
     seed: int | None = None
     threads: int | None = None
@@ -339,7 +336,6 @@ class MethodOptions:
         from dvrk_cmaes.config import EstimateConfig
         from dvrk_cmaes.io.toml_file import read_config
         from dvrk_cmaes.pose.config_check import check_config
-        from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
         from dvrk_cmaes.pose.search import METHODS as SEARCHES
 
         settings = EstimateConfig()
@@ -352,9 +348,6 @@ class MethodOptions:
         if self.search is not None:
             _check_name("search", self.search, SEARCHES)
             settings = replace(settings, search=replace(settings.search, method=self.search))
-        if self.refine is not None:
-            _check_name("refine", self.refine, REFINEMENTS)
-            settings = replace(settings, refine=replace(settings.refine, method=self.refine))
         if self.preset == "card":
             settings = replace(settings, refine=replace(settings.refine, derivatives="differences"))
         check_range("--seed", self.seed, 0, LARGEST_SEED)

@@ -14,13 +14,11 @@ from dvrk_cmaes.evidence.distance_field import FIELDS
 from dvrk_cmaes.io.arguments import check_type
 from dvrk_cmaes.io.short_text import shown
 from dvrk_cmaes.pose.refine import DERIVATIVES
-from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
 from dvrk_cmaes.silhouette import METHODS as SILHOUETTES
 
 _NAMES: dict[str, Collection[str]] = {
     "search.method": SEARCHES,
-    "refine.method": REFINEMENTS,
     "refine.derivatives": DERIVATIVES,
     "distance_field": FIELDS,
     "silhouette.method": SILHOUETTES,

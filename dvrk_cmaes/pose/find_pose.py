@@ -79,10 +79,10 @@ def find_pose(
     for again in (False, True):
         if not start:
             seeded = replace(config, seed=(config.seed + _AGAIN) % SEEDS) if again else config
-            searched, coarse = _searched(views, decimated, readings, seeded)
+            searched, drawing = _searched(views, decimated, readings, seeded)
             candidates += searched
-            evaluations += sum(each.poses for each in coarse)
-            rays += sum(each.rays for each in coarse)
+            evaluations += drawing.poses
+            rays += drawing.rays
         modes, rotations = local.refine(candidates)
         best = modes[0]
         at = Posed.stacked([mode.at for mode in modes])
@@ -121,8 +121,8 @@ def find_pose(
 
 def _searched(
     views: Sequence[FrameView], decimated: Body, readings: Readings, config: EstimateConfig
-) -> tuple[list[PoseCandidate], list[Renderer]]:
-    """Search the clearest view; returns candidates in the reference camera, and the renderers used."""
+) -> tuple[list[PoseCandidate], Renderer]:
+    """Search the clearest view; returns candidates in the reference camera, and the renderer used."""
     view = clearest_view(views)
     body = body_by(decimated, config.silhouette.method)
     coarse = Renderer(body, view.evidence.camera, threads=config.threads)

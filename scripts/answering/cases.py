@@ -154,9 +154,8 @@ CASES: Final = (
         "methods",
         _DEMO,
         (
-            _frame("inputs", "0001", "bobyqa", "--refine", "bobyqa"),
-            _frame("inputs", "0001", "descent", "--refine", "coordinate-descent"),
-            _frame("inputs", "0001", "sbplx", "--refine", "sbplx", "--search", "crs2"),
+            _frame("inputs", "0001", "bobyqa", "--search", "bobyqa"),
+            _frame("inputs", "0001", "sbplx", "--search", "sbplx"),
             _frame("inputs", "0001", "seed", "--seed", "1", "--image", "inputs/images/0001.jpg"),
         ),
         bundled=True,

@@ -18,7 +18,6 @@ from made_sessions import RIGHT_MODE_DEG, Made, by_estimate, error_of, make
 
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evaluate.pose_error import PoseError
-from dvrk_cmaes.pose.refine import METHODS as REFINEMENTS
 from dvrk_cmaes.pose.search import METHODS as SEARCHES
 from dvrk_cmaes.silhouette import METHODS as SILHOUETTES
 from dvrk_cmaes.silhouette.prepare import prepare
@@ -59,6 +58,8 @@ def variants(config: EstimateConfig) -> list[Variant]:
     for name in [field.name for field in fields(config.weights) if field.name != "line_offset"]:
         found.append(Variant(f"loss: no {name}", replace(config, weights=replace(config.weights, **{name: 0.0}))))
     found += [
+        Variant("search: optimiser off", replace(config, search=replace(config.search, evaluations=1))),
+        Variant("refinement: differences", replace(config, refine=replace(config.refine, derivatives="differences"))),
         Variant("seeds: shaft edges not used", replace(config, search=replace(config.search, use_edges=False))),
         Variant(
             "seeds: shaft edges only",
@@ -69,7 +70,6 @@ def variants(config: EstimateConfig) -> list[Variant]:
     for name, part, methods in (
         ("silhouettes", "silhouette", SILHOUETTES),
         ("search", "search", SEARCHES),
-        ("refinement", "refine", REFINEMENTS),
     ):
         own = getattr(config, part)
         others = [method for method in methods if method != own.method]

@@ -34,16 +34,8 @@ QUICK = """seed = 1
 samples = 64
 starts = 1
 evaluations = 20
-spares = 2
-unread_spares = 1
 free_share = 0.15
 width_px = 80
-[refine]
-first_steps = 1
-small_modes = 2
-small_steps = 20
-half_size_modes = 1
-modes = 1
 [refine.outline]
 iterations = 4
 blur = 1.2
@@ -165,7 +157,7 @@ FAMILIES: tuple[Family, ...] = (
     Family("options", "options", "", (_ESTIMATE, [*_BATCH, "new"], _TRACK, *_EXPORTS)),
 )
 OPTIONS = (
-    *("--seed", "--threads", "--frame", "--label", "--pick", "--search", "--refine", "--side", "--arm", "--keypoints"),
+    *("--seed", "--threads", "--frame", "--label", "--pick", "--search", "--side", "--arm", "--keypoints"),
     *("--time-limit", "--workers", "--frames", "--scheduler", "--lag", "--every", "--fps", "--session"),
     *("--instrument", "--tool", "--package-path", "--shaft-radius", "--root-link", "--config", "--camera", "--out"),
 )

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("estimates_shared")
 
 DEMO = bundled_path("demo")
 MASK, CAMERA, JOINTS = DEMO / "masks" / "0000.png", DEMO / "camera.yaml", DEMO / "joints.csv"
-QUICK = "[search]\nsamples = 128\nstarts = 2\nevaluations = 64\n"
+QUICK = "[search]\nsamples = 128\nstarts = 2\nevaluations = 160\n"
 
 
 def estimate(capsys: pytest.CaptureFixture[str], **options: object) -> tuple[int, str, str]:

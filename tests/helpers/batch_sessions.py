@@ -19,14 +19,6 @@ QUICK = """
 samples = 64
 starts = 1
 evaluations = 20
-spares = 2
-unread_spares = 1
-[refine]
-first_steps = 1
-small_modes = 2
-small_steps = 12
-half_size_modes = 1
-modes = 1
 [refine.outline]
 iterations = 4
 """

@@ -58,7 +58,7 @@ def test_tool_limits_bound_search_and_give_warning(tmp_path: Path) -> None:
     readings = {**session.frames[0].readings, "roll": 1.1}
     narrow = TOOL.replace('"qmin": -1.2, "qmax": 1.2', '"qmin": -0.6, "qmax": 0.6')
     body = Body.prepare(with_tool(load_instrument("lnd"), read_tool(written(tmp_path, narrow))))
-    quick = EstimateConfig(search=SearchConfig(samples=128, starts=2, evaluations=64))
+    quick = EstimateConfig(search=SearchConfig(samples=128, starts=2, evaluations=160))
     found = estimate(data.mask, data.camera, readings, body, config=quick)
     assert found.readings == readings
     assert found.joints["wrist_pitch"] < 0.6 + 2 * LIMIT_SIGMA < readings["wrist_pitch"]

@@ -13,7 +13,6 @@ from helpers.transforms import lookat_pose, rotation_angle
 from dvrk_cmaes import Body, Camera, Renderer, estimate
 from dvrk_cmaes.evidence.gather import gather_evidence, shrunk
 from dvrk_cmaes.pose.search.global_search import search_size
-from dvrk_cmaes.pose.search.screening import screening_size
 
 SEARCH = QUICK_CONFIG.search
 JOINTS = np.array([[0.2, -0.3, 0.5]])
@@ -43,12 +42,11 @@ def test_silhouettes_at_sizes_of_search_agree_with_downsampled_ones(bundled_body
         pose, mask = drawn(bundled_body, camera, distance)
         evidence = gather_evidence(mask, camera, bundled_body.instrument, features=False)
         whole = renderer.coverage(pose, JOINTS, lines_per_pixel=2)[0]
-        searched = search_size(evidence, SEARCH.width_px)
-        for width, height in (searched, screening_size(evidence, searched, SEARCH) or searched):
-            coverage = renderer.at(width, height).coverage(pose, JOINTS, lines_per_pixel=16)[0]
-            outline = np.count_nonzero((coverage > 0) & (coverage < 1))
-            # An outline that lies off by d px changes the coverage of its pixels by some d.
-            assert np.abs(coverage - shrunk(whole, width, height)).sum() < 0.05 * outline
+        width, height = search_size(evidence, SEARCH.width_px)
+        coverage = renderer.at(width, height).coverage(pose, JOINTS, lines_per_pixel=16)[0]
+        outline = np.count_nonzero((coverage > 0) & (coverage < 1))
+        # An outline that lies off by d px changes the coverage of its pixels by some d.
+        assert np.abs(coverage - shrunk(whole, width, height)).sum() < 0.05 * outline
 
 
 @pytest.mark.parametrize("size", [(1280, 1024), (720, 480), (479, 641), (64, 48), (37, 211)])
@@ -57,12 +55,11 @@ def test_sizes_of_search_show_mask_of_any_area(bundled_body: Body, size: tuple[i
     camera, mask = camera_of(*size), np.zeros(size[::-1], dtype=np.bool_)
     mask.ravel()[: min(max(round(share * mask.size), 1), mask.size - 1)] = True
     evidence = gather_evidence(mask, camera, bundled_body.instrument, features=False)
-    searched = search_size(evidence, SEARCH.width_px)
-    for width, height in (searched, screening_size(evidence, searched, SEARCH) or searched):
-        inside = evidence.at_size(width, height)[0] > 0.5
-        assert inside.shape == (height, width)
-        assert inside.any()
-        assert not inside.all()
+    width, height = search_size(evidence, SEARCH.width_px)
+    inside = evidence.at_size(width, height)[0] > 0.5
+    assert inside.shape == (height, width)
+    assert inside.any()
+    assert not inside.all()
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,16 @@
-"""The global searches and the direct refinements on a loss with known minimum."""
+"""The global searches on a loss with known minimum."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from helpers.transforms import lookat_pose
 
 from dvrk_cmaes import InputError
-from dvrk_cmaes.geometry import Posed
-from dvrk_cmaes.pose.refine.direct import refine_direct
-from dvrk_cmaes.pose.search import METHODS, minimise
+from dvrk_cmaes.pose.search import METHODS, Found, minimise_each
 
 GOAL = np.array([0.7, -0.4, 1.1])
 
@@ -21,17 +19,29 @@ def bowl(candidates: np.ndarray) -> np.ndarray:
     return ((candidates - GOAL) ** 2).sum(axis=1)
 
 
+def minimise(method: str, loss: Callable[[np.ndarray], np.ndarray], evaluations: int, seed: int) -> Found:
+    known = [float(loss(np.zeros((1, 3)))[0])]
+    return minimise_each(method, lambda _, candidates: loss(candidates), known, np.eye(3)[None], evaluations, seed)[0]
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_search_approaches_minimum_within_budget(method: str) -> None:
-    found = minimise(method, bowl, 3, 1500, seed=1)
+    counted = 0
+
+    def loss(candidates: np.ndarray) -> np.ndarray:
+        nonlocal counted
+        counted += len(candidates)
+        return bowl(candidates)
+
+    found = minimise(method, loss, 1500, seed=1)
     assert found.loss == pytest.approx(float(bowl(found.best[None])[0]))
     assert np.abs(found.best - GOAL).max() < 0.35
-    assert found.evaluations <= 1500
+    assert counted <= 1501
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_same_seed_gives_same_result(method: str) -> None:
-    first, second = (minimise(method, bowl, 3, 200, seed=5) for _ in range(2))
+    first, second = (minimise(method, bowl, 200, seed=5) for _ in range(2))
     np.testing.assert_array_equal(first.best, second.best)
 
 
@@ -47,19 +57,19 @@ def test_exception_of_loss_is_propagated(method: str) -> None:
         return bowl(candidates)
 
     with pytest.raises(ZeroDivisionError, match="on purpose"):
-        minimise(method, broken, 3, 200, seed=0)
+        minimise(method, broken, 200, seed=0)
 
 
 def test_unknown_search_is_refused() -> None:
     with pytest.raises(InputError, match="search: expected one of cmaes"):
-        minimise("cma-es", bowl, 3, 10, seed=0)
+        minimise("cma-es", bowl, 10, seed=0)
 
 
 def test_cmaes_is_imported_at_the_first_search_without_scipy_stats() -> None:
     code = (
-        "import sys; import numpy as np; from dvrk_cmaes.pose.search import minimise; "
+        "import sys; import numpy as np; from dvrk_cmaes.pose.search import minimise_each; "
         "before = 'cmaes' in sys.modules; "
-        "minimise('cmaes', lambda x: (x * x).sum(axis=1), 3, 40, seed=0); "
+        "minimise_each('cmaes', lambda _, x: (x * x).sum(axis=1), [1.0], np.eye(3)[None], 40, seed=0); "
         "print(before, 'cmaes' in sys.modules, 'scipy' in sys.modules); "
         "from scipy import stats; print(stats.norm)"
     )
@@ -67,14 +77,20 @@ def test_cmaes_is_imported_at_the_first_search_without_scipy_stats() -> None:
     assert run.stdout.split()[:3] == ["False", "True", "False"]
 
 
-@pytest.mark.parametrize("method", ["coordinate-descent", "bobyqa", "sbplx"])
-def test_direct_refinement_reduces_loss(method: str) -> None:
-    start, scale = Posed(lookat_pose(0.5, 1.0, 0.7, 0.11), np.array([0.4])), np.array([1e-3] * 3 + [0.05] * 4)
-    goal = start.moved(np.linspace(-0.5, 0.5, 7) * scale)
+def test_populations_of_all_starts_are_evaluated_together_and_the_best_starts_go_on() -> None:
+    shifts = np.array([[0.3, -0.2, 0.4], [0.0, 0.0, 0.0], [-9.0, 0.5, 0.2]])
+    asked = []
 
-    def cost(at: Posed) -> np.ndarray:
-        return ((at.minus(goal) / scale) ** 2).sum(axis=-1)
+    def of_starts(start: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+        asked.append(start)
+        return bowl(shifts[start] + candidates)
 
-    best, count = refine_direct(method, cost, start, scale, 500, seed=0)
-    assert cost(best[None])[0] < 0.05 * cost(start[None])[0]
-    assert count <= 500
+    found = minimise_each("cmaes", of_starts, bowl(shifts).tolist(), np.stack([np.eye(3)] * 3), 300, seed=4)
+    assert set(asked[0]) == {0, 1, 2}
+    assert 2 not in asked[-1]
+    assert sum(map(len, asked)) <= 300
+    assert [one.loss for one in found] == pytest.approx(
+        [bowl((s + f.best)[None])[0] for s, f in zip(shifts, found, strict=True)]
+    )
+    assert min(one.loss for one in found) < 0.02
+    assert minimise_each("cmaes", of_starts, [], np.empty((0, 3, 3)), 100, seed=4) == []

@@ -32,7 +32,7 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
 """
 """A camera of a quarter of the usual pixels, for quick worlds."""
 
-QUICK = "[search]\nsamples = 128\nstarts = 2\nevaluations = 64\n"
+QUICK = "[search]\nsamples = 128\nstarts = 2\nevaluations = 160\n"
 """Settings of a short search, for tests of what is done with results."""
 
 _MAIN = next(iter(entry_points(group="console_scripts", name="dvrk-cmaes"))).load()

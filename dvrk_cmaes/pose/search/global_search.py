@@ -7,19 +7,20 @@ import numpy as np
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Float64, Indices, Posed
+from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search import minimise_each
-from dvrk_cmaes.pose.search.modes import PoseCandidate, first_of_modes
+from dvrk_cmaes.pose.search.modes import PoseCandidate, first_of_modes, twin_of
 from dvrk_cmaes.pose.search.objective import Objective
-from dvrk_cmaes.pose.search.screening import screened, screening_size
 from dvrk_cmaes.pose.search.starts import draw_starts
-from dvrk_cmaes.silhouette import Body, Renderer
-from dvrk_cmaes.silhouette.prepare import decimated_body
+from dvrk_cmaes.silhouette import Renderer
+from dvrk_cmaes.silhouette.moving_points import moving_points
 
 _POSE_SCALE = np.array([1e-3, 1e-3, 3e-3, np.deg2rad(4), np.deg2rad(4), np.deg2rad(15)])
 """Expected errors of a start: along the root's x, y and z axes, m, and about them, rad."""
 _LEAST_AREA = 150.0  # px of a mask in the search's image
-_RANKED, _RANKED_BY_IMAGE = 200, 60  # best candidates among which distinct ones are chosen
+_SPREAD_PX, _SPREAD = 1.0, 3.0  # of the first population: px of the search's image, and expected errors at most
+_DISTINCT = float(np.deg2rad(20)), float(np.deg2rad(17))  # rotation, or a joint, by which starts differ
 _JOINT_SCALE = 0.5  # expected error of a start's joints, in standard deviations of the readings
 
 
@@ -43,51 +44,70 @@ def search_size(evidence: Evidence, width: int) -> tuple[int, int]:
 
 def find_candidates(
     renderer: Renderer, evidence: Evidence, readings: Readings, config: EstimateConfig
-) -> tuple[list[PoseCandidate], list[Renderer]]:
+) -> tuple[list[PoseCandidate], Renderer]:
     """Search one frame for candidate poses.
 
-    Returns the candidates and the renderers used. The candidates are the results of the optimiser from each start, then
-    the best of those drawn without readings, ranked without the readings term, then further distinct candidates that
-    scored best (the spares); each of these groups is sorted by loss.
+    Returns what the optimiser found from each start, the best first, and the renderer used. The starts are the best
+    distinct candidates drawn; a quarter of them are the best of those drawn without readings, by the loss without the
+    readings' term, so that the outline can contradict wrong readings. Of a pose and its mirror twin, which have nearly
+    the same silhouette, only the one nearer to the readings is searched.
     """
-    rng = np.random.default_rng(config.seed)
-    search = config.search
-
-    def objective(body: Body, size: tuple[int, int]) -> Objective:
-        sized = Renderer(body, renderer.camera, threads=renderer.threads).at(*size)
-        return Objective(sized, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
-
-    size = search_size(evidence, search.width_px)
-    fine = objective(renderer.body, size)
-    coarse = []
-    if search.screened < search.samples and (smaller := screening_size(evidence, size, search)) is not None:
-        coarse.append(objective(decimated_body(renderer.body, search.screen_detail_m), smaller))
-    drawn, unread = draw_starts(evidence, renderer.body.instrument, readings, config, rng)
-    scored = screened(coarse, fine, drawn, unread, search.screened)
-    most = search.starts + search.spares
-    distinct = _distinct(scored.at, scored.losses, _RANKED, most)
-    starts, spares = distinct[: search.starts], distinct[search.starts :]
-    unread_spares = _distinct(scored.at, scored.by_image, _RANKED_BY_IMAGE, search.unread_spares)
-    scale = scale_of_change(readings)
-
-    begin = Posed.stacked([start.at for start in starts])
+    search, instrument = config.search, renderer.body.instrument
+    sized = renderer.at(*search_size(evidence, search.width_px))
+    objective = Objective(sized, evidence, readings, config.weights, decay=config.decay_px, field=config.distance_field)
+    drawn, unread = draw_starts(evidence, instrument, readings, config, np.random.default_rng(config.seed))
+    if instrument.has_twin:
+        drawn = _towards_readings(instrument, readings, drawn)
+    terms = objective.terms(drawn)
+    losses = terms.total(config.weights)
+    by_image = np.where(unread, losses - config.weights.readings * terms.readings, np.inf)
+    of_unread = search.starts // 4
+    chosen = _distinct(instrument, drawn, losses, search.starts - of_unread)
+    chosen += _distinct(instrument, drawn, by_image, of_unread)
+    starts = np.array(sorted(set(chosen), key=lambda k: losses[k]))
+    begin, scale = drawn[starts], scale_of_change(readings)
 
     def loss(index: Indices, change: Float64) -> Float64:
-        return fine.cost(begin[index].moved(change * scale))
+        return objective.cost(begin[index].moved(change * scale))
 
-    known = [start.score for start in starts]
-    least = minimise_each(search.method, loss, known, len(scale), search.evaluations, config.seed)
-    searched = [
-        start if found.loss >= start.score else PoseCandidate(start.at.moved(found.best * scale), found.loss)
-        for start, found in zip(starts, least, strict=True)
-    ]
-    found = [*sorted(searched, key=lambda candidate: candidate.score), *unread_spares, *spares]
-    return found, [each.renderer for each in (*coarse, fine)]
+    spreads = _spreads(sized, begin, scale)
+    least = minimise_each(search.method, loss, losses[starts].tolist(), spreads, search.evaluations, config.seed)
+    found = [PoseCandidate(begin[k].moved(each.best * scale), each.loss) for k, each in enumerate(least)]
+    return sorted(found, key=lambda candidate: candidate.score), sized
 
 
-def _distinct(at: Posed, losses: Float64, ranked: int, most: int) -> list[PoseCandidate]:
-    """Return at most ``most`` distinct candidates among the best ``ranked``, the best first."""
-    best = np.argsort(losses, kind="stable")[:ranked]
-    best = best[np.isfinite(losses[best])]
-    kept = best[first_of_modes(at[best], angle=np.deg2rad(20), joint=np.deg2rad(17), most=most)]
-    return [PoseCandidate(at[i], float(losses[i])) for i in kept]
+def _spreads(renderer: Renderer, at: Posed, scale: Float64) -> Float64:
+    """Return the covariances (S, D, D) of the first candidates about S starts, in units of ``scale`` (D,).
+
+    They move the outline in the search's image by about ``_SPREAD_PX`` in all directions. Where the outline hardly
+    moves, they are limited to ``_SPREAD`` times the expected errors.
+    """
+    outlines = renderer.outlines(at.pose, at.joints)
+    covariances = []
+    for outline, moving in zip(
+        outlines, moving_points(renderer.body.instrument, renderer.camera, outlines, at), strict=True
+    ):
+        length = np.maximum(np.linalg.norm(outline.normals, axis=1), 1e-9)
+        moved = moving.jacobian * scale
+        information = moved.T @ (moved / length[:, None]) / max(float(length.sum()), 1.0)
+        widest = np.eye(len(scale)) / _SPREAD**2
+        covariances.append(np.linalg.inv(len(scale) / _SPREAD_PX**2 * information + widest))
+    return np.stack(covariances)
+
+
+def _towards_readings(instrument: Instrument, readings: Readings, at: Posed) -> Posed:
+    """Return N poses, or their mirror twins where these are nearer to the readings."""
+    twins = twin_of(instrument, at)
+    nearer = readings.cost(twins.joints) < readings.cost(at.joints)
+    return Posed(
+        np.where(nearer[:, None, None], twins.pose, at.pose), np.where(nearer[:, None], twins.joints, at.joints)
+    )
+
+
+def _distinct(instrument: Instrument, at: Posed, losses: Float64, most: int) -> list[int]:
+    """Return the indices of at most ``most`` distinct poses with finite losses, the best first."""
+    ranked = np.argsort(losses, kind="stable")
+    ranked = ranked[np.isfinite(losses[ranked])]
+    angle, joint = _DISTINCT
+    kept = first_of_modes(at[ranked], angle=angle, joint=joint, most=most, mirrored=instrument)
+    return [int(k) for k in ranked[kept]]

@@ -1,10 +1,15 @@
-"""The optimisers of the global search by name: CMA-ES and the global methods of NLopt."""
+"""The optimisers of the global search by name: CMA-ES, and NLopt's methods without derivatives.
+
+CMA-ES runs from all starts side by side: the populations of a generation are evaluated together, which costs less than
+one after another, and only the best starts have another generation, so that most evaluations go to the likely modes.
+NLopt evaluates one candidate after another.
+"""
 
 from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,26 +19,27 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.geometry import Float64, Indices
 from dvrk_cmaes.pose.search.nlopt_run import run_nlopt
 
-Loss = Callable[[Float64], Float64]
-"""A function of candidates (n, D) that returns their losses (n,)."""
-
-NLOPT_GLOBAL = {"crs2": "GN_CRS2_LM", "esch": "GN_ESCH", "isres": "GN_ISRES", "direct-l": "GN_DIRECT_L"}
-METHODS = ("cmaes", *NLOPT_GLOBAL)
+NLOPT = {
+    "crs2": "GN_CRS2_LM",
+    "esch": "GN_ESCH",
+    "isres": "GN_ISRES",
+    "direct-l": "GN_DIRECT_L",
+    "bobyqa": "LN_BOBYQA",
+    "sbplx": "LN_SBPLX",
+}
+METHODS = ("cmaes", *NLOPT)
 """Names of the optimisers."""
 
 LossOfStarts = Callable[[Indices, Float64], Float64]
 """A function of the index (n,) of a start, and of candidates (n, D) beside that start, that returns the losses (n,)."""
-_Search = Generator[Float64, Float64, "Found"]
-"""A search that gives candidates (n, D), takes their losses (n,), and returns what it found."""
 
 SEEDS = 2**32
 """Number of different seeds."""
-POPULATION = 16
-"""Population size of CMA-ES."""
-_SPREAD = 0.6  # standard deviation of its first population, in units of the expected error of the start
 BOX = 3.0
-"""Half the side of the search box, in units of the expected error of the start."""
-
+"""Half the side of the box of NLopt's methods, in units of the expected error of a start."""
+_POPULATION = 10  # candidates of CMA-ES in a generation of a start
+_CONTINUING = 0.85  # share of the starts, the best ones, that have another generation
+_RUN = 20  # evaluations for each parameter of a run by NLopt, of which there are as many as the budget allows
 
 _importing = threading.Lock()
 _STATISTICS = "scipy.stats"
@@ -41,70 +47,70 @@ _STATISTICS = "scipy.stats"
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Best candidate (D,) of a search, its loss, and the number of evaluations."""
+    """Best candidate (D,) that was found from a start, and its loss."""
 
     best: Float64
     loss: float
-    evaluations: int
-
-
-def minimise(method: str, loss: Loss, dimension: int, evaluations: int, seed: int) -> Found:
-    """Minimise a loss in the box [-3, 3]^D around the start 0; parameters are in units of their expected error.
-
-    Raises `InputError` for an unknown method.
-    """
-    if method == "cmaes":
-        return _together([_cmaes(None, dimension, evaluations, seed)], lambda _, candidates: loss(candidates))[0]
-    if method in NLOPT_GLOBAL:
-        best, value, count = run_nlopt(
-            NLOPT_GLOBAL[method], loss, np.zeros(dimension), BOX * np.ones(dimension), evaluations, seed
-        )
-        return Found(best, value, count)
-    raise InputError(f"search: expected one of {', '.join(nearest_first(method, METHODS))}, got {method!r}")
 
 
 def minimise_each(
-    method: str, loss: LossOfStarts, starts: Sequence[float], dimension: int, evaluations: int, seed: int
+    method: str, loss: LossOfStarts, known: Sequence[float], covariances: Float64, evaluations: int, seed: int
 ) -> list[Found]:
-    """Minimise a loss as `minimise` does, from each of several starts whose losses are known.
+    """Minimise a loss from each of S starts 0, the best first, whose losses are known.
 
-    The seed of a start is ``seed`` plus its index, modulo `SEEDS`. The populations of all starts are evaluated
-    together, which costs less than one after another: most of the time of a small population is that of calls.
+    Parameters are in units of their expected error; ``covariances`` (S, D, D) are those of the first candidates of
+    CMA-ES. At most ``evaluations`` candidates are evaluated in all; the seed of a start is ``seed`` plus its index,
+    modulo `SEEDS`. Raises `InputError` for an unknown method.
     """
+    dimension = covariances.shape[-1]
     if method == "cmaes":
-        searches = [_cmaes(known, dimension, evaluations, (seed + k) % SEEDS) for k, known in enumerate(starts)]
-        return _together(searches, loss)
+        return _cmaes(loss, known, covariances, evaluations, seed)
+    if method not in NLOPT:
+        raise InputError(f"search: expected one of {', '.join(nearest_first(method, METHODS))}, got {method!r}")
+    found = [Found(np.zeros(dimension), value) for value in known]
+    runs = min(max(evaluations // (_RUN * dimension), 1), len(known))
+    for start in range(runs):
 
-    def alone(start: int) -> Found:
-        def loss_of_start(candidates: Float64) -> Float64:
+        def of_start(candidates: Float64, start: int = start) -> Float64:
             return loss(np.full(len(candidates), start), candidates)
 
-        return minimise(method, loss_of_start, dimension, evaluations, (seed + start) % SEEDS)
+        best, value, _ = run_nlopt(
+            NLOPT[method], of_start, np.zeros(dimension), BOX * np.ones(dimension), evaluations // runs, seed + start
+        )
+        if value < known[start]:
+            found[start] = Found(best, value)
+    return found
 
-    return [alone(start) for start in range(len(starts))]
 
-
-def _together(searches: Sequence[_Search], loss: LossOfStarts) -> list[Found]:
-    """Run several searches side by side; the candidates that they give are evaluated together."""
-    found: dict[int, Found] = {}
-    given: dict[int, Float64] = {}
-
-    def advance(number: int, losses: Float64 | None) -> None:
-        try:
-            search = searches[number]
-            given[number] = next(search) if losses is None else search.send(losses)
-        except StopIteration as stop:
-            given.pop(number, None)
-            found[number] = stop.value
-
-    for number in range(len(searches)):
-        advance(number, None)
-    while given:
-        numbers, counts = list(given), [len(candidates) for candidates in given.values()]
-        values = loss(np.repeat(numbers, counts), np.concatenate(list(given.values())))
-        for number, of_search in zip(numbers, np.split(values, np.cumsum(counts)[:-1]), strict=True):
-            advance(number, of_search)
-    return [found[number] for number in range(len(searches))]
+def _cmaes(
+    loss: LossOfStarts, known: Sequence[float], covariances: Float64, evaluations: int, seed: int
+) -> list[Found]:
+    """Search by CMA-ES from all starts."""
+    cma, dimension = _cma_class(), covariances.shape[-1]
+    optimisers = [
+        cma(
+            mean=np.zeros(dimension),
+            sigma=1.0,
+            seed=(seed + k) % SEEDS,
+            population_size=_POPULATION,
+            cov=covariance,
+        )
+        for k, covariance in enumerate(covariances)
+    ]
+    best, losses, left = np.zeros((len(known), dimension)), np.array(known), evaluations
+    active = np.arange(len(known))
+    while len(active) and (left := left - _POPULATION * len(active)) >= 0:
+        drawn = np.array([[optimisers[k].ask() for _ in range(_POPULATION)] for k in active])
+        values = loss(np.repeat(active, _POPULATION), drawn.reshape(-1, dimension)).reshape(-1, _POPULATION)
+        for k, candidates, of_candidates in zip(active, drawn, values, strict=True):
+            optimisers[k].tell(list(zip(candidates, of_candidates.tolist(), strict=True)))
+            lowest = int(np.argmin(of_candidates))
+            if of_candidates[lowest] < losses[k]:
+                best[k], losses[k] = candidates[lowest], of_candidates[lowest]
+        ranked = active[np.argsort(losses[active], kind="stable")]
+        active = np.sort(ranked[: max(int(_CONTINUING * len(active)), 1)])
+        active = active[[not optimisers[k].should_stop() for k in active]]
+    return [Found(*pair) for pair in zip(best, losses.tolist(), strict=True)]
 
 
 def _cma_class() -> Any:
@@ -126,36 +132,3 @@ def _cma_class() -> Any:
             for name in names:
                 del sys.modules[name]
     return CMA
-
-
-def _cmaes(known: float | None, dimension: int, evaluations: int, seed: int) -> _Search:
-    """Search by CMA-ES from 0, whose loss may be known."""
-    bounds = np.tile([-BOX, BOX], (dimension, 1)).astype(np.float64)
-    optimiser = _cma_class()(
-        mean=np.zeros(dimension),
-        sigma=_SPREAD,
-        bounds=bounds,
-        seed=seed,
-        population_size=POPULATION,
-        n_max_resampling=10,
-    )
-    start = np.zeros((1, dimension))
-    best, best_loss = start[0], float((yield start)[0]) if known is None else known
-    count = 1
-    while count + POPULATION <= evaluations:
-        if count == 1:  # the first population, as the optimiser would draw it, but all at once
-            drawn = _SPREAD * np.random.default_rng(seed).standard_normal((POPULATION, dimension))
-            candidates = np.clip(drawn, -BOX, BOX)
-        else:
-            candidates = np.stack([optimiser.ask() for _ in range(POPULATION)])
-        values = yield candidates
-        count += POPULATION
-        lowest = int(np.argmin(values))
-        if values[lowest] < best_loss:
-            best, best_loss = candidates[lowest], float(values[lowest])
-        if count + POPULATION > evaluations:
-            break  # the distribution is not needed any more
-        optimiser.tell([(x, float(v)) for x, v in zip(candidates, values, strict=True)])
-        if optimiser.should_stop():
-            break
-    return Found(best, best_loss, count)

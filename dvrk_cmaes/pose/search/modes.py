@@ -48,25 +48,35 @@ def is_twin(instrument: Instrument, a: Posed, b: Posed) -> bool:
     return bool(rotation_angle(twin_of(instrument, a).pose, b.pose) < _TWIN_ANGLE)
 
 
-def best_per_mode(
-    candidates: Sequence[C], *, angle: float = _ANGLE, joint: float = _JOINT, most: int | None = None
-) -> list[C]:
-    """Select the best candidate of each mode, sorted by score, at most ``most``.
-
-    Candidates belong to the same mode if they are not distinct by the thresholds ``angle`` and ``joint``, rad.
-    """
+def best_per_mode(candidates: Sequence[C], *, most: int | None = None, mirrored: Instrument | None = None) -> list[C]:
+    """Select the best candidate of each mode, sorted by score, at most ``most``; modes are as in `first_of_modes`."""
     ordered = sorted(candidates, key=lambda candidate: candidate.score)
     if not ordered:
         return ordered
     at = Posed.stacked([candidate.at for candidate in ordered])
-    return [ordered[k] for k in first_of_modes(at, angle=angle, joint=joint, most=most)]
+    return [ordered[k] for k in first_of_modes(at, most=most, mirrored=mirrored)]
 
 
-def first_of_modes(at: Posed, *, angle: float = _ANGLE, joint: float = _JOINT, most: int | None = None) -> list[int]:
-    """Return which of C poses are of none of the modes before them, at most ``most``; arguments as `best_per_mode`."""
+def first_of_modes(
+    at: Posed,
+    *,
+    angle: float = _ANGLE,
+    joint: float = _JOINT,
+    most: int | None = None,
+    mirrored: Instrument | None = None,
+) -> list[int]:
+    """Return which of C poses are of none of the modes before them, at most ``most``.
+
+    Poses are of the same mode if they are not distinct by the thresholds ``angle`` and ``joint``, rad. If the
+    instrument is given as ``mirrored`` and has a mirror twin, poses and their twins are of the same mode.
+    """
     kept: list[int] = []
     left = np.arange(len(at))
     while len(left) and len(kept) != most:
         kept.append(int(left[0]))
-        left = left[are_distinct(at[kept[-1]], at[left], angle, joint)]
+        same = [at[kept[-1]]]
+        if mirrored is not None and mirrored.has_twin:
+            same.append(twin_of(mirrored, same[0]))
+        for one in same:
+            left = left[are_distinct(one, at[left], angle, joint)]
     return kept

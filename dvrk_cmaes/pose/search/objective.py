@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-
 import numpy as np
 
 from dvrk_cmaes.camera import Camera
-from dvrk_cmaes.config import EstimateConfig, LossWeights
+from dvrk_cmaes.config import LossWeights
 from dvrk_cmaes.evidence.distance_field import distance_field
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.geometry import Float64, Posed, apply, project_cylinder
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.joints.prior import Readings
 from dvrk_cmaes.pose.search.losses import Terms, cylinder_loss, dist_loss, keypoint_loss, mse_loss, scale_loss
-from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import PixelSums, Renderer
 
 
@@ -35,13 +31,11 @@ class Objective:
         *,
         decay: float = 30.0,
         field: str = "fmm",
-        lines_per_pixel: int = 1,
     ) -> None:
         self.renderer = renderer
         self.evidence = evidence
         self.readings = readings
         self.weights = weights
-        self.lines_per_pixel = lines_per_pixel
         camera = renderer.camera
         mask, weight = evidence.at_size(camera.width, camera.height)
         scale = camera.width / evidence.mask.shape[1]
@@ -52,7 +46,7 @@ class Objective:
 
     def terms(self, at: Posed) -> Terms:
         """Compute all terms of C candidates."""
-        sums = self.renderer.sums(at.pose, at.joints, self._images, lines_per_pixel=self.lines_per_pixel)
+        sums = self.renderer.sums(at.pose, at.joints, self._images)
         area, overlap, far = sums.T
         cylinder, keypoints, readings = pose_terms(
             self.evidence, self.renderer.body.instrument, self.readings, self.weights, at
@@ -69,29 +63,6 @@ class Objective:
     def cost(self, at: Posed) -> Float64:
         """Compute the total loss of C candidates, (C,)."""
         return self.terms(at).total(self.weights)
-
-
-def loss_of_views(views: Sequence[FrameView], readings: Readings, config: EstimateConfig) -> Callable[[Posed], Float64]:
-    """Return the sum of the losses (C,) of C candidates in all views at full image size; the readings count once."""
-    unknown = np.full_like(readings.values, np.nan)
-    silent = replace(readings, values=unknown, low=np.full_like(unknown, -np.inf), high=np.full_like(unknown, np.inf))
-    objectives = [
-        Objective(
-            view.renderer,
-            view.evidence,
-            silent if number else readings,
-            config.weights,
-            decay=config.decay_px,
-            field=config.distance_field,
-        )
-        for number, view in enumerate(views)
-    ]
-
-    def loss(at: Posed) -> Float64:
-        pairs = zip(objectives, views, strict=True)
-        return np.asarray(sum(objective.cost(at.seen_from(view.view_from_camera)) for objective, view in pairs))
-
-    return loss
 
 
 def pose_terms(
