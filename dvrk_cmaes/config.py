@@ -207,7 +207,7 @@ class RefineConfig:
         ``differences`` draws outlines anew after a small change of each unknown, either way.
     width_px
         Approximate width of the images in which what the search found is refined first; they are larger where they
-        show little of a mask. The best two modes, with their mirror twins, are refined at full size.
+        show little of a mask. The best three modes, with their mirror twins, are refined at full size.
     outline
         Settings of the Gauss-Newton steps.
     """

@@ -27,8 +27,8 @@ from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
 _LEAST_AREA = 800.0  # px of a mask in the small images
-_FULL_STEPS = 2  # largest number of iterations at full size before the noise is estimated
-_AT_FULL = 2  # best modes that are refined at full size, mirror twins not counted
+_FULL_STEPS = 6  # largest number of iterations at full size before the noise is estimated
+_AT_FULL = 3  # best modes that are refined at full size, mirror twins not counted
 _SMALL, _FULL = Selection(share=0.85, gap=150.0, least=3), Selection(share=0.93, gap=30.0)
 """Which modes go on after each iteration at the small size, where they have yet to converge, and at full size."""
 _CLEARLY_WORSE = 15.0  # difference of the negative log-likelihood
