@@ -5,6 +5,7 @@
     python scripts/measure.py track FOLDER...        recordings, or folders of them, that are followed
     python scripts/measure.py benchmark run FOLDER   worlds of every kind, by the tasks of data/reference/benchmark.md;
                                                      also draw, score, keep
+    python scripts/measure.py tips [SESSION]         tips of closed jaws on a board against the known ones; --images
     python scripts/measure.py pictures FRAMES        masks and poses found in images, of ../shared/frames
     python scripts/measure.py speed                  whole commands, with --against DIR those of another checkout, too
     python scripts/measure.py live                   poses a second over a websocket, and their age from image to pose
@@ -35,6 +36,7 @@ from measuring.pictures import GROUPS, pictures_report
 from measuring.report import SCANNED, SHARED, Report, add_output_options, print_report
 from measuring.runner import LINES
 from measuring.speed import speed_report
+from measuring.tips import tips_report
 
 from dvrk_cmaes.errors import InputError
 
@@ -89,6 +91,9 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--groups", default=",".join(GROUPS), help="groups of pictures (default: %(default)s)")
     one.add_argument("--most", type=int, metavar="N", help="number of a group's, at most (default: all)")
     one.add_argument("--poses", action="store_true", help="masks and poses as by estimate")
+    one = command("tips", _tips, "Solve a session with known tips by calibrate, with its masks or by images alone.")
+    one.add_argument("session", type=Path, nargs="?", default=FRAMES / "labs" / "berkeley", help="with truth.csv")
+    one.add_argument("--images", action="store_true", help="by images and readings, without the session's masks")
     one = command("speed", _speed, "Measure whole commands, on a machine without other load.")
     one.add_argument("--session", type=Path, default=FRAMES / "made" / "medium", help="session with masks")
     one.add_argument("--recording", type=Path, default=FRAMES / "video" / "easy", help="recording with masks")
@@ -130,6 +135,11 @@ def _pictures(options: argparse.Namespace) -> Report:
         if group not in GROUPS:
             raise InputError(f"--groups: expected some of {', '.join(GROUPS)}, got {group}")
     return pictures_report(options.frames, groups, most=options.most, poses=options.poses)
+
+
+def _tips(options: argparse.Namespace) -> Report:
+    """Report tips against the known ones."""
+    return tips_report(options.session, images=options.images, options=options.further)
 
 
 def _speed(options: argparse.Namespace) -> Report:

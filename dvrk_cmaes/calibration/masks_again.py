@@ -27,7 +27,7 @@ FindMasks = Callable[[Mapping[str, Bool], Mapping[str, Bool]], Mapping[str, Bool
 """Finds masks (H, W) in the images of a frame, by view, around silhouettes, given the first masks; picklable."""
 
 _UNCHANGED = 0.999  # intersection over union of both masks of a view, from which on the first one is kept
-_WORSE = 5e-4, 0.02  # overlap and px, by which the predictions of the first masks may become worse
+_WORSE = 5e-4, 0.02  # overlap and px at 640 px of width, by which the predictions of the first masks may become worse
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,7 @@ def compared(
     changed_frames: int,
     bases: tuple[Float64, Float64],
     predicted: Sequence[tuple[tuple[float, float], tuple[float, float]]],
+    px_scale: float,
 ) -> MasksAgain:
     """Compare two solutions of a session, the second one of masks that were found again, and choose one.
 
@@ -84,11 +85,15 @@ def compared(
     predicted
         Of each frame, by both solutions, the overlap of its first mask and the silhouette that the other frames
         predict, and the median distance of their contours, px.
+    px_scale
+        Factor on limits in pixels, which grow with wider images.
     """
     both = np.array(predicted).reshape(-1, 2, 2)
     iou, contour = both[..., 0].mean(axis=0), np.median(both[..., 1], axis=0)
     moved = change_between(*bases)
-    worse = iou[1] < iou[0] - _WORSE[0] or contour[1] > contour[0] + _WORSE[1]
+    changes = np.diff(both[..., 0])
+    change = max(float(changes.mean()), float(np.median(changes)))  # one wrong first mask does not decide
+    worse = change < -_WORSE[0] or contour[1] > contour[0] + px_scale * _WORSE[1]
     base = 1e3 * float(np.linalg.norm(moved[:3])), float(np.degrees(np.linalg.norm(moved[3:])))
     pairs = float(iou[0]), float(iou[1]), float(contour[0]), float(contour[1])
     applied = changed_frames > 0 and not worse
@@ -106,13 +111,14 @@ class FoundAgain:
 def again_task(
     body: Body,
     config: EstimateConfig,
-    task: tuple[FrameData | Callable[[], FrameData], FindMasks, Posed, Float64 | None],
+    task: tuple[FrameData | Callable[[], FrameData], FindMasks, Posed, bool, Float64 | None],
 ) -> FoundAgain:
     """Find the masks of one frame again, given its data, what finds its masks, and where the instrument is.
 
-    Last comes the change (3,) of all cameras, as of `changed`, where they are not those of the data.
+    Then comes whether that must be near the first masks: it need not where the frame disagrees with its session. Last
+    comes the change (3,) of all cameras, as of `changed`, where they are not those of the data.
     """
-    given_data, find, at, change = task
+    given_data, find, at, near, change = task
     data = read_data(given_data)
     given = [view for view in data.views if view.given]
     width, silhouettes = data.camera.width, {}
@@ -120,7 +126,7 @@ def again_task(
         camera = view.camera if change is None else changed(view.camera, change, width)
         silhouettes[view.name] = silhouette_of(at, View(view.name, camera, view.view_from_camera), body)
     first = {view.name: view.mask for view in given}
-    found = find(silhouettes, first)
+    found = find(silhouettes, first if near else {})
     overlaps = {name: overlap_of(mask, first[name]) for name, mask in found.items()}
     masks = {name: PackedMask.of(mask) for name, mask in found.items() if overlaps[name] < _UNCHANGED}
     return FoundAgain(masks, min(overlaps.values(), default=1.0))

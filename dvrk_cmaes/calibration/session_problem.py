@@ -700,15 +700,26 @@ def with_other_masks(arms: Arms, masks: Sequence[Mapping[int, Mapping[str, Packe
         first = {i: arm.stored[i] for i in of_arm}
         found = FoundMasks({frames[i].name: own for i, own in of_arm.items()}, first)
         changed.append(replace(arm, frames=tuple(frames), stored=tuple(stored), again=found))
-    return fitted_again(changed, masks)
+    return fitted_again(
+        changed, masks, lost=[[i for i, agrees in enumerate(arm.agreeing) if not agrees] for arm in arms]
+    )
 
 
-def fitted_again(arms: Arms, again: Sequence[Collection[int]]) -> Arms:
-    """Return arms solved in one more round from the current solution, with new fits of the frames at some indices."""
+def fitted_again(
+    arms: Arms, again: Sequence[Collection[int]], *, lost: Sequence[Collection[int]] | None = None
+) -> Arms:
+    """Return arms solved in one more round from the current solution, with new fits of the frames at some indices.
+
+    Those of them that are ``lost`` are also fitted from what their session predicts of them.
+    """
     fitted = []
-    for arm, of_arm in zip(arms, again, strict=True):
-        starts = [(fit.at,) if i in of_arm else () for i, fit in enumerate(arm.fits)]
-        fitted.append(_fitted(arm, arm.model.priors(arm.solution.calibration), starts, last=True))
+    for arm, of_arm, disagree in zip(arms, again, lost or [()] * len(arms), strict=True):
+        expected = arm.model.priors(arm.solution.calibration)
+        starts = [
+            ((fit.at, expected[i].mean) if i in disagree else (fit.at,)) if i in of_arm else ()
+            for i, fit in enumerate(arm.fits)
+        ]
+        fitted.append(_fitted(arm, expected, starts, last=True))
     return _finished(_estimated(fitted, keep_all=False))
 
 

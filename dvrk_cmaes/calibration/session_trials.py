@@ -266,7 +266,8 @@ def _predicts_well(arms: Arms, left_out: Overlaps) -> bool:
 def _with_masks_again(session: Arms) -> Arms:
     """Find the masks again that were found in images, around the fits, and solve again; returns the better solution.
 
-    Only frames that agree with the session are looked at again, and only those whose masks change are fitted again.
+    Masks of frames that agree with the session are found around their fits, those of the others around what the session
+    predicts of them; only frames whose masks change are fitted again.
     ``again`` of an arm tells what was compared; it is None without such frames.
     """
     found = [_found_again(arm) for arm in session]
@@ -280,6 +281,7 @@ def _with_masks_again(session: Arms) -> Arms:
             len(masks),
             (before.solution.calibration.camera_from_base, after.solution.calibration.camera_from_base),
             _both_predicted(before, after),
+            before.stored[0].camera.pixel_scale,
         )
         for of_arm, masks, before, after in zip(found, new, session, other, strict=True)
         if of_arm
@@ -295,13 +297,14 @@ def _with_masks_again(session: Arms) -> Arms:
 
 
 def _found_again(arm: ArmSession) -> dict[int, FoundAgain]:
-    """Find the masks of an arm's frames again that agree with the session."""
+    """Find the masks of an arm's frames again."""
+    agree, expected = arm.agreeing, arm.model.priors(arm.solution.calibration)
     tasks = {
-        i: (frame.data, frame.find_masks, arm.fits[i].at, arm.change)
-        for i, (frame, agrees) in enumerate(zip(arm.frames, arm.agreeing, strict=True))
-        if agrees and frame.find_masks is not None
+        i: (frame.data, frame.find_masks, arm.fits[i].at if agree[i] else expected[i].mean, agree[i], arm.change)
+        for i, frame in enumerate(arm.frames)
+        if frame.find_masks is not None
     }
-    if not tasks:
+    if not any(agree[i] for i in tasks):
         return {}
     arm.setup.progress("finding masks again", len(tasks))
     return dict(zip(tasks, arm.setup.run(again_task, list(tasks.values())), strict=True))

@@ -139,25 +139,19 @@ def _find_mask(
         joints=readings,
     )
     result = None
-    behind = None if found.before is None else settings.backgrounds.get(view.name)
-    again_around = settings.model == "classic" and found.before != "smooth background"
-    for _ in range(_ITERATIONS if again_around else 0):
+    by_colours = settings.model == "classic" and found.before is None
+    for _ in range(_ITERATIONS if by_colours else 0):
         own = replace(view, view_from_camera=np.eye(4), mask=found.mask, keypoints=None, given=True)
         result = solve([own])
         silhouette = _silhouette(result, view, body)
-        again = segment_again(
-            image, silhouette, found.mask, view.ignore, hints=hints, outside=outside, background=behind
-        )
-        if again is None:
-            break
-        sides_with_first = None if behind is not None else colours_side_with(image, found.mask, again.mask, view.ignore)
-        if (sides_with_first or 0.0) > CLEARLY:
+        again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints, outside=outside)
+        if again is None or (colours_side_with(image, found.mask, again.mask, view.ignore) or 0.0) > CLEARLY:
             break
         which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
         less_sure, notes = again.confidence, (*again.notes, *which)
         if found.confidence <= less_sure:
             less_sure, notes = found.confidence, found.notes
-        found = replace(again, confidence=less_sure, notes=notes, others=found.others, before=found.before)
+        found = replace(again, confidence=less_sure, notes=notes, others=found.others)
         result = None
     means = f"by the {settings.model} model" if found.before is None else f"by its {found.before}"
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"

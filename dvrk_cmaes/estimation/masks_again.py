@@ -28,8 +28,8 @@ class ImagesOfFrame:
     def __call__(self, silhouettes: Mapping[str, Bool], masks: Mapping[str, Bool]) -> dict[str, Bool]:
         """Find the masks (H, W) of the views around silhouettes, by name; ``masks`` are the first ones.
 
-        A view is left out whose silhouette is not near its first mask, or whose new mask would be a guess. Errors as
-        `read_frame_image`.
+        A view is left out whose silhouette is not near its first mask, if that is given, or whose new mask would be a
+        guess. Errors as `read_frame_image`.
         """
         found = {}
         for number, view in enumerate(read_frame_image(self.files, self.rig).views):
@@ -39,7 +39,7 @@ class ImagesOfFrame:
             again = segment_again(
                 view.image,
                 silhouettes[view.name],
-                masks[view.name],
+                masks.get(view.name),
                 view.without(outside).ignore,
                 hints=Hints() if number else self.hints,
                 outside=outside,

@@ -33,8 +33,9 @@ _WEIGHTS: Final = 2.5, 1.0, 0.25, 0.7, 1.0, 1.5, 1.5
 _CLEAR: Final = 2.0  # mean edge, from which on a sharper one is no surer: blur differs between cameras
 _UNLIKE: Final = 0.3  # separation of wrist and jaws from the shaft, from which on more says nothing
 _BEYOND: Final = 0.008  # m along the shaft, by which the instrument is moved to see what is beyond its tip
-_BEFORE: Final = 6.0
+_BEFORE: Final = 12.0
 """Weight of the share of what differs from a known background that a silhouette covers, less what it covers beside."""
+_THICK: Final = 1.5  # px from the rim of what differs from a background, beyond which pixels count less
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
 _LEAST: Final = 1.5, 0.8, 6.0, 4.0
 """Pixels whose histograms count fully, of the shaft and of wrist and jaws, in squared widths of the shaft; and pixels
@@ -96,7 +97,10 @@ class Appearance:
         np.put_along_axis(channels, self.labels[None], counts[None].astype(np.float32), axis=0)
         edges = edge_scores(image, counts)
         within = cv2.erode(counts.astype(np.uint8), np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT, borderValue=0)
-        before = np.zeros(counts.shape, np.float32) if foreground is None else np.where(counts, foreground, 0)
+        before = np.zeros(counts.shape, np.float32)
+        if foreground is not None:  # thin parts tell wrist and jaws, the inside of the shaft is only large
+            inside = cv2.distanceTransform((foreground > 0).astype(np.uint8), cv2.DIST_L2, 3)
+            before = np.where(counts, foreground / np.maximum(inside / _THICK, 1), 0).astype(np.float32)
         self._before = 1 / max(float(np.maximum(before, 0).sum()), 1.0)
         self._bins = PixelSums.of(np.concatenate([channels, (counts & (within == 0))[None], before[None]]))
         self._edges = PixelSums.of(np.stack([edges, counts.astype(np.float32)]))

@@ -48,9 +48,10 @@ _ODDS: Final = np.array([4.0, 3.0, 1.0, -0.3, -1.0, -4.0, -4.0, 0.0, 3.0])
 _NOISE: Final = 2.0  # standard deviations of the differences, which say nothing
 _LEVELS: Final = 9  # limits of the bins of brightness, in which the noise is measured
 _LEAST_PIXELS: Final = 200  # in such a bin
-_SAME: Final = 0.6, 4.0  # log-odds against a pixel that is as the background: where the instrument has its colour, not
+_SAME: Final = 0.15, 4.0  # log-odds against a pixel that is as the background: where the instrument has its colour, not
 _UNSEEN: Final = 0.05  # share of the instrument whose colours do not differ from the background anywhere
 _SMOOTH: Final = 0.7  # px, standard deviation of the Gaussian that smooths differences
+_BESIDE: Final = 0.5  # weight beside a silhouette that is expected, which knows the outline where both sides look alike
 GAP: Final = 0.04
 """Of the longer side, between pieces of an instrument."""
 _SURFACE: Final = 160  # px, longer side at which it is fitted
@@ -151,6 +152,8 @@ def segment_before(image: Image, odds: Float32, prompts: Prompts, silhouette: Bo
     around = resized(differing_region(odds, small), (width, height)) if silhouette is None else silhouette
     if not around.any() or around.all():
         return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
+    if silhouette is not None:
+        odds = np.float32(_BESIDE) * odds
     return segmentation_around(image, around, prompts, rough=silhouette is None, colours=odds, local=False)
 
 

@@ -19,7 +19,7 @@ from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.frames.seen_view import overlap_of
 from dvrk_cmaes.geometry import Bool, Float32, Float64, Image, Posed, frame_along, rotation_about_z, transform
 from dvrk_cmaes.segment.appearance import Appearance
-from dvrk_cmaes.segment.segmentation import GUESS
+from dvrk_cmaes.segment.segmentation import GUESS, Hints
 from dvrk_cmaes.segment.shaft_pairs import Pair, find_pairs, pair_of_mask
 from dvrk_cmaes.segment.sizes import REDUCED, resized, shrunk, size_within
 from dvrk_cmaes.silhouette import Body, Renderer
@@ -30,8 +30,11 @@ _LINES: Final = 800  # px, longer side at which edges are looked for
 _DETAILS: Final = 0.0015, 0.002, 0.003, 0.004, 0.005, 0.006  # m, cells of the meshes
 _FACES: Final = 260, 520  # at most, of the meshes that are ranked, and of those that are compared
 _PAIRS: Final = 28
+_MOST_PAIRS: Final = 280  # of which those that pass near prompts are taken
+_NEAR_PROMPT: Final = 1.5  # widths of the shaft from its axis to a point on the instrument, or to its box
 _STEP: Final = 8.0  # px along an axis
 _MOST_STEPS: Final = 24
+_TRIED: Final = 200  # points along an axis, that are compared with prompts
 _OF_AXIS: Final = 3  # best places along an axis, each way, that are turned and bent; others are two steps away or more
 _FIRST_BENDS: Final = np.deg2rad([(0, 0), (50, 0)])  # there, without readings
 _FIRST_ROLLS: Final = 4, 8  # there, without and with readings of the wrist
@@ -46,7 +49,10 @@ _STARTS: Final = 4, 2  # places of a group, and turns of each, at most
 _BEGUN: Final = 6  # of these, that are optimised, once they are at their best distance and tilt
 _INSTRUMENTS: Final = 3  # that are looked at further
 _ENDS: Final = 4, 2  # of each, that are optimised further, twice
-_PASSES: Final = 2, 4, 6  # of the first, second and last optimisation
+_PASSES: Final = {
+    False: (2, 4, 6),
+    True: (4, 6, 10),
+}  # of the first, second and last optimisation, by a background, too
 _ALIKE: Final = 0.85  # overlap of silhouettes of which the worse one is no further end
 _SHARES: Final = np.array([0.4, 0.7, 1.0])  # of the way to the peak of the parabolas
 _SCALE: Final = np.array([7e-4, 4e-3, 4e-3, np.deg2rad(10), np.deg2rad(2), np.deg2rad(15)])
@@ -105,6 +111,7 @@ def find_instruments(
     most: int = 4,
     rough: Bool | None = None,
     foreground: Float32 | None = None,
+    hints: Hints | None = None,
 ) -> list[Candidate]:
     """Find the instruments in an image (H, W, 3) uint8 BGR; their silhouettes do not share pixels.
 
@@ -112,7 +119,8 @@ def find_instruments(
 
     ``outside`` (H, W) are pixels outside the picture; ``joints`` are the readings, rad, by name. ``rough`` is a mask of
     any size found by other means: it is looked whether its sides are a shaft's, too. ``foreground`` are log-odds of
-    instrument by a known background, of any size.
+    instrument by a known background, of any size. With a box or points of ``hints``, px of the image, axes of the shaft
+    that do not pass near these are left out.
     """
     instrument = body.instrument
     if instrument.shaft is None:
@@ -120,7 +128,15 @@ def find_instruments(
     (fine, _), (size, _) = (size_within(image.shape, longest) for longest in (_LINES, REDUCED))
     lines = shrunk(image, _LINES).max(axis=2)
     seen = outside if foreground is None else outside | ~resized(_near_foreground(foreground), outside.shape[1::-1])
-    pairs = find_pairs(lines, camera.scaled(*fine), instrument.shaft.radius, resized(seen, fine), _PAIRS)
+    pairs = find_pairs(
+        lines,
+        camera.scaled(*fine),
+        instrument.shaft.radius,
+        resized(seen, fine),
+        _PAIRS if hints is None else _MOST_PAIRS,
+    )
+    if hints is not None:
+        pairs = [pair for pair in pairs if _passes_near(pair, hints, camera, instrument.shaft.radius)][:_PAIRS]
     if rough is not None:
         pair = pair_of_mask(rough, camera.scaled(rough.shape[1], rough.shape[0]), instrument.shaft.radius)
         pairs += [] if pair is None else [pair]
@@ -176,14 +192,27 @@ def find_instruments(
                 own.append(found)
         return kept
 
-    for passes, ends in zip(_PASSES[:2], _ENDS, strict=True):
+    *first, last_passes = _PASSES[foreground is not None]
+    for passes, ends in zip(first, _ENDS, strict=True):
         kept = instruments(_optimised(appearance, Posed.stacked(begin), scale, passes), _INSTRUMENTS, ends)
         if not kept:
             return []
         begin = [found.at for own in kept for found in own]
     slid, _ = _best_of_each(ranked, [_slid(each, _ROLLS[0]) for each in begin])
-    last = instruments(_optimised(appearance, slid, scale, _PASSES[2]), most, 1)
+    last = instruments(_optimised(appearance, slid, scale, last_passes), most, 1)
     return sorted((own[0] for own in last), key=lambda each: (each.confidence < GUESS, -each.score))
+
+
+def _passes_near(pair: Pair, hints: Hints, camera: Camera, radius: float) -> bool:
+    """Whether the axis of a pair passes near all points on the instrument, and meets the box around it."""
+    axis = pair.point + np.linspace(pair.begin, pair.end, _TRIED)[:, None] * pair.direction
+    pixels, near = camera.project(axis), _NEAR_PROMPT * 2 * radius * camera.fx / axis[:, 2]
+    if not all((np.linalg.norm(pixels - point, axis=1) < near).any() for point in hints.points):
+        return False
+    if hints.box is None:
+        return True
+    low, high = np.array(hints.box[:2]), np.array(hints.box[2:])
+    return bool(((pixels > low - near[:, None]) & (pixels < high + near[:, None])).all(axis=1).any())
 
 
 def _optimised(by: Appearance, begin: Posed, scale: Float64, passes: int) -> Posed:

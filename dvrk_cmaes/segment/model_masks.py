@@ -41,6 +41,7 @@ _UNSEEN: Final = 0.2  # share of the instrument whose colours the silhouette doe
 _PASSES: Final = 2
 _KNOWN: Final = 0.8, 2.0  # weights of the log-odds by these colours, where the outline is moved to the edges, and
 _DEEP: Final = 2.0  # px within the first outline, beyond which the second weight holds: edges lose thin jaws
+_LARGEST_BY_PROMPT: Final = 0.3  # of the picture, that colours about a prompt may take
 _ALIKE: Final = 0.3  # overlap with any candidate, below which a mask has no likeness of an instrument
 _UNLIKE: Final = 0.4  # confidence of such a mask
 _POSSIBLE: Final = 0.2
@@ -125,20 +126,25 @@ def segment_by_model(
     roughly = rough()
     sure = roughly.confidence >= GUESS
     about = roughly.mask if sure and roughly.mask.any() and not roughly.mask.all() else None
-    candidates = find_instruments(image, outside, body, camera, joints, rough=about, foreground=foreground)
+    near = hints if prompts.given else None
+    candidates = find_instruments(image, outside, body, camera, joints, rough=about, foreground=foreground, hints=near)
     sure = sure and foreground is None
     likely = [each for each in candidates if each.confidence >= GUESS]
     found = [each for each in likely if _fits(each, prompts, image)]
 
     def by_colours() -> Segmentation:
         other = otherwise()
-        if prompts.given or other.confidence < GUESS or _is_alike(other.mask, candidates, body, camera):
+        if prompts.given and other.mask.mean() > _LARGEST_BY_PROMPT:
+            nothing = ("no instrument found",)
+            return Segmentation(np.zeros(outside.shape, np.bool_), None, 0.0, nothing)
+        if other.confidence < GUESS or _is_alike(other.mask, candidates, body, camera):
             return other
         return replace(other, confidence=_UNLIKE, notes=("a guess", *other.notes, "its shape is not the instrument's"))
 
     if not found:
         last, best = by_colours(), next((each for each in candidates if _fits(each, prompts, image)), None)
-        if last.mask.any() or best is None or best.confidence < _POSSIBLE:
+        sure_by_colours = last.mask.any() and (not prompts.given or last.confidence >= GUESS)
+        if sure_by_colours or best is None or best.confidence < _POSSIBLE:
             return last
         return mask_of_candidate(image, best, body, camera, prompts, foreground) or last
     other = by_colours() if sure else None

@@ -68,7 +68,7 @@ def segment_first(
 def segment_again(
     image: NDArray[np.uint8],
     silhouette: Bool,
-    mask: Bool,
+    mask: Bool | None,
     ignore: Bool | None,
     *,
     hints: Hints,
@@ -77,12 +77,12 @@ def segment_again(
 ) -> Segmentation | None:
     """Segment an image (H, W, 3) BGR with a silhouette (H, W) as prior.
 
-    ``mask`` (H, W) is the mask that the silhouette's pose was fitted to; ``outside`` (H, W) are the pixels outside the
-    field of view, ``background`` (h, w, 3) what the camera sees without the instrument, if the mask is to be told by
-    that. Returns None where silhouette and mask overlap too little for a prior, or where no pixel is taken for
-    the instrument.
+    ``mask`` (H, W) is the mask that the silhouette's pose was fitted to, None if it was fitted to none in this image;
+    ``outside`` (H, W) are the pixels outside the field of view, ``background`` (h, w, 3) what the camera sees without
+    the instrument, if the mask is to be told by that. Returns None where silhouette and mask overlap too little for a
+    prior, or where no pixel is taken for the instrument.
     """
-    if _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
+    if mask is not None and _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
         return None
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
     if background is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -198,6 +199,22 @@ def test_instrument_before_a_printed_board_is_found(shared: Path, joints: bool) 
         overlaps.append((found.mask & mask).sum() / (found.mask | mask).sum())
     assert min(overlaps) > 0.75
     assert np.median(overlaps) > 0.85
+
+
+@pytest.mark.parametrize("kind", ["point", "box"])
+def test_prompt_before_a_printed_board_does_not_fill_the_picture(shared: Path, kind: str) -> None:
+    session = read_session(shared / "frames" / "labs" / "berkeley")
+    for files in session.frames[7::4]:
+        assert files.image is not None
+        assert files.mask is not None
+        v, u = np.nonzero(read_mask(files.mask))
+        given: dict[str, Any] = {"points": [(float(np.median(u)), float(np.median(v)))]}
+        if kind == "box":
+            given = {"box": (float(u.min()), float(v.min()), float(u.max()), float(v.max()))}
+        camera = session.rig.views[0].camera
+        found = segment(read_image(files.image), instrument="lnd", camera=camera, joints=files.readings, **given)
+        assert found.mask.mean() < 0.3
+        assert found.confidence < 0.6
 
 
 def test_wrong_background_is_refused() -> None:
