@@ -120,10 +120,13 @@ def test_frame_with_half_mask_is_doubtful(bundled_body: Body, turn: float) -> No
     assert any(reason.startswith("mask cut straight") for reason in cut.reasons)
 
 
-def test_shaft_width_is_distance_of_edges(bundled_body: Body) -> None:
-    mask = Renderer(bundled_body, CAMERA).masks(POSE[None], JOINTS[None])[0]
+@pytest.mark.parametrize("farther", [1.0, 1.5])
+def test_shaft_width_is_distance_of_edges(bundled_body: Body, farther: float) -> None:
+    pose = POSE.copy()
+    pose[:3, 3] *= farther
+    mask = Renderer(bundled_body, CAMERA).masks(pose[None], JOINTS[None])[0]
     edges = gather_evidence(mask, CAMERA, bundled_body.instrument).shaft_edges[0]
-    root = CAMERA.project(POSE[None, :3, 3])[0]
+    root = CAMERA.project(pose[None, :3, 3])[0]
     lines = edges.planes @ np.linalg.inv(CAMERA.matrix)
     apart = -((lines[:, :2] @ root + lines[:, 2]) / np.linalg.norm(lines[:, :2], axis=1)).sum()
-    assert shaft_width(bundled_body.instrument, CAMERA, POSE) == pytest.approx(apart, rel=0.1)
+    assert shaft_width(bundled_body.instrument, CAMERA, pose) == pytest.approx(apart, rel=0.1)
