@@ -36,7 +36,7 @@ def test_frame_is_estimated_from_arrays(
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "status: ok"
     assert re.fullmatch(r"wrist_yaw: found \+0\.6[78]\d rad, read \+0\.557 rad", lines[3])
-    assert re.fullmatch(r"tips within \d\.\d+ mm \(90 %\)", lines[-1])
+    assert re.fullmatch(r"tips within \d\.\d+ mm \(90 %, \d\.\d+ mm given the camera\)", lines[-1])
 
 
 def test_recording_is_followed_to_its_last_image(

@@ -57,7 +57,7 @@ _CONTRADICTION = 14.16
 _FIRST_CONTRADICTION = 4.64
 """Squared distances from no change, of 99.7 % and 80 % with three unknowns: of the last and the first estimate."""
 _LEAST_GAIN = 3.84  # by how much less the sum of squares must be with another camera than the file's to contradict it
-_WRONG_SHARE, _WRONG_STD = 0.1, 10.0
+_WRONG_SHARE, _WRONG_STD = 0.05, 10.0
 """Share of files of another zoom, crop or endoscope, as far as frames could show it, and their errors in usual ones."""
 IMPLAUSIBLE = (
     "camera: its estimate from these frames is not plausible; frames with other poses of the arm, above all another "
@@ -454,7 +454,7 @@ def _mean_square(change: Float64, covariance: Float64, file: Float64) -> Float64
     A file is a measurement with the standard deviations ``file``, or with some probability one of another focal length,
     another principal point or both, of which frames say more the better they tell the camera.
     """
-    told = 1 / (1 + np.diag(covariance) / (_WRONG_STD * file) ** 2)
+    told = (1 + np.diag(covariance) / (_WRONG_STD * file) ** 2) ** -2
     shares = _WRONG_SHARE * np.array([told[0], told[1:].mean()])
     logs, squares = [], []
     for wrong in itertools.product((False, True), repeat=2):

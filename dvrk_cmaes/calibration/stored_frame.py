@@ -15,6 +15,7 @@ from dvrk_cmaes.evidence.shadows import shadow_stretches
 from dvrk_cmaes.frames.frame import FrameData
 from dvrk_cmaes.frames.seen_view import PackedMask, shown_views
 from dvrk_cmaes.geometry import Float64, Posed
+from dvrk_cmaes.pose.held import held_in
 from dvrk_cmaes.pose.views import FrameView
 from dvrk_cmaes.silhouette import Body, Renderer
 
@@ -98,7 +99,13 @@ class StoredFrame:
                 features=features,
             )
             renderer = Renderer(body, evidence.camera, threads=1)
-            views.append(FrameView(view.name, evidence, renderer, view.view_from_camera))
+            one = FrameView(view.name, evidence, renderer, view.view_from_camera)
+            if features and view.ignore is None and (held := held_in(one, own)) is not None:
+                free = gather_evidence(
+                    view.mask, view.camera, body.instrument, ignore=held, keypoints=tips, seed=config.seed
+                )
+                one = replace(one, evidence=free)
+            views.append(one)
         return cls.of_views(views, data.camera, with_noise(OwnEstimate.of(views, own), views, config))
 
     @classmethod

@@ -25,9 +25,11 @@ from dvrk_cmaes.joints.prior import split_readings
 from dvrk_cmaes.pose.config_check import check_config
 from dvrk_cmaes.pose.expected_error import locate_tips
 from dvrk_cmaes.pose.find_pose import FoundPose, find_pose
+from dvrk_cmaes.pose.held import HELD, held_in, without
 from dvrk_cmaes.pose.judge import exchanged_readings
 from dvrk_cmaes.pose.search.modes import PoseCandidate
 from dvrk_cmaes.pose.views import FrameView
+from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result, Source, modes_of
 from dvrk_cmaes.silhouette import Body, Renderer
 from dvrk_cmaes.silhouette.prepare import decimated_body, prepare
@@ -36,6 +38,8 @@ from dvrk_cmaes.silhouette.threads import single_blas_thread
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+
+_ROUGH_PX = 1.5  # of the contour at wrist and jaws (rms, at 640 px of width), from which held things are sought
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +182,14 @@ def estimate_views(
         base = found.camera_from_base
     else:
         modes = () if start is None else _modes(start, shown[0], model)
-        found, source = _in_camera(find_pose(views, decimated, readings, settings, modes), shown[0]), "frame"
+        found, source = find_pose(views, decimated, readings, settings, modes), "frame"
+        if (free := _without_held(shown, views, found, body, settings)) is not None:
+            views, names = free, model.joint_names
+            modes = [PoseCandidate(found.at, 0.0)]
+            modes += [PoseCandidate(posed(other, names), float(k)) for k, other in enumerate(found.alternatives, 1)]
+            found = find_pose(views, decimated, readings, settings, modes)
+            found = replace(found, notes=(*found.notes, HELD))
+        found = _in_camera(found, shown[0])
         base = find_camera_from_base(found.at.pose, given, arm, roll_offset=model.roll_offset)
     tips, tips_px = locate_tips(model, reference.camera, found.at)
     of_cameras = remarks_on_cameras(seen)
@@ -253,6 +264,19 @@ def _frame_views(seen: Sequence[SeenView], body: Body, settings: EstimateConfig)
         view_from_first = view.view_from_camera @ inverse(seen[0].view_from_camera)
         views.append(FrameView(view.name, evidence, renderer, np.eye(4) if view is seen[0] else view_from_first))
     return views
+
+
+def _without_held(
+    seen: Sequence[SeenView], views: Sequence[FrameView], found: FoundPose, body: Body, settings: EstimateConfig
+) -> list[FrameView] | None:
+    """Return the views without what the jaws hold, which counts neither way; None where nothing is found."""
+    if found.quality.distal_px < _ROUGH_PX * views[0].evidence.camera.pixel_scale:
+        return None
+    held = [held_in(view, found.at) for view in views]
+    if all(part is None for part in held):
+        return None
+    hidden = [without(view, part) for view, part in zip(seen, held, strict=True)]
+    return _frame_views(hidden, body, settings)
 
 
 def _in_camera(found: FoundPose, view: SeenView) -> FoundPose:
