@@ -29,7 +29,6 @@ experiments: $(VENV)/.tools
 	$(BIN)/python scripts/experiments/table1.py
 	$(BIN)/python scripts/experiments/figure4.py
 	$(BIN)/python scripts/experiments/table2.py
-	$(BIN)/python scripts/experiments/ablation.py
 	$(BIN)/python scripts/measure.py write
 
 clean:

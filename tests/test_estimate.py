@@ -159,6 +159,20 @@ def test_every_search_method_runs(
     assert result.quality.iou > 0.9
 
 
+def test_rays_cmaes_and_differences_together_give_the_pose_of_the_closed_form(
+    bundled_body: Body, frame: FrameData, readings: dict[str, float]
+) -> None:
+    closed = EstimateConfig()
+    card = replace(closed, refine=replace(closed.refine, derivatives="differences"))
+    assert (card.silhouette.method, card.search.method) == ("rays", "cmaes")
+    found, usual = (estimate(frame.mask, frame.camera, readings, bundled_body, config=each) for each in (card, closed))
+    assert found.status == usual.status == "ok"
+    assert found.rays > 50_000
+    assert found.evaluations > usual.evaluations + 500
+    np.testing.assert_allclose(found.camera_from_root[:3, 3], usual.camera_from_root[:3, 3], atol=1e-4)
+    assert rotation_angle(found.camera_from_root, usual.camera_from_root) < np.deg2rad(0.5)
+
+
 @pytest.mark.parametrize("field", ["fmm", "exact", "chamfer"])
 def test_every_distance_field_method_runs(
     bundled_body: Body, frame: FrameData, readings: dict[str, float], field: str

@@ -1,211 +1,121 @@
-"""Ablation: the same frames without a loss term, shaft edges or readings, or with other methods.
+"""Ablation: frames of sessions with truth, each solved by variants of the search, with and without readings.
 
-    python scripts/experiments/ablation.py [--quick]
+    python scripts/experiments/ablation.py FOLDER... [--frames N] [--keep DIR] [--out FILE]
 
-The frames are synthetic, of the levels medium and hard. All variants are run on the same frames.
+A pose is in the right mode if it is within 30 degrees of the truth, and in its mirror twin's within 30 degrees of that,
+which an outline without readings hardly distinguishes from it. Solved variants are kept in DIR and reused. The table is
+written to data/experiments/ablation.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Final
+import argparse
+import datetime
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
-from experiment import Claim, Options, progress, read_options, table, write_experiment
-from figure import new_figure
-from made_sessions import RIGHT_MODE_DEG, Made, by_estimate, error_of, make
+from experiment import OUT, commit, machine_class, progress, table
 
 from dvrk_cmaes.config import EstimateConfig
-from dvrk_cmaes.evaluate.pose_error import PoseError
-from dvrk_cmaes.pose.search import METHODS as SEARCHES
-from dvrk_cmaes.silhouette import METHODS as SILHOUETTES
+from dvrk_cmaes.estimation import estimate
+from dvrk_cmaes.evaluate.pose_error import compare_poses
+from dvrk_cmaes.frames.frame import read_frame
+from dvrk_cmaes.frames.session_folder import read_session
+from dvrk_cmaes.geometry import rotation_angle
+from dvrk_cmaes.io.atomic import write_json, write_text
+from dvrk_cmaes.pose.search import METHODS
 from dvrk_cmaes.silhouette.prepare import prepare
-from dvrk_cmaes.synth.levels import LevelName
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-LEVELS: Final[tuple[LevelName, ...]] = ("medium", "hard")
+RIGHT_MODE_DEG: Final = 30.0
 UNCHANGED: Final = "as it is"
-_COLOURS: Final = {"medium": "#1d3557", "hard": "#e76f51"}
 
 
-@dataclass(frozen=True)
-class Size:
-    """Size of a run: number of frames of each level, and largest number of variants (None for all)."""
-
-    frames: int
-    variants: int | None
-
-
-FULL: Final = Size(frames=12, variants=None)
-QUICK: Final = Size(frames=1, variants=4)
-
-
-@dataclass(frozen=True)
-class Variant:
-    """A variant of the method; ``readings`` states whether readings are used."""
-
-    name: str
-    config: EstimateConfig
-    readings: bool = True
+def variants(config: EstimateConfig) -> Iterator[tuple[str, EstimateConfig]]:
+    """Yield names of variants with their settings; the first is the configuration itself."""
+    search = config.search
+    yield UNCHANGED, config
+    yield "optimiser off", replace(config, search=replace(search, evaluations=1))
+    for field in fields(config.weights):
+        if field.name != "line_offset":
+            yield f"loss: no {field.name}", replace(config, weights=replace(config.weights, **{field.name: 0.0}))
+    yield "silhouettes: count", replace(config, silhouette=replace(config.silhouette, method="count"))
+    yield "seeds: no shaft edges", replace(config, search=replace(search, use_edges=False))
+    yield "seeds: shaft edges alone", replace(config, search=replace(search, free_share=0.0))
+    for method in METHODS[::-1]:
+        if method != search.method:
+            yield f"search: {method}", replace(config, search=replace(search, method=method))
+    yield "refinement: differences", replace(config, refine=replace(config.refine, derivatives="differences"))
 
 
-def variants(config: EstimateConfig) -> list[Variant]:
-    """Return all variants of a configuration; the first one is the configuration itself."""
-    found = [Variant(UNCHANGED, config)]
-    for name in [field.name for field in fields(config.weights) if field.name != "line_offset"]:
-        found.append(Variant(f"loss: no {name}", replace(config, weights=replace(config.weights, **{name: 0.0}))))
-    found += [
-        Variant("search: optimiser off", replace(config, search=replace(config.search, evaluations=1))),
-        Variant("refinement: differences", replace(config, refine=replace(config.refine, derivatives="differences"))),
-        Variant("seeds: shaft edges not used", replace(config, search=replace(config.search, use_edges=False))),
-        Variant(
-            "seeds: shaft edges only",
-            replace(config, search=replace(config.search, free_share=1 / config.search.samples)),
-        ),
-        Variant("readings: none given", config, readings=False),
-    ]
-    for name, part, methods in (
-        ("silhouettes", "silhouette", SILHOUETTES),
-        ("search", "search", SEARCHES),
-    ):
-        own = getattr(config, part)
-        others = [method for method in methods if method != own.method]
-        found += [Variant(f"{name}: {one}", replace(config, **{part: replace(own, method=one)})) for one in others]
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """Error of a frame by a variant, None without a pose, and its time in seconds."""
-
-    error: PoseError | None
-    seconds: float
-
-    @property
-    def tip_mm(self) -> float:
-        """Error of the tips, mm; infinite without a pose."""
-        return float("inf") if self.error is None or self.error.tip_mm is None else self.error.tip_mm
-
-    @property
-    def right_mode(self) -> bool:
-        """Whether the pose is in the true mode."""
-        return self.error is not None and self.error.rotation_deg < RIGHT_MODE_DEG
-
-
-def outcomes_of(variant: Variant, sessions: Sequence[Made]) -> list[Outcome]:
-    """Estimate all frames of sessions by a variant."""
-    found = []
-    total = sum(len(made.frames) for made in sessions)
-    for made in sessions:
-        for frame in made.frames:
-            given = frame if variant.readings else replace(frame, readings={})
-            result = by_estimate(made, given, variant.config)
-            found.append(Outcome(error_of(frame, result), result.seconds))
-            progress(variant.name, len(found), total)
-    return found
-
-
-def row_of(name: str, level: str, found: Sequence[Outcome], unchanged: Sequence[Outcome]) -> dict[str, Any]:
-    """Return a row: share in the right mode, error percentiles, seconds, and numbers of worse and better frames."""
-    tips = np.array([one.tip_mm for one in found])
-    axes = [one.error.shaft_deg for one in found if one.error is not None]
-    worse = [one.tip_mm > 1.1 * base.tip_mm for one, base in zip(found, unchanged, strict=True)]
-    better = [1.1 * one.tip_mm < base.tip_mm for one, base in zip(found, unchanged, strict=True)]
-    return {
-        "variant": name,
-        "level": level,
-        "frames": len(found),
-        "right_mode": sum(one.right_mode for one in found) / len(found),
-        "tip_mm_median": _finite(np.median(tips)),
-        "tip_mm_90": _finite(np.percentile(tips, 90)),
-        "axis_deg_median": _finite(np.median(axes)) if axes else None,
-        "worse": sum(worse),
-        "better": sum(better),
-        "seconds_median": round(float(np.median([one.seconds for one in found])), 2),
-    }
-
-
-def _finite(value: float) -> float | None:
-    """Round a number to three decimals; None if it is not finite."""
-    return round(float(value), 3) if np.isfinite(value) else None
-
-
-def claims_of(rows: Sequence[dict[str, Any]]) -> list[Claim]:
-    """Evaluate the claim that no variant is better than the unchanged method."""
-    ahead = [f"{r['variant']} ({r['level']}: {r['better']} to {r['worse']})" for r in rows if r["better"] > r["worse"]]
-    text = "no variant is better (tips off by a tenth less) in more frames than it is worse in"
-    return [Claim(text, not ahead, "ahead: " + ", ".join(ahead) if ahead else "none is ahead")]
-
-
-def as_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the rows as a Markdown table with the levels side by side."""
-    columns = ["variant"]
-    for level in LEVELS:
-        columns += [f"{level}: right mode", "tips, median / 90 %, mm", "worse / better"]
-    lines = []
-    for name in dict.fromkeys(row["variant"] for row in rows):
-        cells: list[object] = [name]
-        seconds = []
-        for level in LEVELS:
-            (row,) = (r for r in rows if r["variant"] == name and r["level"] == level)
-            tips = " / ".join("-" if row[key] is None else f"{row[key]:.2f}" for key in ("tip_mm_median", "tip_mm_90"))
-            cells += [f"{row['right_mode']:.0%}", tips, f"{row['worse']} / {row['better']}"]
-            seconds.append(row["seconds_median"])
-        lines.append([*cells, f"{np.mean(seconds):.1f}"])
-    return table([*columns, "s a frame"], lines)
-
-
-def draw(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Draw the tips' median error and the share of frames in a wrong mode, by variant and level."""
-    names = list(dict.fromkeys(row["variant"] for row in rows))
-    figure = new_figure(8.0, 1.0 + 0.26 * len(names))
-    left, right = figure.subplots(1, 2, sharey=True)
-    for k, level in enumerate(LEVELS):
-        colour = _COLOURS[level]
-        chosen = [row for row in rows if row["level"] == level]
-        places = np.arange(len(names)) + (k - 0.5) * 0.36
-        left.barh(places, [row["tip_mm_median"] or 0.0 for row in chosen], height=0.34, color=colour, label=level)
-        right.barh(places, [1 - row["right_mode"] for row in chosen], height=0.34, color=colour)
-    left.set_yticks(range(len(names)), names, fontsize=8)
-    left.invert_yaxis()
-    left.set_xlabel("error of the tips, median, mm")
-    right.set_xlabel("share of frames in a wrong mode")
-    right.set_xlim(0, 1)
-    right.legend(*left.get_legend_handles_labels(), fontsize=8, loc="lower right")
-    for panel in (left, right):
-        panel.grid(axis="x", alpha=0.3)
-    return figure
-
-
-def run(options: Options, size: Size) -> None:
-    """Run the experiment and write its files."""
+def solved(config: EstimateConfig, folders: Sequence[Path], most: int, label: str) -> list[dict[str, Any]]:
+    """Solve the first frames of each folder with and without readings, and compare them with the truth."""
     body = prepare("lnd")
-    sessions = {level: make(body, level, size.frames, 900 + options.seed) for level in LEVELS}
-    rows: list[dict[str, Any]] = []
-    first: dict[str, list[Outcome]] = {}
-    for variant in variants(EstimateConfig())[: size.variants]:
-        for level, made in sessions.items():
-            found = outcomes_of(variant, [made])
-            first.setdefault(level, found)
-            rows.append(row_of(variant.name, level, found, first[level]))
-    write_experiment(
-        options,
-        "ablation",
-        title="Ablation: losses, seeds, searches and refinements",
-        figures={"rows": rows},
-        claims=claims_of(rows),
-        tables=[as_table(rows)],
-        picture=draw(rows),
-        notes=[
-            f"{size.frames} frames of each level (`dvrk-cmaes synth --motion rcm`). Worse and better: in how many "
-            "frames the tips are off by a tenth more, or less, than with everything as it is."
-        ],
-    )
+    names, rows = body.instrument.joint_names, []
+    for folder in folders:
+        session = read_session(folder)
+        golden = json.loads((folder / "golden.json").read_text(encoding="utf-8"))["frames"]
+        for files in session.frames[:most]:
+            data, truth = read_frame(files, session.camera), golden[files.name]
+            true, joints = np.array(truth["T_camera_roll_link"]), np.array([truth["joints"][name] for name in names])
+            twin, _ = body.instrument.twin(true, joints)
+            for readings in (files.readings, {}):
+                began = time.process_time()
+                result = estimate(data.mask, data.camera, readings, body, config=config)
+                row: dict[str, Any] = {"readings": bool(readings), "seconds": time.process_time() - began}
+                if result.camera_from_root is not None:
+                    found = result.camera_from_root
+                    right, turned = (np.degrees(rotation_angle(each, found)) < RIGHT_MODE_DEG for each in (true, twin))
+                    truly = true, dict(zip(names, joints, strict=True))
+                    error = compare_poses(body.instrument, (found, result.joints), truly)
+                    row |= {"right": bool(right), "twin": bool(turned and not right), "tip_mm": error.tip_mm}
+                rows.append(row)
+                progress(label, len(rows), 2 * most * len(folders))
+    return rows
+
+
+def figures(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the cells of a variant: right modes and tips with readings, right modes and twins without, seconds."""
+    cells = []
+    for readings in (True, False):
+        own = [row for row in rows if row["readings"] is readings]
+        right, twins = (sum(row.get(name, False) for row in own) for name in ("right", "twin"))
+        cells.append(f"{right} of {len(own)}" if readings else f"{right} and {twins} of {len(own)}")
+        if readings:
+            tips = [row.get("tip_mm", np.inf) for row in own]
+            cells.append(f"{np.median(tips):.2f} / {np.percentile(tips, 95):.2f}")
+    return [*cells, f"{np.mean([row['seconds'] for row in rows]):.2f}"]
+
+
+def main() -> None:
+    """Solve all variants and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="session folders with golden.json")
+    parser.add_argument("--frames", type=int, default=10, metavar="N", help="of each, the first (default: %(default)s)")
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for results, which are reused")
+    parser.add_argument("--out", type=Path, default=OUT / "ablation.md", metavar="FILE", help="default: %(default)s")
+    options = parser.parse_args()
+    shown = []
+    for name, config in variants(EstimateConfig(threads=1)):
+        kept = options.keep / f"{name.replace(': ', '_').replace(' ', '_')}.json" if options.keep else None
+        if kept is not None and kept.exists():
+            rows = json.loads(kept.read_text(encoding="utf-8"))
+        else:
+            rows = solved(config, options.folders, options.frames, name)
+            if kept is not None:
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                write_json(kept, rows)
+        shown.append([name, *figures(rows)])
+    twins = "without readings: right mode and mirror twin"
+    head = ("variant", "right mode", "tips, median / 95 %, mm", twins, "s a frame")
+    ran = f"{datetime.date.today().isoformat()}, commit {commit()}, {machine_class()}, {options.frames} frames each of"
+    folders = ", ".join(folder.name for folder in options.folders)
+    write_text(options.out, f"# Ablation: searches, seeds, losses\n\n{ran} {folders}.\n\n{table(head, shown)}\n")
 
 
 if __name__ == "__main__":
-    chosen = read_options(__doc__ or "")
-    run(chosen, QUICK if chosen.quick else FULL)
+    main()

@@ -90,7 +90,7 @@ def write_experiment(
     """Write an experiment's JSON, Markdown and picture, and print their paths on stderr."""
     ran = {
         "date": datetime.date.today().isoformat(),
-        "commit": _commit(),
+        "commit": commit(),
         "machine": machine_class(),
         "version": __version__,
         "quick": options.quick,
@@ -121,7 +121,7 @@ def _joined(tables: Sequence[str]) -> list[str]:
     return [line for table in tables for line in (table, "")]
 
 
-def _commit() -> str:
+def commit() -> str:
     """Return the short name of the current commit, with a plus if the code or the instruments differ from it."""
     paths = ("dvrk_cmaes", "scripts", "data/instruments", "pyproject.toml")
     try:

@@ -153,7 +153,7 @@ def _accuracy_table(chosen: Mapping[str, Any]) -> str:
 def _claims() -> str:
     """Return the claims of experiments, whether they hold, and where and when each ran; InputError if one was quick."""
     rows, ran, machines = [], [], dict[str, None]()
-    for name in ("table1", "figure4", "table2", "ablation"):
+    for name in ("table1", "figure4", "table2"):
         path = ROOT / "data" / "experiments" / f"{name}.json"
         document = json.loads(path.read_text(encoding="utf-8"))
         title, of = document["title"].split(":")[0], document["ran"]
