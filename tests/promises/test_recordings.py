@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 from collections.abc import Iterable, Mapping
@@ -64,9 +65,8 @@ def test_recording_is_followed_and_states_its_errors(kept: Kept) -> None:
 
 def test_table_has_the_same_poses_in_mm(kept: Kept) -> None:
     folder = kept("track", synth(kept, *ONE), "--out", OUT).folder
-    header, *rows = (folder / "tracks.csv").read_text().splitlines()
-    for row, found in zip(rows, tracks(folder).values(), strict=True):
-        named = dict(zip(header.split(","), row.split(","), strict=True))
+    rows = csv.DictReader((folder / "tracks.csv").read_text().splitlines())
+    for named, found in zip(rows, tracks(folder).values(), strict=True):
         assert (named["frame"], named["status"]) == (found["frame"], found["status"])
         tip = [float(named[f"tip_1_{axis}_mm"]) for axis in "xyz"]
         assert tip == pytest.approx(np.array(found["tips"][0]) * 1e3, abs=1e-3)
