@@ -91,9 +91,7 @@ def compared(
     both = np.array(predicted).reshape(-1, 2, 2)
     iou, contour = both[..., 0].mean(axis=0), np.median(both[..., 1], axis=0)
     moved = change_between(*bases)
-    changes = np.diff(both[..., 0])
-    change = max(float(changes.mean()), float(np.median(changes)))  # one wrong first mask does not decide
-    worse = change < -_WORSE[0] or contour[1] > contour[0] + px_scale * _WORSE[1]
+    worse = iou[1] < iou[0] - _WORSE[0] or contour[1] > contour[0] + px_scale * _WORSE[1]
     base = 1e3 * float(np.linalg.norm(moved[:3])), float(np.degrees(np.linalg.norm(moved[3:])))
     pairs = float(iou[0]), float(iou[1]), float(contour[0]), float(contour[1])
     applied = changed_frames > 0 and not worse
