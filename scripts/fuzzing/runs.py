@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -140,6 +141,15 @@ def stubbed(material: Path) -> Iterator[None]:
     def here_alone(self: Pool, start: Callable[[], object], _workers: int, **_: Any) -> None:
         made(self, start, 0, here=True)
 
+    def done_here(self: Pool, call: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.start()
+        try:
+            future.set_result(call(*arguments))
+        except Exception as error:  # as that of a worker process
+            future.set_exception(error)
+        return future
+
     @lru_cache(maxsize=100)
     def parsed(tokens: tuple[str, ...]) -> Callable[[], Any]:
         command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
@@ -149,6 +159,7 @@ def stubbed(material: Path) -> Iterator[None]:
         mock.patch("dvrk_cmaes.runs.frame.estimate_views", estimate),
         mock.patch("dvrk_cmaes.estimation.image_frame.estimate_views", estimate),
         mock.patch.object(Pool, "__init__", here_alone),
+        mock.patch.object(Pool, "submit", done_here),
         mock.patch("dvrk_cmaes.draw.overlay._SMALLEST", 1),
         mock.patch("dvrk_cmaes.cli.app.app", lambda tokens, **_: parsed(tuple(tokens))()),
     ):
