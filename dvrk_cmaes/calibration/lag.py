@@ -678,8 +678,8 @@ def _refine(arms: Sequence[LateFrames], start: Float64, own: tuple[int, ...]) ->
 def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
     """Return the lags of a session's arms, of which those that agree become their mean by the standard deviations.
 
-    An arm whose frames do not tell its lag has that of the others. A lag that disagrees, that drifts, or at which a
-    frame would have no readings, is that of its arm alone: arms may have clocks of their own.
+    An arm whose frames do not tell its lag has that of the others. A lag that disagrees, that drifts, or at which few
+    frames would have readings, is that of its arm alone: arms may have clocks of their own.
     """
     if len(lags) < 2:
         return list(lags)
@@ -695,6 +695,6 @@ def in_common(lags: Sequence[SessionLag]) -> list[SessionLag]:
         return [replace(lag, alone=True) for lag in lags]
     found = Refined(np.array([mean, 0.0]), np.array([std, 0.0]))
     shared = [replace(lag, lag=None).with_estimate(found) for lag in lags]
-    if not all(lag.lag is not None and lag.all_have_readings for lag in shared):
+    if not all(lag.lag is not None and lag.has_readings(lag.values).sum() >= _LEAST_AT_LAG for lag in shared):
         return [replace(lag, alone=True) for lag in lags]
     return [replace(lag, undetermined="") for lag in shared]
