@@ -53,9 +53,9 @@ PLAUSIBLE = 2.0  # of these; linearised farther away, outlines leave the image
 _STEPS = 10  # largest number of Gauss-Newton steps between two estimates of the variances
 _LEAST_FRAMES, _MANY_FRAMES = 6, 10
 _LEAST_INSERTION = 5e-3  # m, range of the readings
-_CONTRADICTION = 14.16
+_CONTRADICTION = 16.27
 _FIRST_CONTRADICTION = 4.64
-"""Squared distances from no change, of 99.7 % and 80 % with three unknowns: of the last and the first estimate."""
+"""Squared distances from no change, of 99.9 % and 80 % with three unknowns: of the last and the first estimate."""
 _LEAST_GAIN = 3.84  # by how much less the sum of squares must be with another camera than the file's to contradict it
 _WRONG_SHARE, _WRONG_STD = 0.05, 10.0
 """Share of files of another zoom, crop or endoscope, as far as frames could show it, and their errors in usual ones."""
