@@ -97,7 +97,7 @@ def test_help_is_printed_on_stdout(words: tuple[str, ...]) -> None:
 
 
 def test_every_command_of_the_stable_list_has_help() -> None:
-    shown = run("--help").out
+    shown = subprocess.run([PROGRAM, "--help"], capture_output=True, text=True, check=True).stdout
     for command in ("estimate", "segment", "demo", "batch", "calibrate", "track", "live", "export", "golden"):
         assert f" {command} " in shown
     for command in ("compare", "consistency", "pnp", "synth", "inspect", "import", "help"):
