@@ -38,8 +38,8 @@ class Camera:
     model
         ``plumb_bob`` (0, 4 or 5 coefficients), ``rational_polynomial`` (0 or 8) or ``equidistant`` (4).
     covariance
-        Covariance (5, 5) of the calibration's errors, where it is known: of log f, log (fy / fx), the principal point right
-        and down over f, and the first radial coefficient; empty where it is not.
+        Covariance (5, 5) of the calibration's errors, where it is known: of log f, log (fy / fx), the principal point
+        right and down over f, and the first radial coefficient; empty where it is not.
     remarks
         What is unusual about the camera's file; every result that uses the camera repeats it.
 
