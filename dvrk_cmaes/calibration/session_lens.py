@@ -10,6 +10,7 @@ import numpy as np
 from dvrk_cmaes.calibration.blocks import CLEAR, FoundBlock, OutlineOfView, SeenBlock, ViewAsSeen
 from dvrk_cmaes.calibration.linearise import SHARED_ERRORS
 from dvrk_cmaes.camera import Camera
+from dvrk_cmaes.camera.lens import COEFFICIENT_COUNTS
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.pose.camera_errors import PARAMETERS, displacements, file_covariance
@@ -35,7 +36,7 @@ class Lens(SeenBlock):
         if not values.any():
             return by
         camera, (aspect, radial) = by.camera, values
-        first, *others = camera.distortion or (0.0,) * 4
+        first, *others = camera.distortion or (0.0,) * COEFFICIENT_COUNTS[camera.model][-1]
         focal = camera.fx * np.exp(-aspect / 2), camera.fy * np.exp(aspect / 2)
         return replace(by, camera=replace(camera, fx=focal[0], fy=focal[1], distortion=(first + radial, *others)))
 

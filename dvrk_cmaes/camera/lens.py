@@ -88,6 +88,15 @@ class Lens:
         a, b = directions[:, 0], directions[:, 1]
         return np.stack(value, axis=-1), np.stack([a * x_by_x + b * y_by_x, a * x_by_y + b * y_by_y], axis=-1)
 
+    def by_radial(self, xy: Float64) -> Float64:
+        """Differentiate ``distort`` by the first radial coefficient, k1, at points (..., 2) in the image."""
+        s = (xy * xy).sum(axis=-1, keepdims=True)
+        if self.model == "equidistant":
+            r = np.sqrt(s)
+            return np.asarray(xy * np.divide(np.arctan(r) ** 3, r, out=np.zeros_like(r), where=r > 0))
+        k4, k5, k6 = self._k[3:]
+        return np.asarray(xy * s / (1 + s * (k4 + s * (k5 + s * k6))))
+
     def undistort(self, distorted: Float64) -> Float64:
         """Invert ``distort`` on float64 points (..., 2), by Newton's method, to 1e-9 or better."""
         points = distorted.reshape(-1, 2)

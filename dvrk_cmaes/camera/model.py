@@ -190,6 +190,16 @@ class Camera:
         points = _floats(xy)
         return points if self._lens is None else self._lens.distort(points)
 
+    def by_radial(self, xy: Float64) -> Float64:
+        """Differentiate `distort` by the first radial coefficient at undistorted points (..., 2) in the image.
+
+        Parameters
+        ----------
+        xy
+            Undistorted coordinates x/z, y/z, (..., 2).
+        """
+        return xy * (xy * xy).sum(axis=-1, keepdims=True) if self._lens is None else self._lens.by_radial(xy)
+
     def project(self, points: ArrayLike) -> NDArray[Any]:
         """Project points (..., 3) in the camera's frame, m, to pixels (..., 2); float32 stays float32.
 

@@ -44,7 +44,7 @@ def usual_covariance(config: CameraConfig) -> Float64:
 def displacements(camera: Camera, pixels: Float64, tangent: Float64) -> Float64:
     """Return by how much the pixels (N, 2) of points with x/z, y/z (N, 2) move with each parameter, (N, 2, 5) px."""
     focal, off = np.array([camera.fx, camera.fy]), pixels - [camera.cx, camera.cy]
-    radial = focal * tangent * (tangent**2).sum(axis=1, keepdims=True)
+    radial = focal * camera.by_radial(tangent)
     right, down = np.array([[camera.fx, 0.0], [0.0, camera.fx]])
     columns = [off, off * [-0.5, 0.5], *(np.broadcast_to(each, off.shape) for each in (right, down)), radial]
     return np.stack(columns, axis=2)

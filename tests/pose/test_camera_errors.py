@@ -10,10 +10,18 @@ import pytest
 from helpers.session_worlds import SMALL, make_frames_in_memory
 
 from dvrk_cmaes import Body, Camera, InputError, estimate
+from dvrk_cmaes.calibration.blocks import ViewAsSeen
+from dvrk_cmaes.calibration.session_lens import OF_LENS, Lens
 from dvrk_cmaes.config import CameraConfig, EstimateConfig
 from dvrk_cmaes.geometry import Posed, apply
 from dvrk_cmaes.io.toml_file import read_config
-from dvrk_cmaes.pose.camera_errors import PARAMETERS, covariance_by_camera, file_covariance, moves_by_camera
+from dvrk_cmaes.pose.camera_errors import (
+    PARAMETERS,
+    covariance_by_camera,
+    displacements,
+    file_covariance,
+    moves_by_camera,
+)
 
 
 def with_error(number: int, size: float) -> Camera:
@@ -49,6 +57,30 @@ def test_pose_moves_with_the_camera_as_an_estimate_of_the_same_mask_does(
         expected.append(1e3 * (of_step[0] - of_step[1]).mean(axis=0))
     off = np.linalg.norm(np.median(np.array(moved) - np.array(expected), axis=0))
     assert off < 0.35 * np.linalg.norm(np.median(moved, axis=0)) + 0.1
+
+
+LENSES = {
+    "no distortion": ("plumb_bob", ()),
+    "plumb_bob": ("plumb_bob", (-0.2, 0.05, 1e-3, -2e-3, 0.01)),
+    "rational_polynomial without coefficients": ("rational_polynomial", ()),
+    "rational_polynomial": ("rational_polynomial", (-0.2, 0.05, 1e-3, -2e-3, 0.01, 0.1, 0.05, 0.01)),
+    "equidistant": ("equidistant", (0.02, -0.01, 0.005, 0.0)),
+}
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_points_move_with_aspect_and_radial_coefficient_of_every_lens_as_they_are_projected(lens: str) -> None:
+    model, distortion = LENSES[lens]
+    camera = replace(SMALL, model=model, distortion=distortion)
+    points = np.random.default_rng(0).uniform([-0.25, -0.2, 0.9], [0.25, 0.2, 1.1], (40, 3))
+    block = Lens(EstimateConfig(), camera)
+    moves = displacements(camera, camera.project(points), points[:, :2] / points[:, 2:])
+    for k, number in enumerate(OF_LENS):
+        ends = [
+            block.seen("", ViewAsSeen(camera, np.zeros(3), 0.0, 1.0), sign * 1e-4 * np.eye(2)[k]).camera.project(points)
+            for sign in (1, -1)
+        ]
+        np.testing.assert_allclose(moves[:, :, number], (ends[0] - ends[1]) / 2e-4, rtol=1e-6, atol=1e-4)
 
 
 def test_errors_of_the_file_are_in_metres_and_not_in_this_camera(bundled_body: Body) -> None:
