@@ -62,7 +62,7 @@ def compare(
         each set puts them. One set is enough then.
     points
         Where the labels lie on the instrument: JSON of link and position_m (metres) by name of the label. By default
-        the bundled table that has all of them; that of SurgPose's labels is not verified.
+        the bundled table that has most of them; that of SurgPose's labels is not verified. Others are left out.
     instrument
         The instrument, for the tips of sets that do not state them.
     out

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dvrk_cmaes.cli.terminal import Line
+from dvrk_cmaes.io.short_text import natural
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,11 +28,22 @@ class LabelTable:
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
         paths = {"path": str(self.labels.path), "points": str(self.labels.table_path)}
-        return {**paths, "sets": [found.to_dict() for found in self.sets]}
+        names = {"used": self._used, "left_out": list(self.labels.left_out)}
+        return {**paths, **names, "sets": [found.to_dict() for found in self.sets]}
+
+    @property
+    def _used(self) -> list[str]:
+        """The labels whose points the table has, numbers in their order."""
+        names = dict.fromkeys(name for own in self.labels.pixels.values() for name in own)
+        return sorted(names, key=natural)
 
     def lines(self) -> Iterator[Line]:
         """Yield the rows of each set: all labels together, and each by itself."""
         yield Line(f"labels: {self.labels.path}, their points by {self.labels.table_path}")
+        yield Line(f"  used: {', '.join(self._used)}")
+        if self.labels.left_out:
+            left_out = ", ".join(sorted(self.labels.left_out, key=natural))
+            yield Line(f"  left out, for the table has no point of them: {left_out}", "yellow")
         if self.labels.table_path.name == "surgpose.json":
             yield Line(
                 "  it is not verified which points SurgPose's labels mean; --points FILE replaces the table", "yellow"
@@ -43,7 +55,7 @@ class LabelTable:
                 yield Line("  no frame has a pose", "yellow")
                 continue
             yield _row("all", found.all)
-            for name, errors in sorted(found.by_label.items(), key=lambda item: (len(item[0]), item[0])):
+            for name, errors in sorted(found.by_label.items(), key=lambda item: natural(item[0])):
                 yield _row(f"label {name}", errors)
             if found.without:
                 yield Line(f"  labels in frames without a pose: {len(found.without)} frames", "yellow")

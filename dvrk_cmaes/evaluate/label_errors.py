@@ -34,8 +34,8 @@ _TABLES: Final = ("lnd.json", "surgpose.json")
 class Labels:
     """Labelled points of a session.
 
-    path : of markers.csv. camera : of the images they are in. pixels : (2,) by frame and label. table : of the points,
-    by label, read from ``table_path``.
+    path : of markers.csv. camera : of the images they are in. pixels : (2,) by frame and label, of those that the table
+    has. table : of the points, by label, read from ``table_path``. left_out : labels that the table does not have.
     """
 
     path: Path
@@ -43,6 +43,7 @@ class Labels:
     pixels: Mapping[str, Mapping[str, Float64]]
     table: Mapping[str, Marker]
     table_path: Path
+    left_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,23 +101,26 @@ def read_labels(session: Path, points: Path | None) -> Labels:
     session
         The folder, with markers.csv and a camera file.
     points
-        The table; None for the bundled one that has all labels.
+        The table; None for the bundled one that has most of the labels.
 
     Raises
     ------
     InputError
-        A file is missing or not valid, or a table does not have all labels.
+        A file is missing or not valid, or the table has none of the labels.
     """
     path = session / _LABELS
     pixels = read_detections(path)
     names = list(dict.fromkeys(name for own in pixels.values() for name in own))
-    tables = [points] if points is not None else [bundled_path("markers", name) for name in _TABLES]
-    for file in tables:
-        table = read_marker_table(file)
-        missing = [name for name in names if name not in table]
-        if not missing:
-            return Labels(path, _camera(session), pixels, table, file)
-    raise InputError(f"{tables[-1]}: markers: expected the points of all labels in {path}, got no {listed(missing)}")
+    files = [points] if points is not None else [bundled_path("markers", name) for name in _TABLES]
+    tables = {file: read_marker_table(file) for file in files}
+    file = max(files, key=lambda file: len({*names} & {*tables[file]}))
+    table = tables[file]
+    left_out = tuple(name for name in names if name not in table)
+    used = {frame: {name: own[name] for name in own if name in table} for frame, own in pixels.items()}
+    used = {frame: own for frame, own in used.items() if own}
+    if not used:
+        raise InputError(f"{file}: markers: expected points of labels in {path}, got no {listed(left_out)}")
+    return Labels(path, _camera(session), used, table, file, left_out)
 
 
 def _camera(session: Path) -> Camera:

@@ -1,4 +1,4 @@
-"""Folders in the layout of SurgPose, of two arms that the project draws, with labels at the table's points."""
+"""Folders in the layout of SurgPose: two drawn arms, with labels at the points of the table and two more."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from dvrk_cmaes import Body, Camera, prepare
-from dvrk_cmaes.frames.markers import place_markers, read_marker_table
+from dvrk_cmaes.frames.markers import Marker, place_markers, read_marker_table
 from dvrk_cmaes.io.video_writer import quiet_ffmpeg
 from dvrk_cmaes.synth.moving_arm import MotionLevel, moving_arm
 from dvrk_cmaes.synth.moving_images import IMAGE_LEVELS, DrawnTool, RecordingImages
@@ -33,6 +33,12 @@ OFFSET_DEG = {"roll": 2.0, "wrist_pitch": 3.0, "wrist_yaw": -2.0}
 
 _SEEDS = {"PSM1": 20, "PSM3": 8}
 _ASIDE = {"PSM1": 0.014, "PSM3": -0.012}
+_OTHER_EDGE = {
+    str(number): Marker("roll_link", np.array([0.0025, 0.0, z]))
+    for numbers in NUMBERS.values()
+    for number, z in zip(numbers[5:], (-0.001, -0.006), strict=True)
+}
+"""Points of the labels that the bundled table leaves out: 6, 7, 13 and 14."""
 _STEADY = MotionLevel(1.5, 0.0, 0.0, 0.0, 0.0, 0.0, False, False)
 
 
@@ -46,7 +52,7 @@ class MadeArms:
     @cached_property
     def labels(self) -> dict[str, list[dict[int, np.ndarray]]]:
         """Pixels (2,) of the table's points in the left images, by arm, frame and number."""
-        table = read_marker_table(bundled_path("markers", "surgpose.json"))
+        table = {**read_marker_table(bundled_path("markers", "surgpose.json")), **_OTHER_EDGE}
         found: dict[str, list[dict[int, np.ndarray]]] = {}
         for arm, truths in self.truths.items():
             own = {str(number): table[str(number)] for number in NUMBERS[arm]}

@@ -22,9 +22,10 @@ from helpers.made_surgpose import (
     made_arms,
     write_surgpose,
 )
+from helpers.places import bundled_path
 
 from dvrk_cmaes import EstimateConfig, prepare, read_session
-from dvrk_cmaes.frames.markers import read_detections
+from dvrk_cmaes.frames.markers import place_markers, read_detections, read_marker_table
 from dvrk_cmaes.runs.keyframes import segment_task
 from dvrk_cmaes.segment.segmentation import Hints
 
@@ -185,9 +186,45 @@ def write_truth(path: Path, arms: MadeArms, arm: str, aside_px: float = 0.0) -> 
 def test_true_poses_have_no_errors_at_the_labels(run: Run, made: Path, arms: MadeArms, arm: str) -> None:
     run("import", made, "--arm", arm, "--out", "session")
     write_truth(Path("golden.json"), arms, arm)
-    found = run("compare", "golden.json", "--labels", "session", "--json").result["labels"]["sets"][0]
-    assert (found["frames"], found["points"], found["without"]) == (FRAMES, 5 * FRAMES + 2, [])
+    labels = run("compare", "golden.json", "--labels", "session", "--json").result["labels"]
+    names = [str(number) for number in NUMBERS[arm]]
+    assert (labels["used"], labels["left_out"]) == (names[:5], names[5:])
+    found = labels["sets"][0]
+    assert (found["frames"], found["points"], found["without"]) == (FRAMES, 5 * FRAMES, [])
     assert found["px"]["largest"] < 0.005
+    printed = run("compare", "golden.json", "--labels", "session").out
+    assert f"  used: {', '.join(names[:5])}\n" in printed
+    assert f"  left out, for the table has no point of them: {', '.join(names[5:])}\n" in printed
+
+
+def test_labels_without_any_point_are_refused(run: Run, made: Path, arms: MadeArms) -> None:
+    run("import", made, "--arm", "PSM1", "--out", "session")
+    write_truth(Path("golden.json"), arms, "PSM1")
+    Path("session/markers.csv").write_text("frame,marker,u,v\n000000,6,10,20\n", encoding="utf-8")
+    refusal = run("compare", "golden.json", "--labels", "session").refusal
+    assert "expected points of labels in session/markers.csv, got no 6" in refusal
+
+
+def test_points_of_the_table_lie_along_the_tool_as_the_labels_of_the_set(shared: Path) -> None:
+    """On the line from the yaw axis (3) to the middle of the tips (4, 5); 6 and 7 are not at the jaws."""
+    with (shared / "formats" / "surgpose_labels_example.csv").open(newline="", encoding="utf-8") as file:
+        rows = [[float(cell) for cell in row[3:]] for row in list(csv.reader(file))[4:]]
+    pixels = np.array(rows).reshape(len(rows), 2, 7, 2).reshape(-1, 7, 2)
+    whole = pixels[(pixels != 0).all(axis=(1, 2))]
+    axis = whole[:, 3:5].mean(axis=1) - whole[:, 2]
+    away = whole - whole[:, 2:3]
+    labels = np.median(np.einsum("nkc,nc->nk", away, axis) / (axis**2).sum(axis=1)[:, None], axis=0)
+    assert (labels[5:] < -0.5).all()
+    table = read_marker_table(bundled_path("markers", "surgpose.json"))
+    assert not {"6", "7", "13", "14"} & {*table}
+    instrument = prepare("lnd").instrument
+    placed = place_markers(instrument, np.zeros(len(instrument.joint_names)), table)
+    for numbers in NUMBERS.values():
+        yaw, *tips = (placed[str(numbers[k])] for k in (2, 3, 4))
+        line = np.mean(tips, axis=0) - yaw
+        for number in numbers[:5]:
+            along = (placed[str(number)] - yaw) @ line / (line @ line)
+            assert along == pytest.approx(labels[number - numbers[0]], abs=0.6)
 
 
 def test_labels_of_other_frames_are_refused(run: Run, made: Path, arms: MadeArms) -> None:
