@@ -41,8 +41,26 @@ def test_folder_of_masks_is_described(tmp_path: Path) -> None:
     found = inspect_path(tmp_path)
     assert found.kind == "folder of pictures"
     assert "2 of 3: mask, 640 x 480 px" in found.lines
-    assert f"{tmp_path}/0003.png: expected an image (PNG or JPEG), got" in said(found)
+    assert found.problems[0].startswith(f"{tmp_path}/0003.png: expected an image (PNG or JPEG), got")
     assert "skipped: notes.txt" in found.lines
+
+
+def test_masks_of_a_session_that_are_empty_full_or_damaged_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "session"
+    shutil.copytree(DEMO, folder)
+    write_image(folder / "masks" / "0000.png", MASK > 255)
+    write_image(folder / "masks" / "0001.png", MASK >= 0)
+    (folder / "masks" / "0003.png").write_bytes((folder / "masks" / "0003.png").read_bytes()[:200])
+    assert main(["inspect", str(folder)]) == 3
+    texts = capsys.readouterr().err.splitlines()
+    assert [text.removeprefix(f"dvrk-cmaes: {folder}/masks/")[:23] for text in texts] == [
+        "0000.png: mask is empty",
+        "0001.png: mask is full:",
+        "0003.png: expected a ma",
+    ]
+    assert main(["inspect", str(DEMO)]) == 0
 
 
 def said(found: Finding) -> str:

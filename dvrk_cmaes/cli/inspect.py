@@ -34,7 +34,8 @@ def inspect(
 
     Files of cameras, joint readings, masks, images, jaw tips, URDFs, meshes, the dVRK's tools and kinematics, videos
     and results; folders of sessions and of results; the topics of a ROS recording. A folder of frames in the published
-    layout is read with the camera of --camera. Exit codes: 0 ok, 2 a file could not be read.
+    layout is read with the camera of --camera. Masks and images of folders are opened. Exit codes: 0 ok, 2 a file
+    could not be read, 3 some of a folder's masks or images would be refused.
 
     Example:
 
@@ -72,10 +73,13 @@ def inspect(
             print_error(str(error))
             continue
         documents.append({"path": str(file), **found.to_dict()})
+        code = code or 3 * bool(found.problems)
         if not json:
             between = [Line("")] if number else []
             notes = (Line(f"  rule: {text}", "dim") for text in found.notes)
             show([*between, Line(f"{file}: {found.kind}", "bold"), *(Line(f"  {t}") for t in found.lines), *notes])
+        for problem in found.problems:
+            print_error(problem)
     if json:
         print(json_text(documents), end="")
     return code

@@ -10,7 +10,9 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,9 +21,11 @@ import numpy as np
 from dvrk_cmaes.camera.document import is_camera, unwrapped
 from dvrk_cmaes.camera.fields import Side
 from dvrk_cmaes.camera.files import read_intrinsics
+from dvrk_cmaes.camera.rig import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import frames_of
+from dvrk_cmaes.frames.frame import FrameFiles, read_frame, read_frame_image
 from dvrk_cmaes.frames.images import read_ignore, read_image, read_mask
 from dvrk_cmaes.frames.keypoints import read_boxes, read_keypoints
 from dvrk_cmaes.frames.markers import read_detections
@@ -85,16 +89,25 @@ class Finding:
         The content as plain values for JSON, in m and rad.
     notes
         The rules applied where the content is ambiguous.
+    problems
+        Files or frames in it that the commands would refuse, each with the reason.
     """
 
     kind: str
     lines: tuple[str, ...]
     read: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the finding as plain values for JSON."""
-        return {"kind": self.kind, "in_words": list(self.lines), "read": self.read, "notes": list(self.notes)}
+        return {
+            "kind": self.kind,
+            "in_words": list(self.lines),
+            "read": self.read,
+            "notes": list(self.notes),
+            "problems": list(self.problems),
+        }
 
 
 @dataclass(frozen=True)
@@ -475,11 +488,11 @@ def _inspect_pictures(path: Path, pictures: Sequence[Path]) -> Finding:
     lines = (
         f"{counted(len(pictures), 'picture')}: {listed(picture.stem for picture in pictures)}",
         *(f"{number} of {len(pictures)}: {kind}" for kind, number in kinds.most_common()),
-        *problems,
         *([f"skipped: {listed(skipped)}"] if skipped else []),
     )
     read = {"pictures": [picture.stem for picture in pictures], "kinds": dict(kinds), "skipped": skipped}
-    return Finding("folder of pictures", lines, read, ("the kind of each picture follows from its pixels",))
+    notes = ("the kind of each picture follows from its pixels",)
+    return Finding("folder of pictures", lines, read, notes, tuple(problems))
 
 
 def _inspect_session(path: Path, options: Options) -> Finding:
@@ -506,13 +519,16 @@ def _inspect_session(path: Path, options: Options) -> Finding:
     lines = tuple(f"{arm}: {line}" for arm, finding in findings.items() for line in finding.lines)
     read = {"arms": {arm: finding.read for arm, finding in findings.items()}}
     notes = dict.fromkeys(note for finding in findings.values() for note in finding.notes)
-    return Finding(f"session of {len(findings)} arms", lines, read, tuple(notes))
+    problems = dict.fromkeys(problem for finding in findings.values() for problem in finding.problems)
+    return Finding(f"session of {len(findings)} arms", lines, read, tuple(notes), tuple(problems))
 
 
 def _of_arm(session: Session) -> Finding:
     """Describe a session of one arm."""
     frames = session.frames
-    problems = {frame.name: frame.problem for frame in frames if frame.problem is not None}
+    with ThreadPoolExecutor() as threads:
+        refused = [*threads.map(partial(_problem, camera=session.rig), frames)]
+    problems = {frame.name: problem for frame, problem in zip(frames, refused, strict=True) if problem is not None}
     parts = {
         "masks": sum(frame.mask is not None for frame in frames),
         "images": sum(frame.image is not None for frame in frames),
@@ -529,7 +545,6 @@ def _of_arm(session: Session) -> Finding:
         f"camera {camera.width} x {camera.height} px, focal lengths {camera.fx:.3f} and {camera.fy:.3f} px",
         *_clock(session),
         *session.rig.remarks,
-        *problems.values(),
         _next(session),
     ]
     rules = [note for note in session.notes if not note.startswith(_DESCRIPTIONS)]
@@ -540,7 +555,18 @@ def _of_arm(session: Session) -> Finding:
         "problems": problems,
         "remarks": session.rig.remarks,
     }
-    return Finding("session", tuple(lines), read, ("its layout is found by looking", *rules[1:]))
+    return Finding("session", tuple(lines), read, ("its layout is found by looking", *rules[1:]), (*problems.values(),))
+
+
+def _problem(frame: FrameFiles, camera: Rig) -> str | None:
+    """Say why a frame's masks and images are refused, such as an empty mask; None if they are read. Videos are not."""
+    if frame.problem is not None or frame.video is not None:
+        return frame.problem
+    try:
+        read_frame(frame, camera) if frame.has_mask else read_frame_image(frame, camera)
+    except InputError as error:
+        return str(error)
+    return None
 
 
 def _clock(session: Session) -> list[str]:
