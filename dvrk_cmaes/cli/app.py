@@ -60,49 +60,48 @@ _LIMITS: Final = {
     errno.ENFILE: "open files of the system",
     errno.ENOMEM: "memory: fewer --workers, or a smaller image",
 }
+_IN_FILE: Final = "in the settings file (--config)"
 _TOOL: Final = "columns, packages, root_link or tool of [[tool]] in session.toml"
-_SETTINGS: Final = {
-    "--search": "search.method in the settings file (--config)",
-    "--preset": "refine.derivatives in the settings file (--config)",
-    "--seed": "seed in the settings file (--config)",
-    "--threads": "threads in the settings file (--config)",
-}
-_OF_SESSION: Final = _SETTINGS | {
-    **dict.fromkeys(("--package-path", "--root-link", "--tool"), _TOOL),
-    **dict.fromkeys(("--camera-right", "--crop", "--stretch"), "right, crop or stretch of [camera] in session.toml"),
-    "--shaft-radius": "the radius of the URDF's mesh",
-}
-_OF_TRACK: Final = _OF_SESSION | {
-    "--columns": _TOOL,
-    **dict.fromkeys(("--layout", "--video-start"), "`dvrk-cmaes import`"),
-    **dict.fromkeys(("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),
-    "--not-point": "--box, or boxes.csv in the session",
-}
-_OF_ALL: Final = {
-    "--follow-links": "copies of the files in the folder",
-    "--refine": "--preset card, or NLopt's bobyqa and sbplx by --search",
-}
-_REMOVED: Final = {
-    "batch": _SETTINGS
-    | dict.fromkeys(("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
-    "calibrate": _OF_SESSION
-    | {
-        "--every": "--keyframes, or --frames with a pattern",
-        "--instrument-candidates": "a calibration with each --instrument, and compare their leave-one-out",
-    },
-    "live": _SETTINGS
-    | {"--rehearse": "`dvrk-cmaes track --causal`", "--shaft-radius": "the radius of the URDF's mesh"},
-    "export": {
-        "--to tracker": "--to csv, of which `dvrk-cmaes help problems` says how the tracker's start is made",
-        "--to joint-correction": "the offsets in session.json (`dvrk-cmaes help problems`)",
-    },
-    "import": {
-        "--layout squeezed-side-by-side": "--layout side-by-side after `ffmpeg -i IN -vf scale=2*iw:ih OUT`",
-        "--layout squeezed-top-bottom": "--layout top-bottom after `ffmpeg -i IN -vf scale=iw:2*ih OUT`",
-    },
-    "track": _OF_TRACK,
-}
-"""By command, options and values that are no longer there, and what is used instead; ``_OF_ALL`` of all commands."""
+_PICTURES: Final = "right, crop or stretch of [camera] in session.toml"
+_RUNS: Final = ("batch", "calibrate", "track", "live")
+_SESSIONS: Final = ("batch", "calibrate", "track", "golden", "pnp")
+_REMOVED: Final[tuple[tuple[Sequence[str], Sequence[str], str], ...]] = (
+    (COMMANDS, ("--follow-links",), "copies of the files in the folder"),
+    (COMMANDS, ("--refine",), "--preset card, or NLopt's bobyqa and sbplx by --search"),
+    (_RUNS, ("--preset",), f"refine.derivatives {_IN_FILE}"),
+    (COMMANDS, ("--shaft-radius",), "the radius of the URDF's mesh"),
+    (_RUNS, ("--search",), f"search.method {_IN_FILE}"),
+    (_RUNS, ("--seed",), f"seed {_IN_FILE}"),
+    (_RUNS, ("--threads",), f"threads {_IN_FILE}"),
+    (_SESSIONS, ("--package-path", "--root-link", "--tool"), _TOOL),
+    (_SESSIONS, ("--camera-right", "--crop", "--stretch"), _PICTURES),
+    (("batch",), ("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
+    (("batch",), ("--retry-failed",), "the same command: failed frames are estimated again"),
+    (("batch",), ("--lag",), "--session, whose lag is taken out"),
+    (("calibrate",), ("--every",), "--keyframes, or --frames with a pattern"),
+    (
+        ("calibrate",),
+        ("--instrument-candidates",),
+        "a calibration with each --instrument, and compare their leave-one-out",
+    ),
+    (("live",), ("--rehearse",), "`dvrk-cmaes track --causal`"),
+    (
+        ("export",),
+        ("--to tracker",),
+        "--to csv, of which `dvrk-cmaes help problems` says how the tracker's start is made",
+    ),
+    (("export",), ("--to joint-correction",), "the offsets in session.json (`dvrk-cmaes help problems`)"),
+    (
+        ("import",),
+        ("--layout squeezed-side-by-side",),
+        "--layout side-by-side after `ffmpeg -i IN -vf scale=2*iw:ih OUT`",
+    ),
+    (("import",), ("--layout squeezed-top-bottom",), "--layout top-bottom after `ffmpeg -i IN -vf scale=iw:2*ih OUT`"),
+    (("track",), ("--columns",), _TOOL),
+    (("track",), ("--layout", "--video-start"), "`dvrk-cmaes import`"),
+    (("track",), ("--frame-offset", "--frame-step"), "times in joints.csv and images.csv, or `dvrk-cmaes import`"),
+)
+"""Commands, options and values of theirs that are no longer there, and what is used instead."""
 
 
 def _version() -> str:
@@ -165,7 +164,7 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
         case CycloptsError():
             error.verbose = False
             command = " ".join(["dvrk-cmaes", *(error.command_chain or ())])
-            print_error(f"{_removed(tokens) or _missing(error, tokens) or error} (see {command} --help)")
+            print_error(f"{(tokens and _removed(tokens)) or _missing(error, tokens) or error} (see {command} --help)")
             return InputError.exit_code
         case DvrkCmaesError():
             print_error(str(error))
@@ -196,9 +195,9 @@ def _said(error: BaseException, tokens: Sequence[str]) -> int:
 def _removed(tokens: Sequence[str]) -> str | None:
     """Return the message for the first option, or value of one, that is no longer there; None without one."""
     words = [word for token in tokens for word in (token.split("=", 1) if token.startswith("--") else [token])]
-    gone = _OF_ALL | _REMOVED.get(tokens[0] if tokens else "", {})
-    names = (name for name in (*words, *(" ".join(pair) for pair in pairwise(words))) if name in gone)
-    return next((f"{name}: no longer an option; use {gone[name]}" for name in names), None)
+    gone = {name: instead for commands, names, instead in _REMOVED if tokens[0] in commands for name in names}
+    given = (name for name in (*words, *(" ".join(pair) for pair in pairwise(words))) if name in gone)
+    return next((f"{name}: no longer an option; use {gone[name]}" for name in given), None)
 
 
 def _missing(error: CycloptsError, tokens: Sequence[str]) -> str | None:

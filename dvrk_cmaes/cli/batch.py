@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
-    AUTO,
     DEFAULT_CALIBRATION,
     DEFAULT_CAMERA,
     DEFAULT_INSTRUMENT,
@@ -40,8 +39,9 @@ from dvrk_cmaes.cli.terminal import (
     Line,
     exit_code,
     frames_text,
+    note,
     print_error,
-    show,
+    progress,
     stopping_on_interrupt,
     warn,
 )
@@ -49,10 +49,8 @@ from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
-    from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.runs.agreement import ArmInSession
     from dvrk_cmaes.runs.batch import BatchSummary
-    from dvrk_cmaes.segment.segmentation import SegmentSettings
 
 _MOST_LISTED = 10
 _LONGEST_FRAME = 1e6  # s, of --time-limit
@@ -70,10 +68,8 @@ class BatchOptions:
     frames
         Estimate only the frames whose names match this shell pattern, e.g. "00*"; all frames by default.
     resume
-        --resume keeps existing results, which must have been made from the same files with the same settings;
-        --overwrite removes them first.
-    retry_failed
-        Estimate failed frames again.
+        --resume keeps existing results but those of failed frames; they must have been made from the same files with
+        the same settings. --overwrite removes all first.
     joints
         File of readings to use instead of the session's own, or none, to use none. May be given several times.
     label
@@ -90,15 +86,11 @@ class BatchOptions:
         Address of a Dask scheduler, e.g. tcp://head:8786: use its workers instead of local processes.
     time_limit
         Seconds after which a frame is stopped and marked as failed; for local processes only.
-    lag
-        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames: each frame gets the
-        readings of that much earlier. By default, and with auto, it is that of --session; otherwise none is taken out.
     """
 
     out: Path | None = None
     frames: str | None = None
     resume: Annotated[bool, Parameter(negative="--overwrite")] = True
-    retry_failed: Flag = False
     joints: Annotated[tuple[Path, ...], Parameter(negative=(), show_default=False)] = ()
     label: str | None = None
     pick: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
@@ -106,20 +98,13 @@ class BatchOptions:
     workers: int | None = None
     scheduler: str | None = None
     time_limit: float = 600.0
-    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
 
-    def check(self, calibration: Path | None) -> None:
+    def check(self) -> None:
         """Raise an InputError for values that are not valid, or do not fit together."""
-        if self.workers is not None and (self.workers < 1 or self.scheduler is not None):
-            got = f"{self.workers}" if self.scheduler is None else "--scheduler too"
-            raise InputError(f"--workers: expected a whole number of at least 1, and no --scheduler, got {got}")
-        if not self.time_limit > 0:
-            raise InputError(f"--time-limit: expected seconds above 0, got {self.time_limit:g}")
-        check_range("--time-limit", self.time_limit, 0, _LONGEST_FRAME, "seconds")
+        if self.workers is not None and self.scheduler is not None:
+            raise InputError("--workers: expected no --scheduler with it, got both")
         check_range("--workers", self.workers, 1, MOST_WORKERS)
-        if self.lag == AUTO and calibration is None:
-            expected = "a number, or auto with --session (calibrate finds the lag)"
-            raise InputError(f"--lag: expected {expected}, got auto alone")
+        check_range("--time-limit", self.time_limit, 1e-3, _LONGEST_FRAME, "seconds")
 
     def with_masks(self, arm: ArmInSession, prompts: PromptOptions) -> ArmInSession:
         """Return an arm's session with the label of the instrument in the masks, and prompts where there is no mask."""
@@ -138,42 +123,34 @@ class BatchOptions:
             session = session.with_prompts(FramePrompts(hints.box, tuple(hints.points), tuple(hints.not_points)))
         return replace(arm, session=session)
 
-    def run(
-        self,
-        arm: ArmInSession,
-        out: Path,
-        settings: EstimateConfig,
-        calibration: SessionCalibration | None,
-        segment: SegmentSettings,
-    ) -> BatchSummary:
-        """Run the batch of an arm's session, with progress on stderr."""
-        from dvrk_cmaes.cli.batch_progress import progress
-        from dvrk_cmaes.joints.lag import Lag
-        from dvrk_cmaes.runs.batch import Workers, run_batch
-        from dvrk_cmaes.runs.cluster import dask_executor
 
-        given = None if self.lag in (None, AUTO) else Lag.parse("--lag", str(self.lag))
-        lag = calibration.applied_lag if given is None and calibration is not None else given
-        session = arm.session if lag is None else arm.session.with_lag(lag)
-        with ExitStack() as stack:
-            scheduler = self.scheduler
-            executor = None if scheduler is None else stack.enter_context(dask_executor(scheduler, session.folder))
-            stop, reporter = stack.enter_context(stopping_on_interrupt()), stack.enter_context(progress())
-            return run_batch(
-                session,
-                out,
-                arm.body.instrument,
-                config=settings,
-                arm=arm.kinematics,
-                calibration=calibration,
-                workers=Workers(
-                    self.workers, time_limit=self.time_limit, executor=executor, stop=stop, progress=reporter
-                ),
-                pattern=self.frames,
-                retry_failed=self.retry_failed,
-                resume=self.resume,
-                segment=segment,
-            )
+def estimated(
+    arm: ArmInSession,
+    out: Path,
+    *,
+    scheduler: str | None = None,
+    calibration: SessionCalibration | None = None,
+    workers: Mapping[str, Any],
+    **asked: Any,
+) -> BatchSummary:
+    """Run the batch of an arm's session, with progress on stderr; ``asked`` and ``workers`` are as of `run_batch`."""
+    from dvrk_cmaes.runs.batch import Workers, run_batch
+    from dvrk_cmaes.runs.cluster import dask_executor
+
+    lag = None if calibration is None else calibration.applied_lag
+    session = arm.session if lag is None else arm.session.with_lag(lag)
+    with ExitStack() as stack:
+        if scheduler is not None:
+            workers = {**workers, "executor": stack.enter_context(dask_executor(scheduler, session.folder))}
+        stop, report = stack.enter_context(stopping_on_interrupt()), stack.enter_context(progress())
+
+        def told(done: int, todo: int, statuses: Mapping[str, int]) -> None:
+            report(done, todo, f", {statuses.get('doubtful', 0)} doubtful, {statuses.get('failed', 0)} failed")
+
+        by = Workers(stop=stop, progress=told, notice=note, **workers)
+        return run_batch(
+            session, out, arm.body.instrument, arm=arm.kinematics, calibration=calibration, workers=by, **asked
+        )
 
 
 DEFAULT_BATCH = BatchOptions()
@@ -196,8 +173,7 @@ def batch(
     """Estimate all frames of a session folder, and write a result and an overlay of each, tables and an HTML report.
 
     If the command is interrupted or killed, the same command continues with the missing frames. A frame that cannot be
-    estimated gets a failed result with its reason, and the command continues with the other frames. Of several arms, a
-    tool that is clearly in front of another one is solved again, with that one as background.
+    estimated gets a failed result with its reason, and the command continues with the other frames.
 
     Exit codes: 0 all ok, 1 the work could not be done, or every frame failed, 2 wrong usage or input, 3 finished, but a
     frame is doubtful or failed, 130 interrupted.
@@ -240,52 +216,40 @@ def batch(
     json
         Print only summary.json, on stdout.
     """
-    from dvrk_cmaes.cli.session_tools import output_folder, session_tools
-    from dvrk_cmaes.runs.agreement import FoundFrame, exchanged_arms
-    from dvrk_cmaes.runs.arms import write_arms
+    from dvrk_cmaes.cli.session_tools import doubt_exchanged, output_folder, read_arms, show_arms
 
-    wanted.check(calibrated.calibration)
-    settings = MethodOptions(config=config).resolve()
-    tools = session_tools(session, instrument, wanted.only)
+    wanted.check()
+    settings, by = MethodOptions(config=config).resolve(), {"count": wanted.workers, "time_limit": wanted.time_limit}
     with output_folder(wanted.out, session, "results", "batch") as results:
-        given = calibrated.calibration
-        if len(tools) > 1 and given is not None and not given.is_dir():
-            raise InputError(f"--session: expected the folder that calibrate wrote for all arms, got {given}")
-        arms: dict[str, ArmInSession] = {}
-        calibrations: dict[str, SessionCalibration | None] = {}
-        for name, tool in tools.items():
-            labelled = wanted.label is not None
-            arm = tool.read(session, camera, joints=wanted.joints, reading=reading, labelled=labelled)
-            arms[name] = wanted.with_masks(arm, prompts)
-            calibrations[name] = calibrated.read(arms[name].body, instrument.arm, tool.tool.arm)
+        more: dict[str, Any] = {"labelled": wanted.label is not None, "check": calibrated.check_for}
+        read = read_arms(session, camera, instrument, wanted.only, joints=wanted.joints, reading=reading, **more)
+        arms = {name: wanted.with_masks(arm, prompts) for name, arm in read.items()}
+        known = {name: calibrated.read(arm.body, instrument.arm, arm.arm) for name, arm in arms.items()}
         finished: dict[str, BatchSummary] = {}
         for name, arm in arms.items():
-            finished[name] = done = wanted.run(arm, results / name, settings, calibrations[name], segment.resolve())
+            finished[name] = done = estimated(
+                arm,
+                results / name,
+                scheduler=wanted.scheduler,
+                calibration=known[name],
+                workers=by,
+                config=settings,
+                pattern=wanted.frames,
+                resume=wanted.resume,
+                segment=segment.resolve(),
+            )
             if done.interrupted:
                 break
-        exchanged: list[str] = []
-        if len(finished) > 1 and not done.interrupted:
-            exchanged = exchanged_arms(
-                {
-                    name: {frame: FoundFrame.of(result) for frame, result in summary.results.items()}
-                    for name, summary in finished.items()
-                }
-            )
-            for text in exchanged:
-                warn(text)
+        doubtful = not done.interrupted and doubt_exchanged({name: each.results for name, each in finished.items()})
         _report_all(finished, json)
-        stopped = next((summary for summary in finished.values() if summary.interrupted), None)
-        if stopped is not None:
+        if done.interrupted:
             again = "the same command" if wanted.resume else "the same command without --overwrite"
-            left = f"{stopped.counts['missing']} of {stopped.counts['frames']} frames are left"
+            left = f"{done.counts['missing']} of {done.counts['frames']} frames are left"
             print_error(f"interrupted: {left}; {again} goes on from here")
             return INTERRUPTED
-        if len(finished) > 1:
-            write_arms(results, arms)
-            if not json:
-                show([Line(f"all arms: {results / 'overlays'}")])
-        code = exit_code(frame["status"] for done in finished.values() for frame in done.document["frames"].values())
-        return DOUBTFUL if exchanged and code == 0 else code
+        show_arms(results, arms, quiet=json)
+        code = exit_code(result.status for each in finished.values() for result in each.results.values())
+        return code or (DOUBTFUL if doubtful else 0)
 
 
 def _report_all(finished: Mapping[str, BatchSummary], json: bool) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,34 +11,32 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from dvrk_cmaes.cli.batch import estimated
 from dvrk_cmaes.cli.options import (
     AUTO,
     DEFAULT_GUESSED_CAMERA,
-    DEFAULT_INSTRUMENT_NAME,
+    DEFAULT_INSTRUMENT,
     DEFAULT_READING,
     FOLDER,
     MOST_SKIPPED,
     MOST_WORKERS,
     OUTPUT,
     WORKERS,
-    CameraOptions,
     ConfigOption,
     Flag,
     GuessedCameraOptions,
-    InstrumentNameOptions,
     InstrumentOptions,
     MethodOptions,
     ReadingOptions,
     check_range,
 )
-from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, show, stopping_on_interrupt, warn
+from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.calibration.calibrate import SolvedSession
     from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.agreement import ArmInSession
 
@@ -107,17 +105,18 @@ class CalibrateOptions:
         chosen = replace(arm.session, frames=chosen_frames(arm.session.frames, self.frames))
         return replace(arm, session=chosen if self.keyframes is None else with_keyframes(chosen, self.keyframes))
 
-    def asked(self, config: Path | None) -> _Asked:
-        """Return how sessions are solved."""
-        from dvrk_cmaes.joints.lag import Lag
+    def settings(self, config: Path | None) -> EstimateConfig:
+        """Return the settings, those of keyframes where a recording is calibrated."""
         from dvrk_cmaes.track.keyframe_problem import solved_with
 
         settings = MethodOptions(config=config).resolve()
-        lag: Lag | Literal["auto"] | None = "auto" if self.lag == AUTO else None
-        if self.lag is not None and lag is None:
-            lag = Lag.parse("--lag", self.lag)
-        settings = settings if self.keyframes is None else solved_with(settings)
-        return _Asked(settings, self.workers, self.refine_camera, lag)
+        return settings if self.keyframes is None else solved_with(settings)
+
+    def asked_lag(self) -> Lag | Literal["auto"] | None:
+        """Return the lag that is given, or whether it is to be found in sessions that are no recordings, too."""
+        from dvrk_cmaes.joints.lag import Lag
+
+        return "auto" if self.lag == AUTO else None if self.lag is None else Lag.parse("--lag", self.lag)
 
 
 DEFAULT_CALIBRATE = CalibrateOptions()
@@ -130,7 +129,7 @@ def calibrate(
     wanted: CalibrateOptions = DEFAULT_CALIBRATE,
     reading: ReadingOptions = DEFAULT_READING,
     camera: GuessedCameraOptions = DEFAULT_GUESSED_CAMERA,
-    instrument: InstrumentNameOptions = DEFAULT_INSTRUMENT_NAME,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     config: ConfigOption = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -170,7 +169,7 @@ def calibrate(
     """
     from dvrk_cmaes.calibration.calibrate import check_outer_joints
     from dvrk_cmaes.calibration.together import Begun, solved_together
-    from dvrk_cmaes.cli.session_tools import output_folder, session_tools
+    from dvrk_cmaes.cli.session_tools import doubt_exchanged, output_folder, read_arms, show_arms, write_bases
     from dvrk_cmaes.instrument.setup_joints import SETUP, read_setup_joints
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE
@@ -178,31 +177,36 @@ def calibrate(
 
     wanted.check(session / "calibration" if wanted.out is None else wanted.out)
     with output_folder(wanted.out, session, "calibration", "calibrate") as target:
-        asked, setup = wanted.asked(config), read_setup_joints(session / SETUP)
-        named = InstrumentOptions(instrument=instrument.instrument, arm=instrument.arm)
-        cameras = CameraOptions(camera=camera.camera, rectified=camera.rectified, side=camera.side)
-        arms: dict[str, ArmInSession] = {}
-        for name, tool in session_tools(session, named, wanted.only).items():
-            arm = tool.read(session, cameras, guess=camera.guess, joints=wanted.joints, reading=reading)
-            arms[name] = wanted.share(arm)
-            check_outer_joints([files.readings for files in arms[name].session.frames])
+        settings, lag, setup = wanted.settings(config), wanted.asked_lag(), read_setup_joints(session / SETUP)
+        read = read_arms(
+            session, camera, instrument, wanted.only, guess=camera.guess, joints=wanted.joints, reading=reading
+        )
+        arms = {name: wanted.share(arm) for name, arm in read.items()}
+        for name, arm in arms.items():
+            check_outer_joints([files.readings for files in arm.session.frames])
             with output(target / name, "calibrate", whole=True, replaces=True, kept=(ALONE,)):
-                check_same_session(target / name, arms[name].session)
+                check_same_session(target / name, arm.session)
 
         def begin(name: str) -> Begun[SolvedSession | None]:
-            found_camera = arms[name] if wanted.results is not None else _with_found_camera(arms[name], asked)
-            if found_camera is None:
-                return Begun.of(None)
             own = None if wanted.results is None else wanted.results / name
-            return _begin_arm(found_camera, target / name, asked, own)
+            solve = partial(_begin_arm, settings=settings, count=wanted.workers, lag=lag)
+            arm = arms[name] if own is not None or not arms[name].session.guessed else _with_camera(arms[name], solve)
+            if arm is None:
+                return Begun.of(None)
+            return solve(arm, target / name, results=own, refine_camera=wanted.refine_camera)
 
         found = solved_together({name: partial(begin, name) for name in arms})
         solved = {name: solution for name, solution in found.items() if solution is not None}
         if len(solved) < len(arms):
             return INTERRUPTED
         _report(solved, target, json=json)
-        alike = len(solved) == 1 or _compared(setup, arms, solved, target, json=json)
-    return DOUBTFUL if not alike or any(map(_is_doubtful, solved.values())) else 0
+        left_out = {name: solution.calibration.left_out for name, solution in solved.items()}
+        doubtful = doubt_exchanged({name: solution.results for name, solution in solved.items()}, left_out)
+        if len(solved) > 1:
+            calibrations = {name: solution.calibration for name, solution in solved.items()}
+            doubtful = not write_bases(calibrations, setup, target, quiet=json) or doubtful
+        show_arms(target, arms, quiet=json)
+    return DOUBTFUL if doubtful or any(map(_is_doubtful, solved.values())) else 0
 
 
 def _report(solved: Mapping[str, SolvedSession], target: Path, *, json: bool) -> None:
@@ -217,85 +221,37 @@ def _report(solved: Mapping[str, SolvedSession], target: Path, *, json: bool) ->
     answer_by_arm(documents, lines, json=json)
 
 
-def _compared(
-    setup: Mapping[str, Float64],
-    arms: Mapping[str, ArmInSession],
-    solved: Mapping[str, SolvedSession],
-    target: Path,
-    *,
-    json: bool,
-) -> bool:
-    """Write what several arms have in common; returns whether their bases and readings agree.
-
-    ``setup`` are the poses of the arms by the set-up joints.
-    """
-    from dvrk_cmaes.cli.session_tools import write_bases
-    from dvrk_cmaes.runs.agreement import FoundFrame, exchanged_arms
-    from dvrk_cmaes.runs.arms import write_arms
-
-    exchanged = exchanged_arms(
-        {
-            name: {
-                frame: replace(FoundFrame.of(result), ok=frame not in solution.calibration.left_out)
-                for frame, result in solution.results.items()
-            }
-            for name, solution in solved.items()
-        }
-    )
-    for text in exchanged:
-        warn(text)
-    calibrations = {name: solution.calibration for name, solution in solved.items()}
-    agree = write_bases(calibrations, setup, target, quiet=json)
-    write_arms(target, arms)
-    if not json:
-        show([Line(f"all arms: {target / 'overlays'}")])
-    return agree and not exchanged
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """How sessions are solved: settings, number of worker processes, whether the camera is refined, and the lag."""
-
-    settings: EstimateConfig
-    workers: int | None
-    refine_camera: bool
-    lag: Lag | Literal["auto"] | None = None
-
-
-def _with_found_camera(arm: ArmInSession, asked: _Asked) -> ArmInSession | None:
+def _with_camera(arm: ArmInSession, solve: Callable[..., Begun[SolvedSession | None]]) -> ArmInSession | None:
     """Return a session whose camera is guessed with the camera estimated from some of its frames; None if interrupted.
 
-    The frames are estimated again with that: with a guess that is far off, their poses disagree.
+    The frames are estimated again with that: with a guess that is far off, their poses disagree. ``solve`` is
+    `_begin_arm` with all that is asked for.
     """
+    from tempfile import TemporaryDirectory
+
+    from dvrk_cmaes.calibration.together import solved_alone
     from dvrk_cmaes.camera import Rig
 
-    if not arm.session.guessed:
-        return arm
-    frames = arm.session.frames
-    few = replace(arm, session=replace(arm.session, frames=frames[:: -(-len(frames) // _FIRST_FRAMES)]))
-    note(f"finding the camera with {len(few.session.frames)} frames")
-    solved = _solved_apart(few, replace(asked, refine_camera=True))
+    frames = arm.session.frames[:: -(-len(arm.session.frames) // _FIRST_FRAMES)]
+    note(f"finding the camera with {len(frames)} frames")
+    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
+        few = replace(arm, session=replace(arm.session, frames=frames))
+        solved = solved_alone(solve(few, Path(folder) / "session", refine_camera=True))
     if solved is None:
         return None
     rig = Rig(tuple(view.restored() for view in solved.calibration.views))
     return replace(arm, session=replace(arm.session, rig=rig))
 
 
-def _solved_apart(arm: ArmInSession, asked: _Asked) -> SolvedSession | None:
-    """Calibrate the session of an arm in a folder that is not kept; None if interrupted."""
-    from tempfile import TemporaryDirectory
-
-    from dvrk_cmaes.calibration.together import solved_alone
-
-    with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
-        return solved_alone(_begin_arm(arm, Path(folder) / "session", asked))
-
-
 def _begin_arm(
     arm: ArmInSession,
     target: Path,
-    asked: _Asked,
+    *,
+    settings: EstimateConfig,
+    count: int | None,
+    lag: Lag | Literal["auto"] | None,
     results: Path | None = None,
+    refine_camera: bool,
 ) -> Begun[SolvedSession | None]:
     """Solve the session of one arm, from its results, or after estimating them; its result is None if interrupted."""
     from dvrk_cmaes.calibration.together import Begun
@@ -304,29 +260,21 @@ def _begin_arm(
     from dvrk_cmaes.runs.backgrounds import segment_settings
     from dvrk_cmaes.runs.pool import instrument_pool, usable_cores
 
-    session, model, settings = arm.session, arm.body.instrument, asked.settings
-    count = asked.workers or usable_cores()
-    used = instrument_pool(model, count, None if results is None else session.frames)
+    session, most = arm.session, count or usable_cores()
     with ExitStack() as stack:
         stack.enter_context(output(target, "calibrate", whole=True, replaces=True, kept=(ALONE,)))
+        used = instrument_pool(arm.body.instrument, most, None if results is None else session.frames)
         processes = stack.enter_context(used)
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
             segment = segment_settings(session, results) if settings.session.masks_again else None
         else:
-            from dvrk_cmaes.cli.batch_progress import progress
-            from dvrk_cmaes.runs.batch import Workers, run_batch
-
             results = target / ALONE
-            with stopping_on_interrupt() as stop, progress() as reporter:
-                workers = Workers(executor=processes, stop=stop, progress=reporter)
-                config = replace(settings, threads=1)
-                done = run_batch(session, results, model, config=config, arm=arm.kinematics, workers=workers)
+            done = estimated(arm, results, workers={"executor": processes}, config=replace(settings, threads=1))
             if done.interrupted:
                 return Begun.of(None)
-            alone = done.results
-            segment = done.setup.segment
+            alone, segment = done.results, done.setup.segment
         from dvrk_cmaes.runs.calibrate_folder import begin_folder
 
         begun = begin_folder(
@@ -335,8 +283,8 @@ def _begin_arm(
             target,
             processes,
             alone=results,
-            refine_camera=asked.refine_camera,
-            lag=asked.lag,
+            refine_camera=refine_camera,
+            lag=lag,
             config=settings,
             segment=segment,
             progress=lambda stage, count: note(f"{stage}: {count} frames"),

@@ -11,24 +11,24 @@ from cyclopts import Parameter
 from dvrk_cmaes.cli.describe import describe
 from dvrk_cmaes.cli.options import (
     DEFAULT_CALIBRATION,
-    DEFAULT_CAMERA,
-    DEFAULT_INSTRUMENT,
+    DEFAULT_FRAME_CAMERA,
     DEFAULT_METHOD,
     DEFAULT_PROMPTS,
     DEFAULT_READING,
     DEFAULT_SEGMENT,
+    DEFAULT_URDF,
     FRAME,
     NO_READINGS,
     OUTPUT,
     TWIN,
     CalibrationOptions,
-    CameraOptions,
     Flag,
-    InstrumentOptions,
+    FrameCameraOptions,
     MethodOptions,
     PromptOptions,
     ReadingOptions,
     SegmentOptions,
+    UrdfOptions,
     joint_files,
     parse_pixel,
 )
@@ -118,7 +118,7 @@ class FrameOptions:
         """The file that names the frame: the mask, or the image without one."""
         return self.image if self.mask is None else self.mask
 
-    def files(self, camera: CameraOptions) -> FrameFiles:
+    def files(self, camera: FrameCameraOptions) -> FrameFiles:
         """Return the files of the frame, without readings; InputError for a value that is not valid."""
         from dvrk_cmaes.frames.frame import FrameFiles
         from dvrk_cmaes.frames.keypoints import parse_keypoints
@@ -170,8 +170,8 @@ def estimate(
     prompts: PromptOptions = DEFAULT_PROMPTS,
     calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
     reading: ReadingOptions = DEFAULT_READING,
-    camera: CameraOptions = DEFAULT_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    camera: FrameCameraOptions = DEFAULT_FRAME_CAMERA,
+    instrument: UrdfOptions = DEFAULT_URDF,
     method: MethodOptions = DEFAULT_METHOD,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
@@ -234,7 +234,7 @@ def estimate(
 
         kinds = (result_path, overlay_path, *(() if given.mask is not None else (mask_path,)))
         check_files(out, "estimate", [path(Path(), files.name).as_posix() for path in kinds])
-    camera_file = camera.read_rig(files) if files.others else camera.read(files)
+    camera_file = camera.read(files)
     data = read_any_frame(files, camera_file.rig)
     body = instrument.load()
     if not given.joints:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -20,16 +20,18 @@ from dvrk_cmaes.cli.options import (
     InstrumentOptions,
     MethodOptions,
 )
-from dvrk_cmaes.cli.session_tools import single_tool
-from dvrk_cmaes.cli.terminal import DOUBTFUL, FAILED, STATUS_STYLES, Line, answer, tracked, warn
+from dvrk_cmaes.cli.session_tools import read_arms
+from dvrk_cmaes.cli.terminal import DOUBTFUL, FAILED, STATUS_STYLES, Line, answer, table_lines, tracked, warn
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 
 if TYPE_CHECKING:
     from dvrk_cmaes.config import EstimateConfig
     from dvrk_cmaes.evaluate.pose_check import PoseCheck
-    from dvrk_cmaes.evaluate.pose_error import Measured, Tolerance
+    from dvrk_cmaes.evaluate.pose_error import Tolerance
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.frames.session_folder import Session
+    from dvrk_cmaes.frames.truth import FrameTruth
+    from dvrk_cmaes.instrument import Instrument
     from dvrk_cmaes.results.result import Result
     from dvrk_cmaes.runs.agreement import ArmInSession
 
@@ -136,7 +138,7 @@ def record(
         raise InputError(f"{path}: expected no file yet, got one; --overwrite replaces it")
     check_writable(path.parent)
     config = method.resolve()
-    arm = single_tool(session, instrument).read(session, camera)
+    (arm,) = read_arms(session, camera, instrument, single=True).values()
     frames, model = arm.session.frames, arm.body.instrument
     kept: dict[str, FrameTruth] = {}
     left_out: dict[str, str] = {}
@@ -196,28 +198,19 @@ def check(
     json
         Print only the comparison, as JSON, on stdout.
     """
-    from dvrk_cmaes.evaluate.pose_check import check_pose
     from dvrk_cmaes.frames.truth import read_golden
 
     most, config = tolerance.resolve(), method.resolve()
     path = session / "golden.json" if golden is None else golden
-    kept = read_golden(path)
-    arm = single_tool(session, instrument).read(session, camera)
-    _check_names(path, kept.frames, arm.session)
-    frames = [files for files in arm.session.frames if files.name in kept.frames]
-    compare = partial(check_pose, instrument=arm.body.instrument, tolerance=most, modulo_twin=tolerance.modulo_twin)
+    kept = read_golden(path).frames
+    (arm,) = read_arms(session, camera, instrument, single=True).values()
+    _check_names(path, kept, arm.session)
+    frames = [files for files in arm.session.frames if files.name in kept]
     results = tracked(_estimated(frames, arm, config), "Estimating", len(frames))
-    checks = [(result, compare(result, kept.frames[result.frame])) for result in results]
-    right = all(check.right for _, check in checks)
-    not_checked = [files.name for files in arm.session.frames if files.name not in kept.frames]
-    document = {
-        "right": right,
-        "tolerance": asdict(most),
-        "frames": [_document(*frame) for frame in checks],
-        "not_checked": not_checked,
-    }
-    answer(document, _table(checks, asdict(most), not_checked), json=json)
-    return 0 if right else FAILED
+    not_checked = [files.name for files in arm.session.frames if files.name not in kept]
+    compared = Compared.of(results, kept, arm.body.instrument, most, modulo_twin=tolerance.modulo_twin)
+    compared.answer({"not_checked": not_checked}, json=json)
+    return 0 if compared.right else FAILED
 
 
 def _check_names(path: Path, golden: Iterable[str], session: Session) -> None:
@@ -248,45 +241,73 @@ def _estimated(frames: Iterable[FrameFiles], arm: ArmInSession, config: Estimate
             yield Result.failed(files.name, str(error), files.readings, **arm.body.instrument.stated, time=files.time)
 
 
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """The results of frames, each with its comparison with a golden pose, and the tolerances."""
+
+    checks: Sequence[tuple[Result, PoseCheck]]
+    tolerance: Tolerance
+
+    @classmethod
+    def of(
+        cls,
+        results: Iterable[Result],
+        golden: Mapping[str, FrameTruth],
+        instrument: Instrument,
+        tolerance: Tolerance,
+        *,
+        modulo_twin: bool = False,
+    ) -> Compared:
+        """Compare results with golden poses by frame, as `check_pose` does."""
+        from dvrk_cmaes.evaluate.pose_check import check_pose
+
+        compare = partial(check_pose, instrument=instrument, tolerance=tolerance, modulo_twin=modulo_twin)
+        return cls([(result, compare(result, golden[result.frame])) for result in results], tolerance)
+
+    @property
+    def right(self) -> bool:
+        """Whether all frames are within tolerance."""
+        return all(check.right for _, check in self.checks)
+
+    def answer(self, more: Mapping[str, Any], *, json: bool) -> None:
+        """Print the comparisons as JSON with ``more`` fields, or as a table of errors with all values of large ones."""
+        frames = [_document(*frame) for frame in self.checks]
+        document = {"right": self.right, "tolerance": asdict(self.tolerance), "frames": frames, **more}
+        answer(document, self._lines(), json=json)
+
+    def _lines(self) -> Iterator[Line]:
+        from dvrk_cmaes.evaluate.pose_check import table
+        from dvrk_cmaes.io.table import Table, fixed
+
+        quantities = list(dict.fromkeys(row.measured.quantity for _, check in self.checks for row in check.rows))
+        rows = []
+        for result, check in self.checks:
+            cells = {row.measured.quantity: row.measured for row in check.rows}
+            shown = [f"{e.error:.2f}{'!' * e.exceeds}" if (e := cells.get(name)) else "-" for name in quantities]
+            stated = None if result.expected_error is None else result.expected_error.of_tips_mm
+            rows.append((result.frame, result.status, fixed(stated, 2), *shown))
+        yield Line(
+            "Errors against the golden poses (root and tip in mm, all else in deg; ! is off); stated: std of tip"
+        )
+        yield from table_lines(Table(("frame", "status", "stated", *quantities), rows))
+        for result, check in self.checks:
+            if not check.right:
+                yield Line(f"{result.frame}: not as the golden pose", STATUS_STYLES["failed"])
+                yield from (Line(f"  {text}") for text in table(check))
+        right = sum(check.right for _, check in self.checks)
+        most = asdict(self.tolerance).items()
+        limits = ", ".join(f"{name.rsplit('_', 1)[0].replace('_', '/')} {value:g}" for name, value in most)
+        yield Line(f"{right} of {len(self.checks)} frames within tolerance (at most: {limits})")
+
+
 def _document(result: Result, check: PoseCheck) -> dict[str, Any]:
     """Return a comparison as plain values; keys of errors have the unit: ``root_mm``, ``wrist_pitch_deg`` and so on."""
     from dvrk_cmaes.io.encode import encoded_fields
 
     return {
-        **encoded_fields(result, "frame", "status", "reasons"),
+        **encoded_fields(result, "frame", "status", "reasons", "seconds"),
         "right": check.right,
         "is_twin": check.is_twin,
         "errors": {f"{measured.quantity}_{measured.unit}": measured.error for measured, _, _ in check.rows},
         "off": [measured.quantity for measured, _, _ in check.rows if measured.exceeds],
     }
-
-
-def _error_cell(error: Measured | None) -> str:
-    """Format an error, marked if it exceeds its tolerance; a dash for a quantity that the golden pose does not have."""
-    return "- " if error is None else f"{error.error:.2f}{'!' if error.exceeds else ' '}"
-
-
-def _table(
-    checks: Sequence[tuple[Result, PoseCheck]], tolerance: dict[str, float], not_checked: Sequence[str]
-) -> Iterator[Line]:
-    """Yield one line of errors for each frame, then all errors of each frame that is not within tolerance."""
-    from dvrk_cmaes.evaluate.pose_check import table
-
-    quantities = list(dict.fromkeys(row.measured.quantity for _, check in checks for row in check.rows))
-    width = max(6, *(len(result.frame) for result, _ in checks))
-    yield Line("Errors against the golden poses (root and tip in mm, all else in deg; ! is off)", "bold")
-    yield Line(f"{'frame':<{width}}  {'status':<8}" + "".join(f"{name:>12}" for name in quantities), "bold")
-    for result, check in checks:
-        cells = {row.measured.quantity: row.measured for row in check.rows}
-        shown = "".join(f"{_error_cell(cells.get(name)):>12}" for name in quantities if cells)
-        style = "" if check.right else STATUS_STYLES["failed"]
-        yield Line(f"{result.frame:<{width}}  {result.status:<8}{shown}{check.no_pose}".rstrip(), style)
-    for result, check in checks:
-        if not check.right:
-            yield Line(f"{result.frame}: not as the golden pose", STATUS_STYLES["failed"])
-            yield from (Line(f"  {text}") for text in table(check))
-    right = sum(check.right for _, check in checks)
-    most = ", ".join(f"{name.rsplit('_', 1)[0].replace('_', '/')} {value:g}" for name, value in tolerance.items())
-    yield Line(f"{right} of {len(checks)} frames within tolerance (at most: {most})")
-    if not_checked:
-        yield Line(f"without a golden pose, not checked: {len(not_checked)}")

@@ -18,14 +18,14 @@ from cyclopts import Group, Parameter
 from dvrk_cmaes.cli.options import (
     CAMERA,
     DEFAULT_CALIBRATION,
-    DEFAULT_INSTRUMENT,
+    DEFAULT_URDF,
     METHOD,
     OUTPUT,
     CalibrationOptions,
     ConfigOption,
     Flag,
-    InstrumentOptions,
     MethodOptions,
+    UrdfOptions,
 )
 from dvrk_cmaes.cli.terminal import Line, note, show, stopping_on_interrupt
 from dvrk_cmaes.errors import InputError
@@ -232,7 +232,7 @@ def live(
     topics: LiveTopics = DEFAULT_TOPICS,
     server: ServerOptions = DEFAULT_SERVER,
     camera: LiveCameraOptions = DEFAULT_LIVE_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    instrument: UrdfOptions = DEFAULT_URDF,
     calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
     lag: Annotated[float | None, Parameter(group=METHOD)] = None,
     config: ConfigOption = None,
@@ -295,7 +295,7 @@ def live(
 def _described(
     topics: LiveTopics,
     camera: LiveCameraOptions,
-    instrument: InstrumentOptions,
+    instrument: UrdfOptions,
     calibrated: CalibrationOptions,
     lag: float | None,
     config: Path | None,

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.cli.terminal import warn
+from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.short_text import is_number, shown
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ LATEST = 1e11  # s, of times since any clock's start
 
 LayoutOption = Literal["mono", "side-by-side", "top-bottom"] | None
 Flag = Annotated[bool, Parameter(negative=())]
+Pixels = Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)]
 ConfigOption = Annotated[Path | None, Parameter(name="--config", group=METHOD)]
 
 
@@ -58,7 +60,7 @@ def check_range(option: str, value: float | None, least: float, most: float, wha
 
 @Parameter(name="*", group=CAMERA)
 @dataclass(frozen=True, kw_only=True)
-class CameraFileOptions:
+class CameraOptions:
     """Options of the camera's file.
 
     Parameters
@@ -79,14 +81,13 @@ class CameraFileOptions:
 
 @Parameter(name="*", group=CAMERA)
 @dataclass(frozen=True, kw_only=True)
-class CameraOptions(CameraFileOptions):
-    """Options of the camera.
+class FrameCameraOptions(CameraOptions):
+    """Options of the camera of a single frame.
 
     Parameters
     ----------
     camera_right
-        File of the right camera, where both eyes are used and the files are two. A stereo session folder's own
-        right.yaml by default.
+        File of the right camera, where both eyes are used and the files are two.
     crop
         x,y,w,h: the part of masks and images that is the camera's picture, in pixels of the files. Of a camera file for
         the whole images, the principal point is moved. Results are in pixels of the part.
@@ -105,36 +106,26 @@ class CameraOptions(CameraFileOptions):
 
         return PictureFit(None if self.crop is None else parse_crop("--crop", self.crop), self.stretch)
 
-    @property
-    def file(self) -> Path:
-        """The camera file; InputError without one."""
+    def read(self, frame: FrameFiles) -> CameraFile:
+        """Read the camera of a frame, or those of both eyes; the frame has the size where no file states it."""
+        from dvrk_cmaes.camera.files import read_camera_file
+        from dvrk_cmaes.camera.rig_files import read_rig
+        from dvrk_cmaes.frames.frame import frame_size
         from dvrk_cmaes.frames.session_folder import UNCALIBRATED
 
         if self.camera is None:
             raise InputError(f"--camera: expected a camera file, got none; {UNCALIBRATED}")
-        return self.camera
-
-    def read(self, frame: FrameFiles | None = None) -> CameraFile:
-        """Read the camera file for a ``frame``, which has its size where the file does not state it."""
-        from dvrk_cmaes.camera.files import read_camera_file
-        from dvrk_cmaes.frames.frame import frame_size
-
-        size = None if frame is None else partial(frame_size, frame)
-        lens = read_camera_file(self.file, rectified=self.rectified, side=self.side, size=size)
-        return lens if frame is None else self.fit.lens(lens, frame)
-
-    def read_rig(self, frame: FrameFiles) -> CameraFile:
-        """Read the cameras of both eyes; ``frame`` is as in `read`."""
-        from dvrk_cmaes.camera.rig_files import read_rig
-        from dvrk_cmaes.frames.frame import frame_size
-
-        lens = read_rig(self.file, self.camera_right, rectified=self.rectified, size=partial(frame_size, frame))
+        read_as: dict[str, Any] = {"rectified": self.rectified, "size": partial(frame_size, frame)}
+        if frame.others:
+            lens = read_rig(self.camera, self.camera_right, **read_as)
+        else:
+            lens = read_camera_file(self.camera, side=self.side, **read_as)
         return self.fit.lens(lens, frame)
 
 
 @Parameter(name="*", group=CAMERA)
 @dataclass(frozen=True, kw_only=True)
-class GuessedCameraOptions(CameraFileOptions):
+class GuessedCameraOptions(CameraOptions):
     """Options of a camera that may be without a file.
 
     Parameters
@@ -206,7 +197,7 @@ def _bag_joints(path: Path, arm: str | None) -> JointFile:
 
 @Parameter(name="*", group=INSTRUMENT)
 @dataclass(frozen=True, kw_only=True)
-class InstrumentNameOptions:
+class InstrumentOptions:
     """Options of the instrument and of the arm that carries it.
 
     Parameters
@@ -225,7 +216,7 @@ class InstrumentNameOptions:
 
 @Parameter(name="*", group=INSTRUMENT)
 @dataclass(frozen=True, kw_only=True)
-class InstrumentOptions(InstrumentNameOptions):
+class UrdfOptions(InstrumentOptions):
     """Options of the instrument and of the arm that carries it.
 
     Parameters
@@ -235,8 +226,6 @@ class InstrumentOptions(InstrumentNameOptions):
         for in the URDF's folder and its parents. May be given several times.
     root_link
         Link of the URDF whose pose is estimated; the shaft must be on it or below it. roll_link by default.
-    shaft_radius
-        Radius of the shaft in metres. Measured on the mesh by default.
     tool
         Description of the tool in the dVRK's format (JSON): its joint limits replace those of the URDF, and its roll
         offset (length along the shaft) replaces that of the tools 400xxx.
@@ -244,7 +233,6 @@ class InstrumentOptions(InstrumentNameOptions):
 
     package_path: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False)] = ()
     root_link: str | None = None
-    shaft_radius: float | None = None
     tool: Path | None = None
 
     @property
@@ -252,49 +240,30 @@ class InstrumentOptions(InstrumentNameOptions):
         """The arm's kinematics."""
         return self.arm or "classic"
 
-    def of_tool(self, tool: ToolEntry) -> InstrumentOptions:
-        """Return the options with what a session says of its tool, where the command line says nothing."""
-        packages = tuple(f"{name}={folder}" for name, folder in tool.packages.items())
-        own = self.instrument is None
-        return replace(
-            self,
-            instrument=tool.instrument if own else self.instrument,
-            package_path=(*packages, *self.package_path) if own else self.package_path,
-            root_link=self.root_link or (tool.root_link if own else None),
-            tool=self.tool or (tool.tool if own else None),
-            arm=self.arm or tool.kinematics,
-        )
-
-    def as_tool(self, arm: str) -> ToolEntry:
-        """Return the tool of these options that an arm holds, with absolute paths, for a session.toml."""
+    def as_tool(self, arm: str = "") -> ToolEntry:
+        """Return the tool of these options that an arm holds, as session.toml would name it."""
         from dvrk_cmaes.frames.session_toml import ToolEntry
 
-        named = self.instrument or "lnd"
-        return ToolEntry(
-            arm,
-            self.kinematics,
-            str(Path(named).absolute()) if Path(named).is_file() else named,
-            {name: Path(folder).absolute() for name, folder in split_packages(self.package_path).items()},
-            self.root_link,
-            None if self.tool is None else self.tool.absolute(),
-        )
+        packages = split_packages(self.package_path)
+        return ToolEntry(arm, self.kinematics, self.instrument or "lnd", packages, self.root_link, self.tool)
 
     def load(self) -> Body:
-        """Load the instrument, from the instrument cache if it is there, and prepare it for rendering."""
-        from dvrk_cmaes.instrument import load_instrument
-        from dvrk_cmaes.instrument.dvrk_description import read_tool
-        from dvrk_cmaes.instrument.tool import with_tool
-        from dvrk_cmaes.silhouette.prepare import prepare
+        """Load the instrument, and prepare it for rendering."""
+        return load_tool(self.as_tool())
 
-        tool = None if self.tool is None else read_tool(self.tool)
-        loaded = load_instrument(
-            "lnd" if self.instrument is None else self.instrument,
-            package_paths=split_packages(self.package_path),
-            root_link=self.root_link,
-            shaft_radius=self.shaft_radius,
-            use_cache=True,
-        )
-        return prepare(loaded if tool is None else with_tool(loaded, tool))
+
+def load_tool(tool: ToolEntry) -> Body:
+    """Load the instrument of a tool, from the cache of instruments if it is there, and prepare it for rendering."""
+    from dvrk_cmaes.instrument import load_instrument
+    from dvrk_cmaes.instrument.dvrk_description import read_tool
+    from dvrk_cmaes.instrument.tool import with_tool
+    from dvrk_cmaes.silhouette.prepare import prepare
+
+    described = None if tool.tool is None else read_tool(tool.tool)
+    loaded = load_instrument(
+        tool.instrument or "lnd", package_paths=tool.packages, root_link=tool.root_link, use_cache=True
+    )
+    return prepare(loaded if described is None else with_tool(loaded, described))
 
 
 @Parameter(name="*", group=METHOD)
@@ -347,7 +316,9 @@ class MethodOptions:
             except InputError as error:
                 raise InputError(f"{self.config}: {str(error).removeprefix('config: ')}") from None
         if self.search is not None:
-            _check_name("search", self.search, SEARCHES)
+            if self.search not in SEARCHES:
+                known = ", ".join(nearest_first(self.search, SEARCHES))
+                raise InputError(f"--search: expected one of {known}, got {self.search!r}")
             settings = replace(settings, search=replace(settings.search, method=self.search))
         if self.preset == "card":
             settings = replace(settings, refine=replace(settings.refine, derivatives="differences"))
@@ -358,6 +329,7 @@ class MethodOptions:
 
 
 DEFAULT_CAMERA = CameraOptions()
+DEFAULT_FRAME_CAMERA = FrameCameraOptions()
 DEFAULT_GUESSED_CAMERA = GuessedCameraOptions()
 DEFAULT_READING = ReadingOptions()
 
@@ -392,7 +364,7 @@ class SegmentOptions:
 
 @Parameter(name="*", group=SEGMENT)
 @dataclass(frozen=True, kw_only=True)
-class PlaceOptions:
+class PromptOptions:
     """Optional prompts, which state where the instrument is in the image.
 
     Parameters
@@ -401,10 +373,13 @@ class PlaceOptions:
         Box around the instrument, x0,y0,x1,y1 in pixels.
     point
         Pixel u,v on the instrument. May be given several times.
+    not_point
+        Pixel u,v that is not on the instrument. May be given several times.
     """
 
     box: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
-    point: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)] = ()
+    point: Pixels = ()
+    not_point: Pixels = ()
 
     def resolve(self) -> Hints:
         """Return the prompts as numbers; InputError if one is not valid."""
@@ -414,25 +389,11 @@ class PlaceOptions:
         if self.box is not None:
             left, top, right, bottom = _numbers("box", self.box, "x0,y0,x1,y1 in pixels", 4)
             box = (left, top, right, bottom)
-        return Hints(box, tuple(parse_pixel("point", text) for text in self.point))
-
-
-@Parameter(name="*", group=SEGMENT)
-@dataclass(frozen=True, kw_only=True)
-class PromptOptions(PlaceOptions):
-    """Optional prompts, which state where the instrument is in the image.
-
-    Parameters
-    ----------
-    not_point
-        Pixel u,v that is not on the instrument. May be given several times.
-    """
-
-    not_point: Annotated[tuple[str, ...], Parameter(negative=(), show_default=False, allow_leading_hyphen=True)] = ()
-
-    def resolve(self) -> Hints:
-        """Return the prompts as numbers; InputError if one is not valid."""
-        return replace(super().resolve(), not_points=tuple(parse_pixel("not-point", text) for text in self.not_point))
+        on, off = (
+            tuple(parse_pixel(name, text) for text in given)
+            for name, given in (("point", self.point), ("not-point", self.not_point))
+        )
+        return Hints(box, on, off)
 
 
 @Parameter(name="*", group=METHOD)
@@ -452,28 +413,48 @@ class CalibrationOptions:
     doubtful_session: Annotated[Flag, Parameter(name="--doubtful-session")] = False
 
     def read(self, body: Body, kinematics: Literal["classic", "si"] | None, arm: str = "") -> SessionCalibration | None:
-        """Read the calibration of an arm, None without one; errors as of `session_tools.read_calibration_of`."""
-        from dvrk_cmaes.cli.session_tools import read_calibration_of
+        """Read the calibration of an arm: a session.json, or that of the folder which `calibrate` wrote; None without.
 
-        return read_calibration_of(self.calibration, body, kinematics, arm, doubtful=self.doubtful_session)
+        ``arm`` is one of a session with several: its own is in the folder's subfolder of that name. ``body`` is the
+        instrument that it is used with, ``kinematics`` those of its arm, if they were given.
+
+        Raises
+        ------
+        InputError
+            There is no session.json, it is not valid, of another instrument or arm, or it predicts frames badly.
+        """
+        from dvrk_cmaes.calibration.document import check_made_for, read_calibration
+        from dvrk_cmaes.calibration.session_doubts import bad_predictions
+        from dvrk_cmaes.results.folder import SESSION
+
+        path = self.calibration
+        if path is None:
+            return None
+        if path.is_dir():
+            own = path / arm / SESSION
+            path = own if own.exists() else path / SESSION
+        calibration = read_calibration(path)
+        check_made_for(f"{path}", calibration, body.instrument.name, kinematics)
+        bad = bad_predictions(calibration)
+        if bad and not self.doubtful_session:
+            raise InputError(f"{path}: {bad}; --doubtful-session uses it all the same")
+        for doubt in calibration.doubts:
+            warn(f"{path}: {doubt}; all results are doubtful")
+        return calibration
+
+    def check_for(self, arms: Collection[str]) -> None:
+        """Raise an InputError unless there is a folder of calibrations where there are several arms."""
+        if len(arms) > 1 and self.calibration is not None and not self.calibration.is_dir():
+            expected = "expected the folder that calibrate wrote, with a session.json for each arm"
+            raise InputError(f"--session: {expected}, got {self.calibration}")
 
 
 DEFAULT_INSTRUMENT = InstrumentOptions()
+DEFAULT_URDF = UrdfOptions()
 DEFAULT_METHOD = MethodOptions()
 DEFAULT_SEGMENT = SegmentOptions()
 DEFAULT_PROMPTS = PromptOptions()
-DEFAULT_PLACE = PlaceOptions()
 DEFAULT_CALIBRATION = CalibrationOptions()
-DEFAULT_CAMERA_FILE = CameraFileOptions()
-DEFAULT_INSTRUMENT_NAME = InstrumentNameOptions()
-
-
-def _check_name(option: str, name: str, known: Iterable[str]) -> None:
-    """Raise InputError, which lists the known names, unless a name is one of them."""
-    from dvrk_cmaes.errors import nearest_first
-
-    if name not in known:
-        raise InputError(f"--{option}: expected one of {', '.join(nearest_first(name, known))}, got {name!r}")
 
 
 def split_packages(texts: Iterable[str]) -> dict[str, Path]:

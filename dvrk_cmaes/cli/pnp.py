@@ -16,7 +16,7 @@ from dvrk_cmaes.cli.options import (
     CameraOptions,
     InstrumentOptions,
 )
-from dvrk_cmaes.cli.session_tools import single_tool
+from dvrk_cmaes.cli.session_tools import read_arms
 from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, exit_code, show
 from dvrk_cmaes.errors import InputError
 
@@ -72,7 +72,7 @@ def pnp(
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.paths import check_output, result_path
 
-    arm = single_tool(session, instrument).read(session, camera)
+    (arm,) = read_arms(session, camera, instrument, single=True).values()
     for frame in arm.session.frames:
         check_output(out, frame.name)
     with output(out, "pnp") as own:

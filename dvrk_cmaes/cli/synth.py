@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -10,18 +10,19 @@ from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
     DEFAULT_CAMERA,
-    DEFAULT_INSTRUMENT,
+    DEFAULT_URDF,
     LARGEST_SEED,
     OUTPUT,
     CameraOptions,
     Flag,
-    InstrumentOptions,
+    UrdfOptions,
     check_range,
 )
 from dvrk_cmaes.cli.terminal import Line, show
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.frames.session_toml import ToolEntry
     from dvrk_cmaes.synth.session import SessionPlan
 
 _MOST_FRAMES = 100_000
@@ -103,8 +104,9 @@ class SynthOptions:
         if self.arms > 1 and (self.motion == "free" or (self.stereo and self.motion == "rcm")):
             raise InputError("--arms: expected --motion video, or --motion rcm and one eye, with two arms")
 
-    def plan(self, camera: CameraOptions, instrument: InstrumentOptions) -> SessionPlan:
+    def plan(self, camera: CameraOptions, instrument: UrdfOptions) -> SessionPlan:
         """Return what is drawn, of a camera and an instrument."""
+        from dvrk_cmaes.camera.files import read_camera
         from dvrk_cmaes.frames.markers import read_marker_table
         from dvrk_cmaes.io.bundled import bundled_path
         from dvrk_cmaes.joints.lag import Lag
@@ -118,7 +120,9 @@ class SynthOptions:
         painted = all(marker.link in links for marker in table.values())
         return SessionPlan(
             body=body,
-            camera=default_camera(LEVELS[self.level]) if camera.camera is None else camera.read().camera,
+            camera=default_camera(LEVELS[self.level])
+            if camera.camera is None
+            else read_camera(camera.camera, rectified=camera.rectified, side=camera.side),
             level=LEVELS[self.level],
             motion=self.motion,
             frames=self.frames,
@@ -131,7 +135,7 @@ class SynthOptions:
             cables=self.cables
             or ("measured" if self.motion == "video" and self.level in ("medium", "hard") else "independent"),
             baseline=self.baseline if self.stereo else None,
-            tool=instrument.as_tool("PSM1"),
+            tool=_written(instrument),
             steered=self.ecm,
         )
 
@@ -146,7 +150,7 @@ def synth(
     wanted: SynthOptions = DEFAULT_WANTED,
     overwrite: Annotated[Flag, Parameter(group=OUTPUT)] = False,
     camera: CameraOptions = DEFAULT_CAMERA,
-    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
+    instrument: UrdfOptions = DEFAULT_URDF,
 ) -> int:
     """Write a synthetic session with known true poses, in the layout of a session folder.
 
@@ -207,7 +211,7 @@ def synth(
     from dvrk_cmaes.synth.two_arms_recording import write_recording_of_arms
 
     plan = wanted.plan(camera, instrument)
-    tool = instrument.as_tool("PSM1")
+    tool = _written(instrument)
     pictures: Pictures = "none" if not wanted.images else "video" if wanted.mp4 else "files"
     if wanted.arms > 1 and wanted.motion == "video":
         write_recording_of_arms(out, plan, tool, pictures=pictures, overwrite=overwrite)
@@ -220,3 +224,15 @@ def synth(
     drawn = f"{wanted.frames} frames, level {wanted.level}, motion {wanted.motion}, seed {wanted.seed}"
     show([Line(f"{drawn}; written: {out}")])
     return 0
+
+
+def _written(instrument: UrdfOptions) -> ToolEntry:
+    """Return the tool that is written to session.toml, with absolute paths."""
+    tool = instrument.as_tool("PSM1")
+    named = Path(tool.instrument or "lnd")
+    return replace(
+        tool,
+        instrument=str(named.absolute() if named.is_file() else named),
+        packages={name: folder.absolute() for name, folder in tool.packages.items()},
+        tool=None if tool.tool is None else tool.tool.absolute(),
+    )

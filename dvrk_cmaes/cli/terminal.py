@@ -8,7 +8,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -23,6 +24,7 @@ FAILED, DOUBTFUL, INTERRUPTED = 1, 3, 130  # exit codes; the last one as in shel
 STATUS_STYLES = {"ok": "bold green", "doubtful": "bold yellow", "failed": "bold red"}
 
 _STOPPING = "stopping: the frames that are running are finished and written first (Ctrl-C again: at once)"
+_LINE_EVERY = 15.0  # s
 _LONGEST = 900  # characters of an error message
 
 
@@ -113,6 +115,31 @@ def tracked(items: Iterable[T], what: str, total: int | None = None) -> Iterable
 
     console = Console(stderr=True)
     return track(items, what, total, console=console, disable=not console.is_terminal)
+
+
+@contextlib.contextmanager
+def progress(arm: str = "") -> Iterator[Callable[[int, int, str], None]]:
+    """Give a function that shows how many frames of all are done, and more: in a bar on a terminal, or in lines."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    started = last = time.monotonic()
+    said = TextColumn("{task.fields[said]}")
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), said)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(f"{arm} frames".strip(), total=None, said="starting")
+
+        def report(done: int, total: int, more: str = "") -> None:
+            nonlocal last
+            now = time.monotonic()
+            rate = f"{done / max(now - started, 1e-9):.2f} a second"
+            bar.update(task, completed=done, total=total, said=f"{rate}{more}")
+            if not console.is_terminal and now - last >= _LINE_EVERY:
+                last = now
+                note(f"{arm}: " * bool(arm) + f"{done} of {total} frames, {rate}{more}")
+
+        yield report
 
 
 def exit_code(statuses: Iterable[str]) -> int:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,10 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from dvrk_cmaes.cli.options import (
+    AUTO,
     DEFAULT_CALIBRATION,
-    DEFAULT_CAMERA_FILE,
-    DEFAULT_INSTRUMENT_NAME,
-    DEFAULT_PLACE,
+    DEFAULT_CAMERA,
+    DEFAULT_INSTRUMENT,
+    DEFAULT_PROMPTS,
     FOLDER,
     METHOD,
     MOST_SKIPPED,
@@ -24,30 +24,38 @@ from dvrk_cmaes.cli.options import (
     NO_READINGS,
     OUTPUT,
     CalibrationOptions,
-    CameraFileOptions,
     CameraOptions,
     Flag,
-    InstrumentNameOptions,
     InstrumentOptions,
     MethodOptions,
-    PlaceOptions,
+    PromptOptions,
     check_range,
 )
-from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, session_tools, write_bases
-from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, Line, frames_text, note, show, stopping_on_interrupt, warn
-from dvrk_cmaes.cli.track_source import Source
+from dvrk_cmaes.cli.session_tools import answer_by_arm, output_folder, read_arms, write_bases
+from dvrk_cmaes.cli.terminal import (
+    DOUBTFUL,
+    INTERRUPTED,
+    Line,
+    frames_text,
+    note,
+    progress,
+    show,
+    stopping_on_interrupt,
+    warn,
+)
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.io.short_text import listed
+from dvrk_cmaes.io.short_text import listed, no_folder
 
 if TYPE_CHECKING:
+    from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.calibration.together import Begun
+    from dvrk_cmaes.config import EstimateConfig
+    from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.runs.agreement import ArmInSession
     from dvrk_cmaes.runs.track import TrackedArm
 
-
-AUTO = "auto"
-
 _MOST_REASONS = 8
-_REPORT_EVERY = 5.0  # s
+_TOLERANCE = 0.05  # s, as of import
 
 
 @Parameter(name="*", group=FOLDER)
@@ -127,16 +135,52 @@ class TrackOptions:
 
             check_rerun("--rerun", self.rerun)
 
-    def check_for_several(self, calibration: Path | None, place: PlaceOptions) -> None:
+    def check_for_several(self, place: PromptOptions) -> None:
         """Raise an InputError for an option that cannot hold for several arms."""
         of_one = {"--first-mask": self.first_mask, "--rerun": self.rerun, "--joints FILE": self.readings}
         given = [name for name, path in of_one.items() if path is not None]
-        if place != DEFAULT_PLACE:
+        if place != DEFAULT_PROMPTS:
             given.append("--box, --point")
         if given:
             raise InputError(f"{given[0]}: expected one arm (--only ARM), got a session of several")
-        if calibration is not None and not calibration.is_dir():
-            raise InputError(f"--session: expected a folder with a session.json for each arm, got {calibration}")
+
+    def arm(
+        self,
+        name: str,
+        arm: ArmInSession,
+        target: Path,
+        place: PromptOptions,
+        config: EstimateConfig,
+        calibration: SessionCalibration | None,
+    ) -> TrackedArm:
+        """Say how an arm of a recording is followed; ``place`` is where it is in the first image."""
+        from dvrk_cmaes.joints.lag import Lag
+        from dvrk_cmaes.runs.track import TrackedArm, TrackSettings
+        from dvrk_cmaes.runs.track_inputs import used_session, with_first_mask, with_increasing_times
+        from dvrk_cmaes.runs.worker import hints_of
+        from dvrk_cmaes.segment.segmentation import hints_within
+
+        timed, doubled = with_increasing_times(arm.session)
+        if doubled:
+            warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
+        used, evidence = used_session(timed, self.evidence)
+        hints = hints_of(used.frames[0]) if place == DEFAULT_PROMPTS else None
+        same = ("every", "causal", "workers", "resume", "video", "page", "rerun")
+        settings = TrackSettings(
+            config=config,
+            arm=arm.kinematics,
+            calibration=calibration,
+            lag=None if self.lag == AUTO else Lag.parse("--lag", self.lag).in_seconds(self.fps),
+            use_joints=self.joints != NO_READINGS,
+            frames_a_second=self.fps,
+            evidence=evidence,
+            hints=hints or hints_within(place.resolve(), used.frames[0].crop),
+            **{field: getattr(self, field) for field in same},
+        )
+        notice = note if not name else lambda text: note(f"{name}: {text}")
+        return TrackedArm(
+            with_first_mask(used, self.first_mask), target / name, arm.body, settings, name, notice=notice
+        )
 
 
 DEFAULT_FOLLOW = TrackOptions()
@@ -147,10 +191,10 @@ def track(
     /,
     *,
     follow: TrackOptions = DEFAULT_FOLLOW,
-    place: PlaceOptions = DEFAULT_PLACE,
+    place: PromptOptions = DEFAULT_PROMPTS,
     calibrated: CalibrationOptions = DEFAULT_CALIBRATION,
-    camera: CameraFileOptions = DEFAULT_CAMERA_FILE,
-    instrument: InstrumentNameOptions = DEFAULT_INSTRUMENT_NAME,
+    camera: CameraOptions = DEFAULT_CAMERA,
+    instrument: InstrumentOptions = DEFAULT_INSTRUMENT,
     config: Annotated[Path | None, Parameter(group=METHOD)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
@@ -198,11 +242,23 @@ def track(
     """
     follow.check()
     with output_folder(follow.out, session if session.is_dir() else session.parent, "tracks", "track") as target:
-        source = Source.of(session, follow.evidence, target, camera=camera.camera, joints=follow.readings)
-        arms = _described(source, target, follow, place, calibrated, camera, instrument, config)
+        folder, video = _session_of(session, follow, target, camera)
+        files = (() if follow.readings is None else (follow.readings,)) if follow.joints != NO_READINGS else None
+
+        def check(names: Collection[str]) -> None:
+            calibrated.check_for(names)
+            if len(names) > 1:
+                follow.check_for_several(place)
+
+        read = read_arms(
+            folder, camera, instrument, follow.only, joints=files, video=video, ahead=not follow.causal, check=check
+        )
+        method = MethodOptions(config=config).resolve()
+        known = {name: calibrated.read(arm.body, instrument.arm, arm.arm) for name, arm in read.items()}
+        arms = {name: follow.arm(name, arm, target, place, method, known[name]) for name, arm in read.items()}
         finished = _followed(arms)
         interrupted = len(finished) < len(arms) or any(arm.interrupted for arm in finished.values())
-        doubts = [] if interrupted or len(arms) == 1 else _compared(source.folder, finished, target, quiet=json)
+        doubts = [] if interrupted or len(arms) == 1 else _compared(folder, finished, target, quiet=json)
         counts = {name: arm.counts for name, arm in finished.items()}
         answer_by_arm(counts, {name: _lines(arm) for name, arm in finished.items()}, json=json)
         for name, arm in finished.items():
@@ -216,58 +272,39 @@ def track(
     return DOUBTFUL if doubts or any(set(of_arm) - {"ok"} for of_arm in counts.values()) else 0
 
 
-def _described(
-    source: Source,
-    target: Path,
-    follow: TrackOptions,
-    place: PlaceOptions,
-    calibrated: CalibrationOptions,
-    camera: CameraFileOptions,
-    instrument: InstrumentNameOptions,
-    config: Path | None,
-) -> dict[str, TrackedArm]:
-    """Read the arms of a recording, and say how each is followed; by name."""
-    from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.runs.track import TrackedArm, TrackSettings
-    from dvrk_cmaes.runs.track_inputs import used_session, with_first_mask, with_increasing_times
-    from dvrk_cmaes.runs.worker import hints_of
-    from dvrk_cmaes.segment.segmentation import hints_within
+def _session_of(path: Path, follow: TrackOptions, out: Path, camera: CameraOptions) -> tuple[Path, SessionVideo | None]:
+    """Return the session folder of a path, that of a ROS recording in ``out``, and the video that has its images.
 
-    named = InstrumentOptions(instrument=instrument.instrument, arm=instrument.arm)
-    cameras = CameraOptions(camera=camera.camera, rectified=camera.rectified, side=camera.side)
-    tools = session_tools(source.folder, named, follow.only)
-    if len(tools) > 1:
-        follow.check_for_several(calibrated.calibration, place)
-    read = follow.joints != NO_READINGS
-    files = (() if follow.readings is None else (follow.readings,)) if read else None
-    lag = None if follow.lag == AUTO else Lag.parse("--lag", follow.lag).in_seconds(follow.fps)
-    found: dict[str, TrackedArm] = {}
-    for name, tool in tools.items():
-        arm = source.read(tool, cameras, joints=files, ahead=not follow.causal)
-        timed, doubled = with_increasing_times(arm.session)
-        if doubled:
-            warn(f"left out, for they have the time of the frame before: {listed(doubled)}")
-        used, evidence = used_session(timed, follow.evidence)
-        hints = hints_of(used.frames[0]) if place == DEFAULT_PLACE else None
-        settings = TrackSettings(
-            config=MethodOptions(config=config).resolve(),
-            arm=arm.kinematics,
-            calibration=calibrated.read(arm.body, instrument.arm, tool.tool.arm),
-            lag=lag,
-            use_joints=read,
-            frames_a_second=follow.fps,
-            evidence=evidence,
-            hints=hints or hints_within(place.resolve(), used.frames[0].crop),
-            **{
-                name: getattr(follow, name)
-                for name in ("every", "causal", "workers", "resume", "video", "page", "rerun")
-            },
-        )
-        own = with_first_mask(used, follow.first_mask)
-        found[name] = TrackedArm(
-            own, target / name, arm.body, settings, name, progress=_progress(name), notice=partial(_notice, name)
-        )
-    return found
+    The video of a session counts where it has no images, and its masks are not all that is asked for. InputError if
+    there is nothing at the path, it is neither, or it holds links that leave it.
+    """
+    from dvrk_cmaes.frames.own_files import OwnFiles
+    from dvrk_cmaes.frames.session_video import SessionVideo, own_video
+    from dvrk_cmaes.frames.video_frames import SUFFIXES
+    from dvrk_cmaes.recording.topics import is_bag
+
+    if path.suffix.lower() in SUFFIXES and not path.is_dir():
+        return path.parent, SessionVideo.open(path, side=camera.side)
+    if is_bag(path):
+        OwnFiles(path).check_folder()
+        return _imported(path, out / "session", camera.camera, follow.readings), None
+    if not path.is_dir():
+        raise InputError(f"{path}: {no_folder(path)}; expected a session folder, a video or a ROS recording")
+    video = own_video(path) if follow.evidence == "images" or not (path / "masks").is_dir() else None
+    OwnFiles(path).check_all([video])
+    return path, None if video is None else SessionVideo.open(video, side=camera.side)
+
+
+def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:
+    """Write the session of a ROS recording, in place of an earlier one; returns its folder."""
+    from dvrk_cmaes.recording.bag import open_bag
+    from dvrk_cmaes.recording.recording import Asked
+    from dvrk_cmaes.recording.topics import TopicRequest
+    from dvrk_cmaes.recording.write_session import ImageSelection, write_session
+
+    with open_bag(path, TopicRequest(), Asked(camera=camera, joints=joints)) as recording:
+        write_session(recording, folder, selection=ImageSelection(), tolerance=_TOLERANCE, overwrite=folder.exists())
+    return folder
 
 
 def _followed(arms: Mapping[str, TrackedArm]) -> dict[str, TrackedArm]:
@@ -282,8 +319,9 @@ def _followed(arms: Mapping[str, TrackedArm]) -> dict[str, TrackedArm]:
     with stopping_on_interrupt() as stop:
         begun = solved_together({name: partial(begin, name) for name in arms})
         found = {name: arm for name, arm in begun.items() if arm is not None}
-        for arm in found.values():
-            arm.follow()
+        for name, arm in found.items():
+            with progress(name) as report:
+                arm.follow(report)
         return found
 
 
@@ -303,25 +341,6 @@ def _compared(folder: Path, arms: Mapping[str, TrackedArm], target: Path, *, qui
     if len(known) == len(arms) and not write_bases(known, setup, target, quiet=quiet):
         doubts.append("")
     return doubts
-
-
-def _notice(arm: str, text: str) -> None:
-    """Print a line about an arm on stderr; the arm is named if its name is not empty."""
-    note(f"{arm}: {text}" if arm else text)
-
-
-def _progress(arm: str) -> Callable[[int, int], None]:
-    """Return a function that prints the rate on stderr from time to time; ``arm`` is named if it is not empty."""
-    started = last = time.monotonic()
-
-    def report(done: int, total: int) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if done and (now - last >= _REPORT_EVERY or done == total):
-            last = now
-            _notice(arm, f"{done} of {total} frames, {done / max(now - started, 1e-9):.1f} a second")
-
-    return report
 
 
 def _lines(arm: TrackedArm) -> Iterator[Line]:

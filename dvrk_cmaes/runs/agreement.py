@@ -35,11 +35,12 @@ _LEAST_SHARED: Final = 0.75  # share of the frames in which one of two tools is 
 
 @dataclass(frozen=True, eq=False)
 class ArmInSession:
-    """An arm of a session: the session as it sees it, its instrument and its kinematics."""
+    """An arm of a session: the session as it sees it, its instrument, kinematics and name, empty if it has none."""
 
     session: Session
     body: Body
     kinematics: Arm
+    arm: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,6 @@ class FoundFrame:
     joints: Mapping[str, float]
     readings: Mapping[str, float]
     ok: bool
-
-    @classmethod
-    def of(cls, result: Result) -> FoundFrame:
-        """Return what a result says."""
-        return cls(result.joints, result.readings, result.status == "ok")
 
 
 def exchanged_arms(found: Mapping[str, Mapping[str, FoundFrame]], *, followed: bool = False) -> list[str]:

@@ -6,7 +6,8 @@ import functools
 import os
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
@@ -32,7 +33,6 @@ from dvrk_cmaes.runs.agreement import compare_bases
 from dvrk_cmaes.runs.backgrounds import with_backgrounds
 from dvrk_cmaes.runs.manifest import (
     Manifest,
-    any_difference,
     check_same_frames,
     check_same_settings,
     frame_stamps,
@@ -71,32 +71,22 @@ TIME_LIMIT = 600.0
 """Seconds after which a frame is given up in a worker process."""
 
 
-class BatchProgress:
-    """Progress callback of a batch that does nothing; subclasses report."""
-
-    def on_start(self, todo: int, kept: Sequence[Status]) -> None:
-        """Handle the start: the number of frames to do, and the statuses of those that have a result already."""
-
-    def on_note(self, text: str) -> None:
-        """Handle a message about the whole batch, before the first frame."""
-
-    def on_frame(self, outcome: FrameOutcome) -> None:
-        """Handle the end of a frame, after its files were written."""
-
-
 @dataclass(frozen=True, eq=False)
 class Workers:
     """What estimates frames: ``count`` processes, or the ``executor``, which may be open worker processes.
 
     By default there are as many processes as the cores allow. A frame is given up after ``time_limit`` s in a process.
-    Once ``stop`` is set, running frames are finished and no more are started; ``progress`` is told of each frame.
+    Once ``stop`` is set, running frames are finished and no more are started. ``progress`` is called at the start and
+    after each frame, whose files are written, with the numbers of frames done and to do, and of those by status with
+    the ones that have a result already. ``notice`` is called with messages about the whole batch.
     """
 
     count: int | None = None
     executor: Executor | Executors | None = None
     time_limit: float = TIME_LIMIT
     stop: threading.Event = field(default_factory=threading.Event)
-    progress: BatchProgress = field(default_factory=BatchProgress)
+    progress: Callable[[int, int, Mapping[str, int]], None] = lambda done, todo, statuses: None
+    notice: Callable[[str], None] = lambda text: None
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +119,6 @@ def run_batch(
     calibration: SessionCalibration | None = None,
     pattern: str | None = None,
     resume: bool = True,
-    retry_failed: bool = False,
     workers: Workers | None = None,
 ) -> BatchSummary:
     """Estimate the frames of a session that have no result in a folder yet, and write results, tables and page.
@@ -152,9 +141,7 @@ def run_batch(
     pattern
         Shell pattern (``*``, ``?``, ``[..]``) of the names of the frames to do.
     resume
-        Keep the results that are there. If False, they are removed first.
-    retry_failed
-        Do failed frames again.
+        Keep the results that are there, but for failed ones. If False, all are removed first.
     workers
         What estimates the frames; by default as many processes as the cores allow.
 
@@ -183,25 +170,19 @@ def run_batch(
         if not resume:
             own.refuse((*TABLES, *results_of([files.name for files in frames], session.rig.names)))
             own.clear()
-        todo, kept = _prepare(
-            out,
-            own,
-            setup,
-            frames,
-            session=[files.name for files in session.frames],
-            retry_failed=retry_failed,
-        )
+        todo, kept = _prepare(out, own, setup, frames, session=[files.name for files in session.frames])
+        if kept:
+            workers.notice(f"results are there of {len(kept)} frames, {len(todo)} are to be done")
         for text in masks.notes:
-            workers.progress.on_note(text)
-        workers.progress.on_start(len(todo), kept)
-        ran = 0
+            workers.notice(text)
+        ran, statuses = 0, Counter[str](kept)
+        workers.progress(ran, len(todo), statuses)
         for outcome in outcomes(setup, todo, workers):
             write_outcome(out, outcome)
             ran += 1
-            workers.progress.on_frame(outcome)
-        seconds = time.monotonic() - started
-        timing = timing_of(ran, seconds)
-        finished = finish(out, timing)
+            statuses[outcome.result.status] += 1
+            workers.progress(ran, len(todo), statuses)
+        finished = finish(out, timing_of(ran, time.monotonic() - started))
     document, interrupted = finished.summary or {}, workers.stop.is_set() and ran < len(todo)
     counts, files = document["counts"], {each.name: each for each in frames}
     return BatchSummary(out, counts, ran, interrupted, document, finished.frames, setup, files)
@@ -250,13 +231,7 @@ def _manifest(folder: Path) -> Manifest:
 
 
 def _prepare(
-    folder: Path,
-    own: Output,
-    setup: BatchSetup,
-    frames: Sequence[FrameFiles],
-    *,
-    session: Sequence[str],
-    retry_failed: bool,
+    folder: Path, own: Output, setup: BatchSetup, frames: Sequence[FrameFiles], *, session: Sequence[str]
 ) -> tuple[list[FrameFiles], list[Status]]:
     """Write the manifest, and return the frames to do and the statuses of the frames whose results are kept.
 
@@ -264,33 +239,19 @@ def _prepare(
     """
     own.refuse(TABLES)
     digests = {files.name: frame_stamps(files) for files in frames}
-    manifest = manifest_of(setup, digests)
+    manifest, old = manifest_of(setup, digests), read_manifest(folder)
     kept: dict[str, Status] = {}
-    old = read_manifest(folder)
     if old is not None:
-        found = complete_results(folder)
-        if not _only_failures(folder, found):  # these need not be of the same settings: they are replaced then
+        kept = {name: status for name, status in complete_results(folder).items() if status != "failed"}
+        if kept:
             check_same_settings(folder, old, manifest)
-        elif any_difference(old, manifest):
-            old, found = manifest, {}
-        changed = {name for name, parts in digests.items() if old["frames"].get(name) != parts}
-        kept = {
-            name: status
-            for name, status in found.items()
-            if status != "failed" or not (retry_failed or name in changed)
-        }
-        check_same_frames(folder, old, digests, done=kept, session=session)
+            check_same_frames(folder, old, digests, done=kept, session=session)
         refuse_strange_results(folder, digests, session)
-        manifest = with_frames(old, digests)
+        manifest = with_frames(old if kept else {**manifest, "frames": old["frames"]}, digests)
     todo = [files for files in frames if files.name not in kept]
     own.refuse(results_of([files.name for files in todo], setup.rig.names))
     own.describe(manifest)
     return todo, [kept[files.name] for files in frames if files.name in kept]
-
-
-def _only_failures(place: Path, found: Mapping[str, Status]) -> bool:
-    """Whether all results in a folder, of which there are some, are failures."""
-    return bool(found) and {*found.values()} == {"failed"} and len(found) == len([*place.glob("frames/*.json")])
 
 
 def outcomes(setup: BatchSetup, todo: Sequence[FrameFiles], workers: Workers) -> Iterator[FrameOutcome]:

@@ -223,11 +223,6 @@ def check_same_settings(out: Path, old: Manifest, new: Manifest) -> None:
         )
 
 
-def any_difference(old: Manifest, new: Manifest) -> bool:
-    """Return whether the settings of two manifests differ."""
-    return dict(_leaves(old)) != dict(_leaves(new))
-
-
 def check_same_session(out: Path, session: Session) -> None:
     """Raise InputError if the results in a folder are those of another session.
 

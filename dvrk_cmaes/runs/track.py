@@ -102,8 +102,6 @@ class TrackedArm:
         Folder of the results.
     name
         The name of the arm, if it is one of several.
-    progress
-        Called after each frame with the number of frames done and that of all, at the start with 0.
     notice
         Called with a line about each stage of a recording that is solved by its keyframes, or why it is not.
 
@@ -119,7 +117,6 @@ class TrackedArm:
         settings: TrackSettings,
         name: str = "",
         *,
-        progress: Callable[[int, int], None] = lambda done, total: None,
         notice: Callable[[str], None] = lambda text: None,
     ) -> None:
         every, joints = session.frames[:: settings.every], body.instrument.joint_names
@@ -130,7 +127,7 @@ class TrackedArm:
         self._remarks = (describe_commanded(commanded),) if commanded else ()
         self.session, self.out, self.body, self.name = session, out, body, name
         self.settings = replace(settings, config=with_commanded(settings.config, commanded, joints))
-        self._progress, self._notice, self._stop = progress, notice, threading.Event()
+        self._notice, self._stop = notice, threading.Event()
         self._opened, self._finished = ExitStack(), False
         given = settings.calibration
         self._given = given if given is None or settings.lag is None else replace(given, lag=None)
@@ -242,11 +239,14 @@ class TrackedArm:
             self._opened = stack.pop_all()
         return self
 
-    def follow(self) -> None:
-        """Follow the arm, and write everything to its folder."""
+    def follow(self, progress: Callable[..., None] = lambda done, total: None) -> None:
+        """Follow the arm, and write everything to its folder.
+
+        ``progress`` is called after each frame with the number of frames done and that of all, at the start with 0.
+        """
         with self._opened:
             if not self._finished and not self._by_keyframes():
-                self._forwards()
+                self._forwards(progress)
             calibration = self.calibration
             lag = None if calibration is None else calibration.applied_lag
             late = (self.settings.lag or 0.0) if lag is None else lag.in_seconds(1 / self.clock.interval)
@@ -288,10 +288,9 @@ class TrackedArm:
         results = follow_window(solution, work)
         self.rows = [self._row(files, result) for files, result in zip(self.frames, results, strict=True)]
         write_text(self.out / TRACKS, "".join(line_of(row) for row in self.rows))
-        self._progress(len(self.rows), len(self.rows))
         self.calibration = _with_lag(solution.calibration, self.settings.lag, self.clock)
 
-    def _forwards(self) -> None:
+    def _forwards(self, progress: Callable[..., None]) -> None:
         """Follow the frames from image to image, and write the row of each when it is there."""
         settings, rig, total = self.settings, self.session.rig, len(self.frames)
         tracker = Tracker(
@@ -304,7 +303,7 @@ class TrackedArm:
             evidence=settings.evidence,
             hints=settings.hints,
         )
-        self._progress(0, total)
+        progress(0, total)
         with ExitStack() as stack:
             schedule = None
             if settings.use_joints and self.clock.outer_read:  # which alone tell of a base
@@ -315,7 +314,7 @@ class TrackedArm:
             for files, result in self._steps(tracker, schedule):
                 self.rows.append(self._row(files, result))
                 append(self.rows[-1])
-                self._progress(len(self.rows), total)
+                progress(len(self.rows), total)
                 if self._stop.is_set():
                     break
             else:

@@ -115,7 +115,7 @@ def test_one_arm_can_be_chosen(two_arms: Path, tmp_path: Path, quick: Path, caps
         (("--joints", "a.csv"), "--joints FILE: expected one arm (--only ARM)"),
         (
             ("--session", "session.json"),
-            "--session: expected a folder with a session.json for each arm, got ",
+            "--session: expected the folder that calibrate wrote, with a session.json for each arm, got ",
         ),
         (("--only", "PSM3"), "arm: expected one of"),
     ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,10 @@ def track_folder(
     video: bool = True,
     page: bool = True,
     stop: threading.Event | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
     **told: Any,
 ) -> TrackedArm:
     """Follow the only arm of a recording; other parameters and errors as of `TrackedArm`."""
     arm = TrackedArm(session, out, body, replace(settings, video=video, page=page), **told)
-    solved_alone(arm.begin(stop=stop)).follow()
+    solved_alone(arm.begin(stop=stop)).follow(progress)
     return arm

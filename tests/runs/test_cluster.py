@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -19,11 +19,10 @@ from helpers.waiting import wait_for
 from helpers.worker_tasks import squared_unless_three
 
 from dvrk_cmaes import Body, DvrkCmaesError, InputError, read_session
-from dvrk_cmaes.runs.batch import BatchProgress, Workers, run_batch
+from dvrk_cmaes.runs.batch import Workers, run_batch
 from dvrk_cmaes.runs.cluster import dask_executor
 from dvrk_cmaes.runs.pool import WorkerDied, run
 from dvrk_cmaes.runs.pool import Workers as Executors
-from dvrk_cmaes.runs.worker import FrameOutcome
 
 NAMES = [f"{k:04d}" for k in range(8)]
 
@@ -76,16 +75,14 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_session(tmp_path_factory.mktemp("session") / "eight", NAMES)
 
 
-class KillHalfWay(BatchProgress):
+class KillHalfWay:
     """Kill a process when half of the frames are done."""
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self._process = process
-        self._done = 0
 
-    def on_frame(self, outcome: FrameOutcome) -> None:
-        self._done += 1
-        if self._done == len(NAMES) // 2:
+    def __call__(self, done: int, todo: int, statuses: Mapping[str, int]) -> None:
+        if done == len(NAMES) // 2:
             self._process.send_signal(signal.SIGKILL)
 
 
