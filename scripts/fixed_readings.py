@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from dvrk_cmaes.joints.reading import WRIST_JOINTS
+from dvrk_cmaes.joints.names import WRIST_JOINTS
 from dvrk_cmaes.synth.readings import BIAS_SHARE, distinguishes_twin
 from dvrk_cmaes.synth.truth import Truth
 

@@ -25,7 +25,8 @@ from dvrk_cmaes.camera.rig_files import read_rig
 from dvrk_cmaes.frames.frame import read_frame
 from dvrk_cmaes.frames.images import read_mask
 from dvrk_cmaes.frames.truth import read_golden
-from dvrk_cmaes.joints.reading import ReadAs, read_joint_file, read_joints
+from dvrk_cmaes.joints.reading import read_joint_file, read_joints
+from dvrk_cmaes.joints.rows import ReadAs
 
 Run = Callable[..., Ran]
 Table = list[dict[str, str]]
@@ -61,9 +62,7 @@ def test_joints_of_two_arms_are_those_of_the_arm_that_is_asked_for(reports: Path
     path = reports / "joints-two-arms" / name
     with pytest.raises(InputError, match=r"expected the joints of one arm, got those of PSM1, PSM2: .*--only PSM1"):
         read_joint_file(path)
-    own = {
-        arm: list(read_joint_file(path, read_as=ReadAs(arm)).rows.values())[-1].readings() for arm in ("PSM1", "PSM2")
-    }
+    own = {arm: read_joint_file(path, read_as=ReadAs(arm)).readings(-1) for arm in ("PSM1", "PSM2")}
     assert own["PSM2"] == dict.fromkeys(own["PSM2"], 0.1)
     assert len(own["PSM1"]) == 7
     if name.endswith(".yaml"):
@@ -114,7 +113,7 @@ def test_messages_without_joints_are_skipped_and_counted(reports: Path, run: Run
     for name, count in (("first_empty.yaml", 6), ("jaw_first_empty.yaml", 1)):
         file = read_joint_file(folder / name)
         assert "1 message without positions skipped" in file.notes
-        assert [len(row.cells) for row in file.rows.values()] == [count, count]
+        assert file.values.shape == (2, count)
     assert read_joints(folder / "jaw.yaml") == {"jaw": 0.835055}
 
 
@@ -218,12 +217,15 @@ def test_lens_of_a_camera_file_is_read_under_its_usual_names(reports: Path) -> N
         ("nan.csv", "0001", 5),
         ("na.csv", "0001", 6),
         ("none.csv", "0001", 6),
-        ("nan_first.yaml", "message 1", 0),
-        ("nan_one.yaml", "message 1", 6),
+        ("nan_first.yaml", None, 0),
+        ("nan_one.yaml", None, 6),
     ],
 )
-def test_reading_that_is_written_as_missing_is_not_known(reports: Path, name: str, label: str, joints: int) -> None:
-    assert len(read_joint_file(reports / "joints-nan" / name).rows[label].readings()) == joints
+def test_reading_that_is_written_as_missing_is_not_known(
+    reports: Path, name: str, label: str | None, joints: int
+) -> None:
+    file = read_joint_file(reports / "joints-nan" / name)
+    assert len(file.readings(0 if label is None else file.names[label])) == joints
 
 
 def test_frames_whose_readings_are_all_missing_count_as_without(reports: Path, run: Run) -> None:

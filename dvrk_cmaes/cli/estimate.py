@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.joints.lag import Lag
-    from dvrk_cmaes.joints.reading import FrameReadings, ReadAs
+    from dvrk_cmaes.joints.reading import FrameReadings
+    from dvrk_cmaes.joints.rows import ReadAs
 
 _Hyphens = Parameter(allow_leading_hyphen=True)
 

@@ -42,8 +42,8 @@ from dvrk_cmaes.io.image_header import foreign
 from dvrk_cmaes.io.short_text import escaped, listed, natural, no_folder
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.reading import TIME_TOLERANCE, JointFile, NoneNearError, ReadAs, frame_readings, read_joint_file
-from dvrk_cmaes.joints.rows import BY_THEMSELVES, number_of
+from dvrk_cmaes.joints.reading import TIME_TOLERANCE, NoneNearError, frame_readings, read_joint_file
+from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import read_image_times, time_in_name
 
@@ -166,7 +166,6 @@ def read_session(
     fit: PictureFit = WHOLE,
     masks: Path | None = None,
     video: SessionVideo | None = None,
-    tolerance: int = TIME_TOLERANCE,
     guess: CameraGuess | None = None,
 ) -> Session:
     """Find the frames of a session folder and read its files, except masks and images.
@@ -200,8 +199,6 @@ def read_session(
         Folder of the masks; ``masks`` in the session folder by default.
     video
         A video that has the images of all frames, of the session layout and one view.
-    tolerance
-        Largest distance in time between an image and the readings before and after it, ns.
     guess
         The camera to use where there is no file, or in any case if it has a focal length; by default there must be a
         file.
@@ -218,9 +215,7 @@ def read_session(
         raise InputError(f"{folder}: {no_folder(folder)}; expected a session with camera.yaml, joints.csv and masks")
     mask_folder, own = root / "masks" if masks is None else masks, OwnFiles(root)
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
-        frames, readings, times, notes = _session_frames(
-            own, root, mask_folder, tuple(known), joints, read_as, video, tolerance
-        )
+        frames, readings, times, notes = _session_frames(own, root, mask_folder, tuple(known), joints, read_as, video)
         notes = ("a session folder", *notes)
     else:
         frames, readings, times = find_published_frames(root, own), (), {}
@@ -333,16 +328,14 @@ def _pictures(
     return of_views
 
 
-def _with_readings(
-    frame: FrameFiles, files: Sequence[JointFile], time: int | None, tolerance: int
-) -> tuple[FrameFiles, int | None]:
+def _with_readings(frame: FrameFiles, files: Sequence[JointFile], time: int | None) -> tuple[FrameFiles, int | None]:
     """Return a frame with its readings, and the farthest of these in time, ns; or with the problem that it has."""
     odd = [path for path in (frame.mask, frame.image) if path is not None and escaped(path.name) != path.name]
     if odd:
         problem = f"{escaped(str(odd[0]))}: expected a name in UTF-8 without control characters: rename it"
         return FrameFiles(frame.name, None, time=frame.time, problem=problem), None
     try:
-        found = frame_readings(files, frame.name, time=time, tolerance=tolerance)
+        found = frame_readings(files, frame.name, time=time)
     except InputError as error:
         return replace(frame, problem=str(error), unread=isinstance(error, NoneNearError)), None
     return replace(frame, readings=found.readings, notes=found.notes), found.farthest
@@ -356,7 +349,6 @@ def _session_frames(
     joints: Sequence[Path | JointFile] | None,
     read_as: ReadAs,
     video: SessionVideo | None,
-    tolerance: int,
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
     views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
@@ -367,7 +359,7 @@ def _session_frames(
         for source in (() if joints is None else joints or _joint_files(root))
     ]
     own.check_all(root / name for name in ("images.csv", "keypoints.csv", "boxes.csv"))
-    named = set(images).union(*(file.rows for file in files if file.labels == "frame"))
+    named = set(images).union(*(file.names for file in files if file.labels == "frame"))
     for kinds in of_views:
         kinds[0] = with_names_of(mask_folder, kinds[0], kinds[1], named)
     masks = of_views[0][0]
@@ -400,12 +392,12 @@ def _session_frames(
             prompts=boxes.get(name),
             video=films.get(name),
         )
-        frame, far = _with_readings(frame, files, time, tolerance)
+        frame, far = _with_readings(frame, files, time)
         frames.append(frame)
         farthest = max((d for d in (farthest, far) if d is not None), default=None)
     if all(frame.problem for frame in frames):
         raise InputError(str(frames[0].problem))
-    notes = (*(_described(files) or (NO_READINGS,)), *remarks, *_interpolation(farthest, tolerance))
+    notes = (*(_described(files) or (NO_READINGS,)), *remarks, *_interpolation(farthest))
     return tuple(frames), tuple(files), image_times, notes
 
 
@@ -460,8 +452,7 @@ def with_names_of(
 
 def _seconds_of(files: Sequence[JointFile], frame: str, image_time: int | None) -> float | None:
     """Return the time of a frame, s: that of its image (ns), or else of its row in the readings, if either is known."""
-    rows = (file.rows.get(frame) for file in files if file.labels == "frame")
-    times = [image_time, *(row.time for row in rows if row is not None)]
+    times = [image_time, *(file.time(frame) for file in files if file.labels == "frame")]
     known = next((time for time in times if time is not None), None)
     return None if known is None else known / NANOSECONDS
 
@@ -486,7 +477,7 @@ def _meeting(
         if read_as.offset is not None:
             met.append(file.by_number(frames, read_as.offset, read_as.step))
             continue
-        labels = list(file.rows)
+        labels = list(file.names)
         common = [name for name in frames if _has_row(file, name)]
         if not common and len(frames) > 1:  # a single frame may lack readings
             raise InputError(
@@ -507,7 +498,7 @@ def _meeting(
 
 def _has_row(file: JointFile, frame: str) -> bool:
     """Whether a file has the row of a frame, by its name or its number."""
-    return (frame if file.labels == "frame" else str(number_of(frame))) in file.rows
+    return (frame if file.labels == "frame" else str(number_of(frame))) in file.names
 
 
 def _joint_files(root: Path) -> list[Path]:
@@ -524,13 +515,13 @@ def _described(files: Sequence[JointFile]) -> tuple[str, ...]:
     return tuple(text for file in files for text in (f"readings: {file.kind}", *file.notes))
 
 
-def _interpolation(farthest: int | None, tolerance: int) -> tuple[str, ...]:
+def _interpolation(farthest: int | None) -> tuple[str, ...]:
     """Return a note on the largest distance in time between readings and images; none without interpolation."""
     if farthest is None:
         return ()
     return (
         f"readings interpolated to the images' times, from at most {farthest / NANOSECONDS:.3g} s away "
-        f"({tolerance / NANOSECONDS:g} s are allowed)",
+        f"({TIME_TOLERANCE / NANOSECONDS:g} s are allowed)",
     )
 
 

@@ -69,7 +69,7 @@ class SessionVideo:
             The readings have rows of named frames, but not one for each frame of the video.
         """
         count = len(self.video.times)
-        rows = next((tuple(file.rows) for file in files if file.labels == "frame"), None)
+        rows = next((tuple(file.names) for file in files if file.labels == "frame"), None)
         names: Sequence[str] = [f"{number:0{_DIGITS}d}" for number in range(count)]
         if len(masks) == count:
             names = masks

@@ -44,7 +44,7 @@ from dvrk_cmaes.io.toml_file import leaves, read_config
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.joint_state import is_joint_state
 from dvrk_cmaes.joints.reading import TIME_TOLERANCE, read_joint_file
-from dvrk_cmaes.joints.rows import BY_THEMSELVES, ReadAs, TableRows
+from dvrk_cmaes.joints.rows import BY_THEMSELVES, NO_TIME, ReadAs
 from dvrk_cmaes.joints.times import read_image_times
 from dvrk_cmaes.recording.lerobot import is_lerobot
 from dvrk_cmaes.recording.topics import is_bag
@@ -243,14 +243,14 @@ def _inspect_json(path: Path, options: Options) -> Finding:
 def _inspect_joints(path: Path, options: Options) -> Finding:
     """Describe a file of joint readings of any format; InputError if it is not valid."""
     file = read_joint_file(path, read_as=options.read_as)
-    if isinstance(file.rows, TableRows):
-        count, times = len(file.rows), file.rows.times[[0, -1]].tolist()
-        ranges = {one.joints[0]: (float(one.values.min()), float(one.values.max())) for one in file.timed}
-    else:
-        rows = [row.readings() for row in file.rows.values()]
-        read_of = {name: [row[name] for row in rows if name in row] for name in file.joints}
-        ranges = {name: (min(values), max(values)) for name, values in read_of.items() if values}
-        count, times = len(rows), [row.time for row in file.rows.values() if row.time is not None]
+    for wrong in file.wrong.values():
+        raise InputError(wrong)
+    count, times = len(file.values), file.times[file.times != NO_TIME].tolist()
+    ranges = {
+        name: (float(np.nanmin(column)), float(np.nanmax(column)))
+        for name, column in zip(file.joints, file.values.T, strict=True)
+        if not np.isnan(column).all()
+    }
     lines = [f"{file.kind}: {counted(count, 'row')}", *(_range_text(name, *pair) for name, pair in ranges.items())]
     if without_readings := [name for name in file.joints if name not in ranges]:
         lines.append(f"no reading of {', '.join(without_readings)}")
@@ -271,7 +271,7 @@ def _inspect_joints(path: Path, options: Options) -> Finding:
         "time_ns": span,
     }
     if count == 1:
-        read["readings"] = rows[0]
+        read["readings"] = file.readings(0)
     return Finding("joint readings", tuple(lines), read, tuple(notes))
 
 

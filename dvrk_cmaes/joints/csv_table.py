@@ -32,8 +32,15 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.csv_file import Rows, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.joints.names import ARM_ORDER, IN_ORDER, joints_by_count, joints_of_arm, without_positions
-from dvrk_cmaes.joints.rows import JointFile, JointRow, TableRows
+from dvrk_cmaes.joints.names import (
+    ARM_ORDER,
+    IN_ORDER,
+    joint_reading,
+    joints_by_count,
+    joints_of_arm,
+    without_positions,
+)
+from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.joints.times import parse_time, parse_times, time_column
 
 _FIELD: Final = re.compile(r"field\.(name|position)(\d+)")
@@ -159,7 +166,7 @@ def read_plain_table(path: str, data: bytes, names: Sequence[str]) -> JointFile 
     """Read a table whose header is ``time`` and joints; None for any other, which `read_joint_csv` reads or refuses.
 
     Times are exact to the nanosecond; a blank cell and ``nan`` are missing readings. ``names`` are those of the joints
-    that are accepted.
+    that are accepted. InputError names the line of a reading in another unit.
     """
     begin = data.find(b"\n") + 1
     header = [name.strip() for name in data[:begin].removeprefix(b"\xef\xbb\xbf").decode("ascii", "replace").split(",")]
@@ -176,8 +183,14 @@ def read_plain_table(path: str, data: bytes, names: Sequence[str]) -> JointFile 
         more = len(found[0])
         times[count : count + more], values[count : count + more] = found
         begin, count = end, count + more
-    rows = TableRows(path, joints, times[:count], values[:count])
-    return JointFile(path, "joints.csv", rows, "message") if (np.diff(rows.times) > 0).all() else None
+    times, values = times[:count], values[:count]
+    if not (np.diff(times) > 0).all():
+        return None
+    read = ~np.isnan(values).all(axis=0)
+    for place in np.flatnonzero(read):
+        for worst in (np.nanargmax(values[:, place]), np.nanargmin(values[:, place])):
+            joint_reading(f"{path}: line {worst + 2}", joints[place], float(values[worst, place]))
+    return JointFile(path, "joints.csv", "message", {}, joints, times, values)
 
 
 def _numbers(chunk: bytes, columns: int) -> tuple[NDArray[np.int64], Float64] | None:
@@ -268,8 +281,6 @@ def read_joint_csv(
         if match is not None:
             comments[match[1].lower()] = match[2]
     header, rows = usual(*read_csv_rows(path, expected=EXPECTED, text=body, columns=columns))
-    if set(_MEASURED) <= set(header):
-        return _measured_table(path, header, rows)
     if "timestamp" in header and ("type" in comments or any(_POSITION.fullmatch(name) for name in header)):
         return _topic_table(path, header, rows, comments, names, arm)
     return _joint_table(path, header, rows, names, arm, numbered=bool(columns))
@@ -278,45 +289,41 @@ def read_joint_csv(
 def _joint_table(
     path: str, header: list[str], rows: Rows, names: Sequence[str], arm: str | None, *, numbered: bool
 ) -> JointFile:
-    """Read a joints.csv, or another table of joints: with frames, times, or, if ``numbered``, neither."""
-    time = time_column(path, header)
-    if "frame" not in header and time is None and not numbered:
+    """Read a joints.csv, or another table of joints: with frames, times, or, if ``numbered``, neither.
+
+    The rows of a table with measured_q1 to measured_q6 are labelled by ``traj_index``, or else by their number.
+    """
+    time, measured = time_column(path, header), {*_MEASURED} <= {*header}
+    key = "traj_index" if measured else "frame"
+    if key not in header and time is None and not measured and not numbered:
         raise InputError(
             f"{path}: header: expected a column frame or time and columns of joints, got {listed(header)} (rows that "
             "are only counted are read with --columns and the names of the columns)"
         )
     joints = [name for name in header if name not in ("frame", time, "-")]
-    places = joints_of_arm(f"{path}: header", joints, names, arm)
+    if measured:
+        columns = dict(zip(ARM_ORDER, _MEASURED, strict=True))
+    else:
+        columns = {name: joints[k] for name, k in joints_of_arm(f"{path}: header", joints, names, arm).items()}
     times = parse_times(time, [(where, cells[time]) for where, cells in rows]) if time else [None] * len(rows)
     found: dict[str, JointRow] = {}
     for count, ((where, cells), moment) in enumerate(zip(rows, times, strict=True)):
-        label = cells["frame"] if "frame" in header else f"row {count + 1}" if time else str(count)
+        label = cells[key] if key in header else f"row {count + 1}" if time and not measured else str(count)
+        if measured and key in header:
+            label = _whole_number(where, key, label)
         if not label:
             raise InputError(f"{where}: frame: expected a name, got a blank cell")
         if label in found:
-            raise InputError(f"{where}: frame: expected each frame once, got {shown(label)} again")
-        values = {joint: cells[joints[place]] for joint, place in places.items()}
-        found[label] = JointRow(f"{path}: frame {label}" if "frame" in header else where, values, moment)
+            what = "number" if measured else "frame"
+            raise InputError(f"{where}: {key}: expected each {what} once, got {shown(label)} again")
+        own = f"{path}: frame {label}" if key == "frame" and key in header else where
+        found[label] = JointRow(own, {joint: cells[name] for joint, name in columns.items()}, moment)
     if not found:
         raise InputError(f"{path}: expected a row for each frame, got a header only")
-    return JointFile(path, "joints.csv", found, "frame" if "frame" in header else "message" if time else "number")
-
-
-def _measured_table(path: str, header: list[str], rows: Rows) -> JointFile:
-    """Read the rows of a table with measured_q1 to measured_q6, labelled by ``traj_index``, or else by row number."""
-    time = time_column(path, header)
-    times = parse_times(time, [(where, cells[time]) for where, cells in rows]) if time else [None] * len(rows)
-    found: dict[str, JointRow] = {}
-    for count, ((where, cells), moment) in enumerate(zip(rows, times, strict=True)):
-        label = _whole_number(where, "traj_index", cells["traj_index"]) if "traj_index" in cells else str(count)
-        if label in found:
-            raise InputError(f"{where}: traj_index: expected each number once, got {label} again")
-        values = {joint: cells[name] for joint, name in zip(ARM_ORDER, _MEASURED, strict=True)}
-        found[label] = JointRow(where, values, moment)
-    if not found:
-        raise InputError(f"{path}: expected a row for each frame, got a header only")
-    notes = (f"measured_q1 to measured_q6 are taken as {', '.join(ARM_ORDER)}; the jaw is not among them",)
-    return JointFile(path, "measured_q1 to measured_q6 (CSV)", found, "number", notes)
+    if measured:
+        notes = (f"measured_q1 to measured_q6 are taken as {', '.join(ARM_ORDER)}; the jaw is not among them",)
+        return JointFile.of(path, "measured_q1 to measured_q6 (CSV)", found, "number", notes)
+    return JointFile.of(path, "joints.csv", found, "frame" if key in header else "message" if time else "number")
 
 
 def _whole_number(where: str, name: str, cell: str) -> str:
@@ -366,4 +373,4 @@ def _topic_table(
         notes.append(without_positions(len(rows) - len(found)))
     topic = comments.get("topic")
     described = f"JointState topic {topic or ''}".rstrip() + " (data_collection CSV)"
-    return JointFile(path, described, found, "message", tuple(notes))
+    return JointFile.of(path, described, found, "message", tuple(notes))

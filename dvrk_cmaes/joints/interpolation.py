@@ -23,12 +23,20 @@ Gaps = Callable[[Times, Times, Times], Known]
 _SPACINGS = 3.0  # in which the usual longest gap is measured
 
 
-def within(tolerance: float) -> Gaps:
-    """Return the rule that both readings are at most ``tolerance`` away, or one is at the time itself."""
+def known_where(*, away: float = np.inf, apart: float = np.inf, beyond: float = 0.0, at_readings: bool = True) -> Gaps:
+    """Return the rule that readings are known between two that are at most ``apart``, both at most ``away``.
+
+    They are known up to ``beyond`` before the first reading and after the last, too, and at the times of readings,
+    unless these are not ``at_readings``: a longer gap then includes the reading that ends it, and one after the first
+    reading the first as well.
+    """
 
     def known(times: Times, earlier: Times, later: Times) -> Known:
-        near = np.maximum(times - earlier, later - times) <= tolerance
-        return _is_read(times, earlier, later) | (_is_between(times, earlier, later) & near)
+        farther = np.maximum(times - earlier, later - times)
+        outside = np.maximum(earlier - times, times - later)
+        inside = (outside <= 0) & (farther <= away) & (later - earlier <= apart)
+        at_one = at_readings & ((times == earlier) | (times == later))
+        return np.asarray(inside | at_one | ((outside > 0) & (outside <= beyond)))
 
     return known
 
@@ -42,64 +50,13 @@ def largest_distance(stamps: Times, tolerance: int) -> int:
     return tolerance if len(stamps) < 4 else max(tolerance, round(1.5 * float(np.median(np.diff(stamps)))))
 
 
-def longest(gap: float) -> Gaps:
-    """Return the rule that the two readings are at most ``gap`` apart, or one is at the time itself."""
-
-    def known(times: Times, earlier: Times, later: Times) -> Known:
-        near = later - earlier <= gap
-        return _is_read(times, earlier, later) | (_is_between(times, earlier, later) & near)
-
-    return known
-
-
 def usual_spacing(stamps: Times, least: float) -> Gaps:
-    """Return the rule `longest` of three times the median spacing of ``stamps`` (N,), and not below ``least``.
+    """Return the rule of gaps of three times the median spacing of ``stamps`` (N,), and not below ``least``.
 
     Between fewer than three readings there is no gap.
     """
-    return longest(np.inf if len(stamps) < 3 else max(_SPACINGS * float(np.median(np.diff(stamps))), least))
-
-
-def unbroken(gap: float) -> Gaps:
-    """Return the rule that the two readings are at most ``gap`` apart, even if one is at the time itself.
-
-    A longer gap thus includes the reading that ends it, and one after the first reading the first as well.
-    """
-
-    def known(times: Times, earlier: Times, later: Times) -> Known:
-        return _is_between(times, earlier, later) & (later - earlier <= gap)
-
-    return known
-
-
-def extrapolated(gap: float) -> Gaps:
-    """Return the rule `longest`, and that readings are known up to ``gap`` before the first and after the last."""
-    inside = longest(gap)
-
-    def known(times: Times, earlier: Times, later: Times) -> Known:
-        beyond = np.maximum(earlier - times, times - later)
-        return inside(times, earlier, later) | ((beyond > 0) & (beyond <= gap))
-
-    return known
-
-
-def continued(gap: float) -> Gaps:
-    """Return the rule that readings are known from the first one until ``gap`` after the last, however far apart."""
-
-    def known(times: Times, earlier: Times, later: Times) -> Known:
-        return (earlier <= times) & (times <= later + gap)
-
-    return known
-
-
-def _is_between(times: Times, earlier: Times, later: Times) -> Known:
-    """Whether times are not beyond the ends of their series."""
-    return (earlier <= times) & (times <= later)
-
-
-def _is_read(times: Times, earlier: Times, later: Times) -> Known:
-    """Whether there are readings of the times themselves."""
-    return np.asarray((times == earlier) | (times == later))
+    usual = np.inf if len(stamps) < 3 else max(_SPACINGS * float(np.median(np.diff(stamps))), least)
+    return known_where(apart=usual)
 
 
 NANOSECONDS = 1_000_000_000
@@ -129,11 +86,17 @@ class TimedReadings:
 
     @classmethod
     def of(
-        cls, source: str, joints: tuple[str, ...], times: Sequence[int], values: Sequence[Sequence[float]]
+        cls,
+        source: str,
+        joints: tuple[str, ...],
+        times: Sequence[int] | NDArray[np.int64],
+        values: Sequence[Sequence[float]] | Float64,
     ) -> TimedReadings:
         """Create a time series from readings in any order, ns; of several at the same time, the last is used."""
         stamps = np.asarray(times, dtype=np.int64)
         table = np.asarray(values, dtype=np.float64).reshape(len(stamps), len(joints))
+        if (np.diff(stamps) > 0).all():
+            return cls(joints, stamps, table, source)
         # np.unique returns the first of equal times; the order is reversed to get the last
         increasing, last = np.unique(stamps[::-1], return_index=True)
         return cls(joints, increasing, table[::-1][last], source)

@@ -68,7 +68,7 @@ def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None
     notes = [IN_ORDER] if unnamed else []
     if skipped:
         notes.append(without_positions(skipped))
-    return JointFile(path, "JointState messages (YAML)", rows, "message", tuple(notes))
+    return JointFile.of(path, "JointState messages (YAML)", rows, "message", tuple(notes))
 
 
 def _cells(where: str, stated: Any, values: list[Any], names: Sequence[str], arm: str | None) -> dict[str, object]:

@@ -45,4 +45,4 @@ def read_joint_npy(path: str, data: bytes) -> JointFile:
     if values is None:
         raise InputError(f"{path}: expected {_EXPECTED}, got {dtype} of shape {shape}")
     cells = dict(zip(joints_by_count(path, len(values)), values, strict=True))
-    return JointFile(path, f"NumPy array of {len(values)}", {stem: JointRow(path, cells)}, "message")
+    return JointFile.of(path, f"NumPy array of {len(values)}", {stem: JointRow(path, cells)}, "message")

@@ -18,29 +18,14 @@ from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.io.files import read_bytes, text_of
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.csv_table import EXPECTED, LEAST, read_joint_csv, read_plain_table
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, largest_distance, weighted_mean, within
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, known_where, largest_distance, weighted_mean
 from dvrk_cmaes.joints.joint_state import is_joint_state, read_joint_state
 from dvrk_cmaes.joints.lag import Lag
-from dvrk_cmaes.joints.names import OUTER_JOINTS, WRIST_JOINTS, accepted_names, check_joint, joint_reading
+from dvrk_cmaes.joints.names import accepted_names, check_joint, joint_reading
 from dvrk_cmaes.joints.npy import MAGIC, read_joint_npy
 from dvrk_cmaes.joints.rows import BY_THEMSELVES, JointFile, JointRow, ReadAs, number_of
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.joints.times import time_in_name
-
-__all__ = [
-    "OUTER_JOINTS",
-    "TIME_TOLERANCE",
-    "WRIST_JOINTS",
-    "FrameReadings",
-    "JointFile",
-    "ReadAs",
-    "frame_readings",
-    "is_written_out",
-    "read_frame_joints",
-    "read_joint_file",
-    "read_joint_table",
-    "read_joints",
-]
 
 TIME_TOLERANCE = NANOSECONDS // 20
 """Default of the largest distance in time between an image and the readings before and after it, ns."""
@@ -84,7 +69,7 @@ def read_joints(text_or_path: str | Path, *, frame: str | None = None, known: It
         Name of the frame, to select its row; optional if the file has a single row. Not used for readings given as
         text.
     known
-        Names of the instrument's joints that are accepted besides ``OUTER_JOINTS`` and ``WRIST_JOINTS``.
+        Names of the instrument's joints that are accepted besides the dVRK's.
 
     Returns
     -------
@@ -97,15 +82,16 @@ def read_joints(text_or_path: str | Path, *, frame: str | None = None, known: It
         The readings are not valid; the message names the file, the frame or the joint, and what was expected.
     """
     file = read_joint_file(text_or_path, known=known)
-    return _required_row(file, frame).readings()
+    return file.readings(_required_row(file, frame))
 
 
-def read_joint_table(path: str | Path, *, known: Iterable[str] = ()) -> dict[str, dict[str, float]]:
-    """Read the joint readings of all rows of a file, by row label (frame, number or message), in the file's order.
+def read_joint_table(path: str | Path) -> dict[str, dict[str, float]]:
+    """Read the joint readings of all rows of a file, by their label (frame or number), in the file's order.
 
-    ``known`` and the errors are those of ``read_joints``.
+    Errors are those of ``read_joints``.
     """
-    return {label: row.readings() for label, row in read_joint_file(path, known=known).rows.items()}
+    file = read_joint_file(path)
+    return {label: file.readings(place) for label, place in file.names.items()}
 
 
 def read_joint_file(
@@ -118,7 +104,7 @@ def read_joint_file(
     names = accepted_names(known)
     if is_written_out(text_or_path):
         row = JointRow("joints", _written_out(str(text_or_path), names))
-        return JointFile("joints", "written-out readings", {"": row}, "message")
+        return JointFile.of("joints", "written-out readings", {"": row}, "message")
     path = str(text_or_path)
     data = read_bytes(path, expected=EXPECTED, largest=_LARGEST)
     if data.startswith(MAGIC):
@@ -174,13 +160,13 @@ def frame_readings(
     notes: list[str] = []
     farthest: int | None = None
     for file in files:
-        named = file.rows.get(frame) if file.labels == "frame" else None
-        if time is not None and file.timed and (named is None or named.time != time):
+        named = file.time(frame) if file.labels == "frame" else None
+        if time is not None and file.timed and named != time:
             found, distance = _interpolated(file, frame, time, tolerance)
             farthest = max(distance, farthest or 0)
         else:
             row, note = _row_of(file, frame, single=single)
-            found = {} if row is None else row.readings()
+            found = {} if row is None else file.readings(row)
             notes.extend(note)
         for name, value in found.items():
             if name in readings:
@@ -236,7 +222,7 @@ def read_frame_joints(
         ]
     image_time = time_in_name(image) if time is None else time
     for file in files:
-        only = len(file.rows) == 1 and (frame is None or file.labels == "number")
+        only = len(file.values) == 1 and (frame is None or file.labels == "number")
         if file.labels != "message" and not only and not (image_time is not None and file.timed):
             _required_row(file, name)  # raises InputError if the frame has no row
     if lag is None:
@@ -277,7 +263,7 @@ def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tup
     at = np.array([time])
     for timed in file.timed:
         most = largest_distance(timed.times, tolerance)
-        value = float(timed.at(at, within(most), weighted_mean)[0, 0])
+        value = float(timed.at(at, known_where(away=most), weighted_mean)[0, 0])
         nearest, farther = (int(distance[0]) for distance in timed.distances(at))
         if math.isnan(value):
             away = nearest / NANOSECONDS
@@ -290,36 +276,31 @@ def _interpolated(file: JointFile, frame: str, time: int, tolerance: int) -> tup
     return found, farthest
 
 
-def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[JointRow | None, tuple[str, ...]]:
-    """Find the row of a frame (None if there is none), and notes on how it was found."""
-    if single and len(file.rows) == 1:
-        return next(iter(file.rows.values())), ()
+def _row_of(file: JointFile, frame: str, *, single: bool) -> tuple[int | None, tuple[str, ...]]:
+    """Find the place of a frame's row (None if there is none), and notes on how it was found."""
+    if single and len(file.values) == 1:
+        return 0, ()
     if file.labels == "frame":
-        return file.rows.get(frame), ()
+        return file.names.get(frame), ()
     if file.labels == "number":
         label = str(number_of(frame))
-        if label in file.rows:
-            return file.rows[label], (
-                f"frame {frame} is taken for row {label} of {Path(file.path).name}, by its number",
-            )
-        return None, ()
+        note = f"frame {frame} is taken for row {label} of {Path(file.path).name}, by its number"
+        return file.names.get(label), (note,) if label in file.names else ()
     raise InputError(
         f"{file.path}: frame {frame}: expected the image's time (images.csv, or --time), to find its readings among "
-        f"{len(file.rows)} without a frame's name"
+        f"{len(file.values)} without a frame's name"
     )
 
 
-def _required_row(file: JointFile, frame: str | None) -> JointRow:
-    """Find the row of a named frame, or the only row; InputError if there is none."""
-    labels = list(file.rows)
-    if len(labels) == 1 and (frame is None or file.labels == "message"):
-        return file.rows[labels[0]]
+def _required_row(file: JointFile, frame: str | None) -> int:
+    """Find the place of a named frame's row, or of the only row; InputError if there is none."""
+    count, there = len(file.values), listed(file.names or ["messages"])
+    if count == 1 and (frame is None or file.labels == "message"):
+        return 0
     if frame is None:
-        raise InputError(
-            f"{file.path}: frame: expected the name of one of its {len(labels)} frames ({listed(labels)}), got none"
-        )
+        raise InputError(f"{file.path}: frame: expected the name of one of its {count} frames ({there}), got none")
     row, _ = _row_of(file, frame, single=False)
     if row is None:
-        near = listed(nearest_first(frame, labels))
-        raise InputError(f"{file.path}: frame: expected one of its {len(labels)} frames ({near}), got {shown(frame)}")
+        near = listed(nearest_first(frame, file.names))
+        raise InputError(f"{file.path}: frame: expected one of its {count} frames ({near}), got {shown(frame)}")
     return row

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,76 +47,25 @@ BY_THEMSELVES = ReadAs()
 """Of files that say all of it."""
 
 
-@dataclass(frozen=True, eq=False)
-class JointRow:
-    """One row or message of a file of readings.
+class JointRow(NamedTuple):
+    """One row or message of a file, as it is read.
 
-    The cells are checked only when the readings are requested, so that a wrong cell does not affect other rows.
-
-    Parameters
-    ----------
-    where
-        Prefix of error messages.
-    cells
-        Numbers or texts by joint name, blank if the reading is not known.
-    time
-        Time of the row, ns, or None.
+    where : prefix of error messages. cells : numbers or texts by joint name, blank if the reading is not known.
+    time : of the row, ns, or None.
     """
 
     where: str
     cells: Mapping[str, object]
     time: int | None = None
 
-    def readings(self) -> dict[str, float]:
-        """Check the cells and return the known readings, rad or m; InputError names a wrong cell."""
-        known = {name: cell for name, cell in self.cells.items() if not is_missing(cell)}
-        return {name: joint_reading(self.where, name, cell) for name, cell in known.items()}
 
-
-@dataclass(frozen=True, eq=False)
-class TableRows(Mapping[str, JointRow]):
-    """Rows of a table of numbers, each of which is made when it is asked for.
-
-    ``times`` (N,), ns, strictly increasing; ``table`` (N, J), rad or m, NaN where there is no reading.
-    """
-
-    path: str
-    joints: tuple[str, ...]
-    times: NDArray[np.int64]
-    table: Float64
-
-    def __getitem__(self, label: str) -> JointRow:
-        number = label.removeprefix("row ")
-        if number == label or not number.isdecimal() or not 1 <= int(number) <= len(self.times):
-            raise KeyError(label)
-        k = int(number) - 1
-        cells = dict(zip(self.joints, self.table[k].tolist(), strict=True))
-        return JointRow(f"{self.path}: line {k + 2}", cells, int(self.times[k]))
-
-    def __iter__(self) -> Iterator[str]:
-        return (f"row {k + 1}" for k in range(len(self.times)))
-
-    def __len__(self) -> int:
-        return len(self.times)
-
-    def series(self) -> dict[str, TimedReadings]:
-        """Return the readings of each joint that has some; InputError names a wrong cell."""
-        found = {}
-        for place, name in enumerate(self.joints):
-            column = self.table[:, place]
-            known = ~np.isnan(column)
-            for worst in (np.nanargmax(column), np.nanargmin(column)) if known.any() else ():
-                self[f"row {worst + 1}"].readings()  # raises InputError for one in another unit
-            if known.all():
-                found[name] = TimedReadings((name,), self.times, column[:, None], self.path)
-            elif known.any():
-                found[name] = TimedReadings((name,), self.times[known], column[known][:, None], self.path)
-        return found
+NO_TIME: Final = int(np.iinfo(np.int64).min)
+"""In place of the time of a row that has none."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointFile:
-    """A file of readings.
+    """A file of N rows of readings of J joints.
 
     Parameters
     ----------
@@ -124,19 +73,64 @@ class JointFile:
         Path of the file, for messages.
     kind
         Description of the format.
-    rows
-        The rows by label.
     labels
-        Kind of the labels: names of frames, whole numbers, or running numbers of messages.
+        What names the rows: names of frames, whole numbers, or nothing, as of messages.
+    names
+        Place of each row by its label, in the file's order; empty for messages.
+    joints
+        Names of the joints that rows state, some of which may have no reading.
+    times : (N,) int64
+        Times of the rows, ns; ``NO_TIME`` for those without.
+    values : (N, J)
+        Readings, rad or m; NaN where there is none.
+    wrong
+        What is wrong in a row, by its place; this does not affect other rows.
     notes
         Assumptions made where the file is ambiguous, one sentence each.
     """
 
     path: str
     kind: str
-    rows: Mapping[str, JointRow]
     labels: Literal["frame", "number", "message"]
+    names: Mapping[str, int]
+    joints: tuple[str, ...]
+    times: NDArray[np.int64]
+    values: Float64
+    wrong: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        path: str,
+        kind: str,
+        rows: Mapping[str, JointRow],
+        labels: Literal["frame", "number", "message"],
+        notes: tuple[str, ...] = (),
+    ) -> JointFile:
+        """Create a file from its rows by label."""
+        joints = tuple(dict.fromkeys(name for row in rows.values() for name in row.cells))
+        values, wrong = np.full((len(rows), len(joints)), np.nan), dict[int, str]()
+        for place, row in enumerate(rows.values()):
+            known = [(k, joints[k]) for k in range(len(joints)) if not is_missing(row.cells.get(joints[k]))]
+            try:
+                values[place, [k for k, _ in known]] = [joint_reading(row.where, n, row.cells[n]) for _, n in known]
+            except InputError as error:
+                wrong[place] = str(error)
+        times = np.array([NO_TIME if row.time is None else row.time for row in rows.values()], np.int64)
+        names = {} if labels == "message" else {label: place for place, label in enumerate(rows)}
+        return cls(path, kind, labels, names, joints, times, values, wrong, notes)
+
+    def readings(self, place: int) -> dict[str, float]:
+        """Return the known readings of a row, rad or m, by joint; InputError names a wrong cell."""
+        if place in self.wrong:
+            raise InputError(self.wrong[place])
+        return {n: value for n, value in zip(self.joints, self.values[place].tolist(), strict=True) if value == value}
+
+    def time(self, name: str) -> int | None:
+        """Return the time of the row with a label, ns; None without a row or its time."""
+        found = int(self.times[self.names[name]]) if name in self.names else NO_TIME
+        return None if found == NO_TIME else found
 
     def by_number(self, frames: Iterable[str], offset: int, step: int) -> JointFile:
         """Return the file with the names of frames for the rows that have their numbers, as in `ReadAs`.
@@ -146,7 +140,7 @@ class JointFile:
         InputError
             No frame has a row.
         """
-        rows = {number: label for label in self.rows if (number := number_of(label)) is not None}
+        rows = {number: label for label in self.names if (number := number_of(label)) is not None}
         named = {
             label: frame
             for frame in frames
@@ -155,35 +149,24 @@ class JointFile:
         if not named:
             raise InputError(
                 f"{self.path}: --frame-offset {offset}, --frame-step {step}: expected rows of the frames, got none of "
-                f"{listed(frames)} among {listed(self.rows)}"
+                f"{listed(frames)} among {listed(self.names)}"
             )
-        renamed = {named.get(label, f"{label} (no frame)"): row for label, row in self.rows.items()}
+        renamed = {named.get(label, f"{label} (no frame)"): place for label, place in self.names.items()}
         note = f"frame N has row {offset} + {step} N of {Path(self.path).name}"
-        return replace(self, rows=renamed, labels="frame", notes=(*self.notes, note))
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Joints with a reading in at least one row, in order of appearance."""
-        if isinstance(self.rows, TableRows):
-            return tuple(self.rows.series())
-        return tuple(
-            dict.fromkeys(name for row in self.rows.values() for name, c in row.cells.items() if not is_missing(c))
-        )
+        return replace(self, names=renamed, labels="frame", notes=(*self.notes, note))
 
     @cached_property
     def timed(self) -> tuple[TimedReadings, ...]:
-        """Time series of each joint, from the rows that have a time."""
-        if isinstance(self.rows, TableRows):
-            return tuple(self.rows.series().values())
-        times: dict[str, list[int]] = {}
-        values: dict[str, list[list[float]]] = {}
-        for row in self.rows.values():
-            if row.time is None:
-                continue
-            for name, value in row.readings().items():
-                times.setdefault(name, []).append(row.time)
-                values.setdefault(name, []).append([value])
-        return tuple(TimedReadings.of(self.path, (name,), times[name], values[name]) for name in times)
+        """Time series of each joint, from the rows that have a time; InputError names a wrong cell of these."""
+        timed, found = self.times != NO_TIME, []
+        for place in (place for place in self.wrong if timed[place]):
+            raise InputError(self.wrong[place])
+        for name, column in zip(self.joints, self.values.T, strict=True):
+            known = timed & ~np.isnan(column)
+            rows = slice(None) if known.all() else known  # a view takes no memory
+            if known.any():
+                found.append(TimedReadings.of(self.path, (name,), self.times[rows], column[rows, None]))
+        return tuple(found)
 
 
 def is_missing(cell: object) -> bool:

@@ -174,10 +174,10 @@ class ReadingSeries:
         images
             Times of the images by frame, ns, or None.
         """
-        rows = {label: row for file in files if file.labels == "frame" for label, row in file.rows.items()}
-        stamps = {name: rows[name].time if time is None and name in rows else time for name, time in images.items()}
+        rows = {label: file.time(label) for file in files if file.labels == "frame" for label in file.names}
+        stamps = {name: rows.get(name) if time is None else time for name, time in images.items()}
         known = {name: time for name, time in stamps.items() if time is not None}
-        every = sorted({*known.values(), *(row.time for row in rows.values() if row.time is not None)})
+        every = sorted({*known.values(), *(time for time in rows.values() if time is not None)})
         if known and len(known) == len(stamps) and len(every) == 1:  # one image among readings without names
             every = sorted({time for file in files for timed in file.timed for time in timed.times.tolist()})
         if len(every) > 1 and len(known) == len(stamps) and all(file.timed for file in files):
@@ -192,13 +192,13 @@ class ReadingSeries:
                 float(np.median(np.diff(every))) / NANOSECONDS,
                 origin / NANOSECONDS,
             )
-        if len(files) != 1 or not rows or len(rows) < 2:
+        if len(files) != 1 or len(rows) < 2:
             return None
         labels = list(rows)
         numbers = [-1 if (number := number_of(label)) is None else number for label in labels]
         numbered = min(numbers) >= 0 and bool((np.diff(numbers) > 0).all())
         clock = np.array(numbers if numbered else range(len(labels)), dtype=np.float64)
-        series = cls._of_rows("frames", labels, clock, [rows[label].readings() for label in labels])
+        series = cls._of_rows("frames", labels, clock, [files[0].readings(k) for k in files[0].names.values()])
         return replace(series, frames={name: series.frames[name] for name in images if name in rows}, interval=1.0)
 
     @classmethod

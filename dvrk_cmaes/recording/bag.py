@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections import Counter
@@ -138,13 +137,13 @@ def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
         rows = {
             f"message {k + 1} of {series.source}": JointRow(
                 f"{path}: {series.source}: message {k + 1}",
-                dict(zip(series.joints, ("" if math.isnan(value) else value for value in row), strict=True)),
+                dict(zip(series.joints, row, strict=True)),
                 int(time),
             )
             for series in recording.readings
             for k, (time, row) in enumerate(zip(series.times, series.values.tolist(), strict=True))
         }
-    return JointFile(str(path), "ROS recording", rows, "message", recording.notes)
+    return JointFile.of(str(path), "ROS recording", rows, "message", recording.notes)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from dvrk_cmaes.instrument.inverse_kinematics import POSED_JOINTS, find_joints
 from dvrk_cmaes.io.csv_file import Rows, number_in, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
 from dvrk_cmaes.joints.interpolation import TimedReadings
-from dvrk_cmaes.joints.reading import JointFile, ReadAs, read_joint_file
+from dvrk_cmaes.joints.reading import read_joint_file
+from dvrk_cmaes.joints.rows import JointFile, ReadAs
 from dvrk_cmaes.joints.times import parse_time
 
 PosePoint = Literal["tip", "wrist-yaw"]

@@ -45,7 +45,7 @@ class Asked:
     def row_names(self, count: int) -> tuple[str, ...]:
         """Return the names of frames that the rows of the readings have, if these were read and are ``count``."""
         file = self.joints
-        names = tuple(file.rows) if isinstance(file, JointFile) and file.labels == "frame" else ()
+        names = tuple(file.names) if isinstance(file, JointFile) and file.labels == "frame" else ()
         return names if len(names) == count and all(map(_PLAIN.fullmatch, names)) else ()
 
     def given_readings(self) -> tuple[tuple[TimedReadings, ...], list[str]]:

@@ -44,7 +44,7 @@ from dvrk_cmaes.frames.video_frames import EXPECTED, open_capture
 from dvrk_cmaes.io.files import check_file, read_bytes
 from dvrk_cmaes.io.json_file import read_json, read_json_object
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean, within
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, joint_reading, joints_by_count
 from dvrk_cmaes.joints.times import parse_time
 from dvrk_cmaes.recording.camera import read_camera_bytes, with_pose
@@ -471,7 +471,7 @@ def at_images(
         )
     series = TimedReadings.of(source, joints, [taken[number] for number in values], list(values.values()))
     moments = [images[number] for number in values]
-    at, gaps = np.array(moments, dtype=np.int64), within(_WIDEST_GAP)
+    at, gaps = np.array(moments, dtype=np.int64), known_where(away=_WIDEST_GAP)
     known, interpolated = series.known(at, gaps), series.at(at, gaps, weighted_mean).tolist()
     at_images = [new if there else own for new, own, there in zip(interpolated, values.values(), known, strict=True)]
     return TimedReadings.of(source, joints, moments, at_images)

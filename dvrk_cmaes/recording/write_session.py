@@ -27,7 +27,7 @@ from dvrk_cmaes.io.csv_file import csv_text
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.output import whole_folder, write_bytes
 from dvrk_cmaes.io.short_text import listed
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, weighted_mean, within
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, weighted_mean
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.recording.given_masks import write_masks
@@ -311,7 +311,7 @@ def _interpolate_source(
     source: TimedReadings, times: Sequence[int], tolerance: int
 ) -> tuple[list[list[str]], InterpolationSummary]:
     """Interpolate the readings of one source at times, ns; return the cells of each time and a summary."""
-    at, gaps = np.array(times, dtype=np.int64), within(tolerance)
+    at, gaps = np.array(times, dtype=np.int64), known_where(away=tolerance)
     nearest, farther = source.distances(at)
     values = source.at(at, gaps, weighted_mean)
     known = np.isfinite(values).any(axis=1)

@@ -18,7 +18,7 @@ from dvrk_cmaes.frames.images import match_size
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Float64, Image
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, straight_line, unbroken
+from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_where, straight_line
 from dvrk_cmaes.joints.lag import Unit
 from dvrk_cmaes.joints.series import ReadingSeries
 from dvrk_cmaes.track.view_segmenter import EvidenceKind
@@ -56,7 +56,7 @@ class TrackClock:
             known = [(stamp, row[joint]) for stamp, row in self.readings if joint in row]
             stamps, values = np.array(known, dtype=np.float64).T
             series = TimedReadings((joint,), stamps, values[:, None])
-            found[joint] = series.at(times, unbroken(gap), straight_line)[:, 0]
+            found[joint] = series.at(times, known_where(apart=gap, at_readings=False), straight_line)[:, 0]
         return found
 
     @staticmethod

@@ -16,7 +16,7 @@ from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import Float64, frame_along, rotation_about_z, transform
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import INSERTION_OFFSET, OUTER_JOINTS, ROLL_OFFSET, Arm, base_from_root
-from dvrk_cmaes.joints.reading import WRIST_JOINTS
+from dvrk_cmaes.joints.names import WRIST_JOINTS
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.synth.scene import links_seen
 from dvrk_cmaes.synth.truth import Truth, pose_from_view

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from dvrk_cmaes.errors import DvrkCmaesError
-from dvrk_cmaes.joints.reading import WRIST_JOINTS
+from dvrk_cmaes.joints.names import WRIST_JOINTS
 from dvrk_cmaes.synth.levels import Level
 from dvrk_cmaes.synth.truth import Truth
 

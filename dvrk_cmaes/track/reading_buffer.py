@@ -15,7 +15,7 @@ from dvrk_cmaes.evidence.quantiles import median
 from dvrk_cmaes.geometry import Bool, Float64, Indices
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.arguments import checked_number
-from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, extrapolated, weighted_mean
+from dvrk_cmaes.joints.interpolation import Sparseness, TimedReadings, Times, known_where, weighted_mean
 from dvrk_cmaes.joints.names import ECM_JOINTS, check_readings
 
 _KEPT = 3.0  # s; older readings are dropped
@@ -183,7 +183,8 @@ class ReadingBuffer(ReadingRows):
         for columns, series in self._read_together():
             spacing = _usual_spacing(series.times)
             rate[columns] = of_series = _rate(series, time, max(_RATE_HALF_WIDTH, _RATE_SPACINGS * spacing))
-            gaps = extrapolated(max(self._gap, _GAP_SPACINGS * spacing))
+            gap = max(self._gap, _GAP_SPACINGS * spacing)
+            gaps = known_where(apart=gap, beyond=gap)
             row[columns] = series.at(np.array([time]), gaps, weighted_mean, of_series)[0]
         of_outer = self._of_outer()
         seconds = max(self._still, _STILL_SPACINGS * _usual_spacing(of_outer.times))
