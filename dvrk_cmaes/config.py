@@ -323,8 +323,6 @@ class SessionConfig:
         mask the predicted pose explains, is not searched globally.
     cables
         Whether coupling, play and wander of the cables are estimated, in addition to the offsets.
-    masks_again
-        Whether masks that were found in images are found again around the silhouettes that the session expects.
     shadows
         Whether stretches of a mask that lie off the silhouette of a fit count less the farther off they are, as where a
         shadow beside the shaft was taken for it. Keyframes of a recording that is followed as it comes always do.
@@ -355,7 +353,6 @@ class SessionConfig:
     cauchy: float = 0.25
     largest_misfit: float = 12.0
     cables: bool = True
-    masks_again: bool = True
     shadows: bool = False
     alike_seconds: float = field(default=0.5, metadata=_MAY_BE_ZERO)
     test_camera: bool = True
@@ -435,6 +432,7 @@ def _as_dict(tree: Any) -> dict[str, Any]:
 
 
 REMOVED = {
+    "session.masks_again": "masks stay as `batch` found them",
     "session.focal_length_percent": "see camera.focal_length_percent",
     "session.principal_point_px": "see camera.principal_point_percent, of the focal length",
     **dict.fromkeys(("search.screened", "search.screen_shrink", "search.screen_detail_m"), "see search.samples"),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -29,7 +29,7 @@ from dvrk_cmaes.calibration.model import SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraCheck, errors_of_camera
 from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
-from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup, FoundMasks
+from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
 from dvrk_cmaes.calibration.solve import FrameFits, frame_covariances, leave_one_out
 from dvrk_cmaes.calibration.stored_frame import camera_remarks
@@ -37,7 +37,6 @@ from dvrk_cmaes.calibration.together import Begun, Outcome, solved_alone
 from dvrk_cmaes.config import EstimateConfig, SessionConfig
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evidence.gather import Evidence
-from dvrk_cmaes.frames.seen_view import PackedMask
 from dvrk_cmaes.geometry import Float64, inverse
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS, Arm
@@ -63,13 +62,11 @@ class SolvedSession:
 
     ``results`` has all frames: the results with the session's prior, and the own results of frames that are left out.
     ``leave_one_out`` has the predictions for the frames that were fitted, whether or not they agree with the session.
-    ``found_masks`` has the masks, by view, that were found again and used instead of the frames' own.
     """
 
     calibration: SessionCalibration
     results: dict[str, Result]
     leave_one_out: dict[str, LeaveOneOutPrediction]
-    found_masks: Mapping[str, Mapping[str, PackedMask]] = field(default_factory=dict)
 
 
 def calibrate_session(
@@ -177,8 +174,7 @@ def _finished(given: _Given, outcome: Outcome | None) -> tuple[SolvedSession, di
     calibration = _judged(arm, _stated(given, arm, check, errors, results, predicted))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     evidence = {frame.name: one.views[0].evidence for frame, one in zip(arm.frames, arm.stored, strict=True)}
-    found_masks = (arm.again or FoundMasks()).masks
-    return SolvedSession(calibration, results, predicted, found_masks), evidence
+    return SolvedSession(calibration, results, predicted), evidence
 
 
 def _stated(
@@ -219,7 +215,6 @@ def _stated(
         shaft=check.shaft,
         blocks=dict(check.blocks),
         masks=arm.masks,
-        masks_again=(arm.again or FoundMasks()).compared,
         rig=arm.rig,
         commanded=dict(given.commanded),
         remarks=_remarks(arm, used, commanded),
@@ -382,8 +377,6 @@ def _report_task(
         (*([disagreement] if disagreement else ()), *_describe_slips(arm.model, i, setup.config.session)),
         agree=not disagreement,
         camera_errors=known[1],
-        first=None if arm.again is None else arm.again.first.get(i),
-        change=arm.change,
         brief=arm.frames[i].brief,
     )
 

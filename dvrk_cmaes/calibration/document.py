@@ -15,7 +15,6 @@ from dvrk_cmaes.calibration.blocks import BASE_AXES, OBSERVABLE, OUTER_OFFSETS, 
 from dvrk_cmaes.calibration.cables import SessionCables
 from dvrk_cmaes.calibration.endoscope import InFrames
 from dvrk_cmaes.calibration.lag import LagCurve
-from dvrk_cmaes.calibration.masks_again import MasksAgain
 from dvrk_cmaes.calibration.model import (
     Correction,
     Deviations,
@@ -101,7 +100,7 @@ class SessionCalibration:
     spreads : standard deviations from frame to frame, by joint and of the pose's ``slack``, rad and m.
     frames : names of the frames used. left_out : reasons for leaving out the others, by frame.
     leave_one_out : by frame, IoU and median contour distance, px, between its mask and the silhouette at the pose that
-    the other frames predict; its first mask, where masks were found again.
+    the other frames predict.
     leave_one_out_of_views : the same in each view of a rig by itself, by view and frame; empty of a single camera.
     iou, contour_px_95 : medians over the frames used, of the silhouettes at the poses of the joint solution.
     lag : lag of the images behind the readings; None if the session does not determine it.
@@ -113,7 +112,6 @@ class SessionCalibration:
     shaft : the radius of the shaft that the frames fit; None if it was not tested.
     blocks : what was found of further unknowns that all frames share, by block; the solution leaves them at zero.
     masks : the margin and the other errors that all masks share; None if they were not estimated.
-    masks_again : what changed as masks were found again around the expected silhouettes; None where they were not.
     rig : what the further views differ in from the rig's file, of those that were tested.
     views : the cameras and their places with which the session was solved; empty of frames in memory.
     endoscope : where an endoscope that moved stood, and the camera in its tip; None if it stood still. The base is then
@@ -144,7 +142,6 @@ class SessionCalibration:
     shaft: SessionShaft | None = None
     blocks: dict[str, FoundBlock] = field(default_factory=dict)
     masks: SessionMasks | None = None
-    masks_again: MasksAgain | None = None
     camera_errors: SquareOfFive = field(default_factory=partial(usual_covariance, CameraConfig()), metadata=SIGNIFICANT)
     rig: tuple[ViewRotation, ...] = ()
     views: tuple[ViewDocument, ...] = ()
@@ -225,7 +222,7 @@ class SessionCalibration:
             yield f"camera, against its file: {self.camera.describe()}"
         yield from (block.text for block in self.blocks.values())
         yield from (view.describe() for view in self.rig)
-        yield from (each.describe() for each in (self.masks, self.masks_again) if each is not None)
+        yield from (each.describe() for each in (self.masks,) if each is not None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration in the documented schema, ready for JSON."""
@@ -249,7 +246,7 @@ class SessionCalibration:
             "leave_one_out_of_views": {view: _predictions(own) for view, own in self.leave_one_out_of_views.items()},
             "quality": encoded_fields(self, "iou", "contour_px_95"),
             **encoded_fields(self, "lag", "lag_curve", "cables", "camera", "camera_errors", "shaft", "masks", "blocks"),
-            **encoded_fields(self, "masks_again", "rig", "views", "endoscope", "commanded", "arm"),
+            **encoded_fields(self, "rig", "views", "endoscope", "commanded", "arm"),
             "roll_offset": self.roll_offset,
             "seconds": round(self.seconds, 3),
             "seed": self.seed,

@@ -11,7 +11,6 @@ from typing import Any, Final, Self, TypeVar
 import numpy as np
 
 from dvrk_cmaes.calibration.frame_fit import FrameFit, fit_frame
-from dvrk_cmaes.calibration.masks_again import FindMasks, read_data
 from dvrk_cmaes.calibration.model import outer_readings
 from dvrk_cmaes.calibration.stored_frame import StoredFrame, changed, restored_views
 from dvrk_cmaes.camera.rig import turned_views
@@ -48,8 +47,8 @@ class SessionFrame:
 
     ``data`` are its data or a function that reads them, picklable where several processes are used. ``result`` is its
     own result, estimated without the session. ``keypoints`` (2, 2), px, are the jaw tips; ``time``, s, is that of its
-    image. ``find_masks`` finds its masks again around silhouettes, where they were found in its images. If it is
-    ``brief``, only what a calibration needs of it is measured: it is reported with its own pose and the overlaps.
+    image. If it is ``brief``, only what a calibration needs of it is measured: it is reported with its own pose and the
+    overlaps.
     """
 
     name: str
@@ -57,7 +56,6 @@ class SessionFrame:
     result: Result
     keypoints: Float64 | None = None
     time: float | None = None
-    find_masks: FindMasks | None = None
     brief: bool = False
 
     @property
@@ -105,9 +103,8 @@ class ReportTask:
     fit, including the calibration's. ``predicted`` are the pose and joints that the other frames predict, and
     ``predicted_std`` (J,) the standard deviations of these joints, rad. ``base`` (4, 4) is the camera_from_base of the
     fit and the corrected readings, ``doubts`` the texts of reasons to doubt the frame. If ``agree`` is true, the
-    frame's new result is the fit, otherwise its own result. ``first`` is the evidence of the frame's first masks,
-    against which the prediction is measured, if these are others, and ``change`` that of its cameras, as in `fit_task`.
-    ``brief`` is as in `SessionFrame`, ``camera_errors`` (5, 5) the covariance of the camera's parameters.
+    frame's new result is the fit, otherwise its own result. ``brief`` is as in `SessionFrame`, ``camera_errors`` (5, 5)
+    the covariance of the camera's parameters.
     """
 
     stored: StoredFrame
@@ -120,8 +117,6 @@ class ReportTask:
     doubts: tuple[str, ...]
     agree: bool
     camera_errors: Float64
-    first: StoredFrame | None = None
-    change: Float64 | None = None
     brief: bool = False
 
 
@@ -156,6 +151,11 @@ def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> Stor
     return StoredFrame.of(
         data, posed(frame.result, body.instrument.joint_names), body, config, frame.keypoints, features=not frame.brief
     )
+
+
+def read_data(data: FrameData | Callable[[], FrameData]) -> FrameData:
+    """Return the data of a frame, or what the function that reads them returns."""
+    return data if isinstance(data, FrameData) else data()
 
 
 def _changed_data(data: FrameData | Callable[[], FrameData], change: Callable[[FrameData], FrameData]) -> FrameData:
@@ -202,12 +202,7 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         of_views, rays = [[measure_overlap(view, at) for at in (task.predicted, task.fit.at)] for view in views], 0
     else:
         of_views, rays = measure_views(views, readings, poses, config)
-    measured, names = of_views, [view.name for view in views]
-    if task.first is not None:
-        first = restored_views(body, task.first, task.change)
-        measured, _ = measure_views(first, readings, Posed.stacked([task.predicted]), config)
-        names = [view.name for view in first]
-    predicted = pooled_quality([qualities[0] for qualities in measured])
+    predicted = pooled_quality([qualities[0] for qualities in of_views])
     own_result = task.result
     if task.brief:
         result = replace(own_result, quality=pooled_quality([qualities[1] for qualities in of_views]))
@@ -227,7 +222,7 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         task.predicted_std,
         predicted.iou,
         predicted.contour_px_median,
-        {name: (own[0].iou, own[0].contour_px_median) for name, own in zip(names, measured, strict=True)},
+        {view.name: (own[0].iou, own[0].contour_px_median) for view, own in zip(views, of_views, strict=True)},
     )
     return FrameReport(result, leave_one_out)
 

@@ -37,8 +37,6 @@ FARTHEST: Final = {"frames": 90.0, "s": 3.0}
 """Largest lag of the search, in either direction, where the frames agree at no lag in `RANGE`."""
 UNLIKELY: Final = 1.5
 """Ratio to the least misfit, from which on a lag is unlikely."""
-MOST_LAGS: Final = 3
-"""Largest number of lags at which a session is solved, beside none."""
 MOVE: Final = "a recording in which the arm moves quickly would determine it"
 NO_READINGS_AT_LAG: Final = "no readings once the lag is taken out"
 """Why a frame is left out."""
@@ -78,7 +76,6 @@ _SETTLED, _SETTLING = 0.01, 0.45  # steps of the search, by which a refined valu
 _SIGNIFICANT = 2.0  # standard deviations
 _LEAST_LAG = 0.3  # frames, below which a lag, or its change in half of the session, is not corrected
 _LARGEST_STD = 1.0  # frames, above which the lag is not determined
-_APART = 1.0  # frames, from which on two lags differ
 _AGREE = 3.0  # standard deviations of each lag, within which those of several arms are taken for one
 
 
@@ -121,34 +118,6 @@ class LagCurve(Document):
     def misfit(self) -> Float64:
         """The misfits (L,)."""
         return np.array([misfit for _, misfit in self.points])
-
-    @property
-    def against_none(self) -> bool:
-        """Whether the frames disagree much more without a lag than at the lag at which they agree best."""
-        if len(self.lags) < 3:
-            return False
-        return bool(self.misfit[np.argmin(np.abs(self.lags))] > UNLIKELY * self.misfit.min())
-
-    @property
-    def minima(self) -> list[float]:
-        """The minima between the ends that are not much higher than the lowest point, by increasing misfit."""
-        misfit = self.misfit
-        inner = np.arange(1, max(len(misfit) - 1, 1))
-        inner = (
-            inner[(misfit[inner] <= misfit[inner - 1]) & (misfit[inner] <= misfit[inner + 1])]
-            if len(misfit) > 2
-            else inner[:0]
-        )
-        order = inner[np.argsort(misfit[inner], kind="stable")]
-        return [float(self.lags[k]) for k in order if misfit[k] <= UNLIKELY * misfit.min()]
-
-    @property
-    def to_try(self) -> list[float]:
-        """The lags at which a session is solved, the best first; without zero."""
-        if len(self.lags) < 3:
-            return []
-        step = float(np.diff(self.lags).min())
-        return [lag for lag in self.minima if abs(lag) > 0.5 * step][:MOST_LAGS]
 
     def root_mean_square(self, frames: int, unknown: float, about: float = 0.0) -> float:
         """Return the root mean square of how far the lags that the curve allows are from one, in its unit.
@@ -209,9 +178,9 @@ class SessionLag:
     series; for readings that cannot be interpolated it is the time between their rows, None if that is not constant.
 
     ``lag`` is None where it is not determined, and ``undetermined`` then says why; ``curve`` is the disagreement of the
-    frames as a function of the lag, ``nowhere`` tells that they agree at none. ``rivals`` are lags, in the unit of the
-    series, that fit about as well as the one of the search. ``fixed`` tells that the lag was given, or is not looked
-    for: neither is it searched nor refined. ``alone`` tells that the other arms of the session have another one.
+    frames as a function of the lag, ``nowhere`` tells that they agree at none. ``fixed`` tells that the lag was given,
+    or is not looked for: neither is it searched nor refined. ``alone`` tells that the other arms of the session have
+    another one.
 
     Values (2,) of a lag are that in the middle of the frames, in the unit of the series, and its change by time.
     """
@@ -225,7 +194,6 @@ class SessionLag:
     undetermined: str = ""
     nowhere: bool = False
     curve: LagCurve | None = None
-    rivals: tuple[float, ...] = ()
     fixed: bool = False
     alone: bool = False
 
@@ -411,25 +379,6 @@ class SessionLag:
 
     # what is known of the lag
 
-    @property
-    def can_be_tried(self) -> bool:
-        """Whether no lag is known, and the readings follow each other closely enough that one can be taken out."""
-        return self.lag is None and not self.fixed and self.interpolable
-
-    def with_trial(self, value: float) -> SessionLag:
-        """Return the estimate with a lag to be tried, in the unit of the series; the frames' fits refine it."""
-        if self.series is None:
-            return self
-        step = self.step or self.series.interval
-        return replace(self, lag=Lag.of(value, step, self.series.unit, self.series.interval, applied=True))
-
-    def undecided(self) -> SessionLag:
-        """Return the estimate without the lag that the search has found, which is one of several."""
-        assert self.series is not None
-        lags = ", ".join(f"{lag:.3g}" for lag in sorted(self.rivals))
-        alike = f"frames agree about as well at {lags} {self.series.unit}"
-        return replace(self, lag=None, undetermined=f"{alike}, and at none they predict left-out frames clearly better")
-
     def with_estimate(self, found: Refined | None) -> SessionLag:
         """Return the estimate with a refined lag where that is determined; one that is taken out stays so."""
         lag: Lag | str = "the frames' disagreement has no minimum there, or too few frames have readings"
@@ -485,25 +434,13 @@ class SessionLag:
     # search by the frames' modes
 
     def searched(self, model: SessionModel, modes: Sequence[Sequence[Mode]]) -> SessionLag:
-        """Find the lag from the frames' own modes; arguments as in `find_consensus`.
-
-        Where the lags that follow from several minima of the curve differ, they are ``rivals``.
-        """
+        """Find the lag from the frames' own modes; arguments as in `find_consensus`."""
         if self.series is None or self.fixed:
             return self
         found, best = self._search(model, modes)
         if best is None:
             return found
-        refined = found.with_estimate(found._refined_modes(model, modes, best))
-        assert found.curve is not None
-        if not found.interpolable or refined.applied is None:
-            return refined
-        others = [one for lag in found.curve.minima if (one := found._refined_modes(model, modes, lag)) is not None]
-        lags, apart = [float(refined.values[_LAG])], _APART * found._known.interval
-        for lag in (float(one.values[_LAG]) for one in others):
-            if all(abs(lag - other) > apart for other in lags):
-                lags.append(lag)
-        return replace(refined, rivals=tuple(lags) if len(lags) > 1 else ())
+        return found.with_estimate(found._refined_modes(model, modes, best))
 
     def _refined_modes(self, model: SessionModel, modes: Sequence[Sequence[Mode]], lag: float) -> Refined | None:
         """Refine a lag of the search by the modes that agree there."""

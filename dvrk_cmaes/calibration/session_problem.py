@@ -7,7 +7,7 @@ prior, and the blocks of all arms are estimated from all fits. `checked` tests t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Final, Literal, NamedTuple
@@ -33,7 +33,6 @@ from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG, SessionLag, in_common
 from dvrk_cmaes.calibration.lasting_errors import USUAL_SIZE, CommonErrors, frames_alike
 from dvrk_cmaes.calibration.linearise import ArmOutlines, SessionOutlines, few_of
 from dvrk_cmaes.calibration.mask_growth import GrowthEstimate, MaskGrowth
-from dvrk_cmaes.calibration.masks_again import MasksAgain, with_masks
 from dvrk_cmaes.calibration.model import Deviations, SessionModel
 from dvrk_cmaes.calibration.session_camera import (
     IMPLAUSIBLE,
@@ -62,7 +61,6 @@ from dvrk_cmaes.calibration.variances import LastingEstimate, estimate_lasting, 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.frames.seen_view import PackedMask
 from dvrk_cmaes.geometry import Float64, Posed
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.arm import Arm
@@ -113,18 +111,6 @@ class ArmSetup:
 
 
 @dataclass(frozen=True, eq=False)
-class FoundMasks:
-    """Masks that were found again and are used, by frame and view, and the ``first`` evidence of these frames by index.
-
-    ``compared`` tells what changed, None before that is known.
-    """
-
-    masks: Mapping[str, Mapping[str, PackedMask]] = field(default_factory=dict)
-    first: Mapping[int, StoredFrame] = field(default_factory=dict)
-    compared: MasksAgain | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class ArmSession:
     """The frames of one arm in a session, and how far its estimation is.
 
@@ -138,7 +124,6 @@ class ArmSession:
     ``of_change`` (3, 3) its covariance, None until it is estimated; ``rig`` what the further views differ in from the
     file; ``margins`` those of the views' masks by name, empty until they are estimated; ``lasting`` the size of
     autocorrelated errors of the masks, ``growth`` what is known of their errors on some sides, None until estimated.
-    ``again`` are masks that were found again, None where they were not.
 
     ``remarks`` are about faults of the session as a whole that are put right, ``undetermined`` about what it does not
     determine; ``left_out`` are the reasons for which frames are left out, by name.
@@ -161,7 +146,6 @@ class ArmSession:
     found: Solved | None = None
     start: Calibration | None = None
     moved: Posed | None = None
-    again: FoundMasks | None = None
     remarks: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
@@ -662,67 +646,6 @@ def _solved_from(arms: Arms) -> Arms:
     return [replace(arm, found=own) for arm, own in zip(arms, found, strict=True)]
 
 
-def with_lag_of_fits(arms: Arms) -> tuple[Arms, float | None]:
-    """Determine the lag from the frames' fits where the modes did not; also returns one that is to be tried, or None.
-
-    If it does not differ from zero, it is kept with its standard deviation, but for where the modes tell against it:
-    each fit is near what the session without a lag expects, so that fits hardly tell others. What is not known of the
-    lag does not widen the solution any more then.
-    """
-    late = [
-        (arm.lag, ArmFrames(arm.model, arm.outlines(), arm.solution.calibration))
-        for arm in arms
-        if arm.lag.can_be_tried
-    ]
-    found = refine_lag(late, np.zeros(2), drift=False) if late else None
-    lag = None if found is None else late[0][0].decided(found)
-    if found is None or not isinstance(lag, Lag):
-        return arms, None
-    if lag.applied:
-        return arms, float(found.values[0])
-    if any(own.curve is not None and own.curve.against_none for own, _ in late):
-        return arms, None
-    none = [replace(arm, lag=replace(arm.lag, lag=lag)) if arm.lag.can_be_tried else arm for arm in arms]
-    return _finished(none), None
-
-
-def with_other_masks(arms: Arms, masks: Sequence[Mapping[int, Mapping[str, PackedMask]]]) -> Arms:
-    """Return arms with other masks of some frames, by index, solved in one more round from the current solution."""
-    changed = []
-    for arm, of_arm in zip(arms, masks, strict=True):
-        frames, stored = list(arm.frames), list(arm.stored)
-        for i, own in of_arm.items():
-            frames[i] = frames[i].with_data(partial(with_masks, own))
-        arm.setup.progress("solving again", len(of_arm))
-        new = arm.setup.run(gather_task, [frames[i] for i in of_arm])
-        for i, of_frame in zip(of_arm, new, strict=True):
-            stored[i] = of_frame
-        first = {i: arm.stored[i] for i in of_arm}
-        found = FoundMasks({frames[i].name: own for i, own in of_arm.items()}, first)
-        changed.append(replace(arm, frames=tuple(frames), stored=tuple(stored), again=found))
-    return fitted_again(
-        changed, masks, lost=[[i for i, agrees in enumerate(arm.agreeing) if not agrees] for arm in arms]
-    )
-
-
-def fitted_again(
-    arms: Arms, again: Sequence[Collection[int]], *, lost: Sequence[Collection[int]] | None = None
-) -> Arms:
-    """Return arms solved in one more round from the current solution, with new fits of the frames at some indices.
-
-    Those of them that are ``lost`` are also fitted from what their session predicts of them.
-    """
-    fitted = []
-    for arm, of_arm, disagree in zip(arms, again, lost or [()] * len(arms), strict=True):
-        expected = arm.model.priors(arm.solution.calibration)
-        starts = [
-            ((fit.at, expected[i].mean) if i in disagree else (fit.at,)) if i in of_arm else ()
-            for i, fit in enumerate(arm.fits)
-        ]
-        fitted.append(_fitted(arm, expected, starts, last=True))
-    return _finished(_estimated(fitted, keep_all=False))
-
-
 def checked(arms: Arms) -> list[tuple[ArmSession, CameraCheck]]:
     """Test whether the frames contradict the camera file, the instrument's sizes and the further blocks.
 
@@ -766,8 +689,4 @@ def _with_check(arm: ArmSession, check: CameraCheck) -> ArmSession:
 
 def with_common_lag(arms: Arms) -> Arms:
     """Return arms with the lag that their frames' modes tell in common."""
-    sure = [arm.lag.lag is not None and not arm.lag.rivals for arm in arms]
-    lags = [arm.lag for arm in arms]
-    if any(sure):  # the others' choice between several is that of those
-        lags = [replace(lag, lag=None, rivals=()) if lag.rivals else lag for lag in lags]
-    return [replace(arm, lag=lag) for arm, lag in zip(arms, in_common(lags), strict=True)]
+    return [replace(arm, lag=lag) for arm, lag in zip(arms, in_common([arm.lag for arm in arms]), strict=True)]

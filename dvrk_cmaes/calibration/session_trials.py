@@ -18,32 +18,20 @@ from dvrk_cmaes.calibration.consensus import INLIER_MISFIT
 from dvrk_cmaes.calibration.endoscope import Pieces, Steered
 from dvrk_cmaes.calibration.endoscope_search import LEAST_PIECE, find_hand_eye
 from dvrk_cmaes.calibration.frame_task import SessionFrame
-from dvrk_cmaes.calibration.lag import MOST_LAGS
-from dvrk_cmaes.calibration.lasting_errors import CORRELATED_FRAMES
-from dvrk_cmaes.calibration.masks_again import FoundAgain, again_task, compared, predicted_task
 from dvrk_cmaes.calibration.model import SessionModel, ecm_readings, outer_readings
 from dvrk_cmaes.calibration.session_problem import (
     Arms,
     ArmSession,
     ArmSetup,
-    FoundMasks,
     in_pieces,
     initialised,
     solved,
     with_common_lag,
-    with_lag_of_fits,
-    with_other_masks,
 )
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64, Posed
 
-Overlaps = Mapping[tuple[int, str], float]
-"""Overlap of each frame's masks and the silhouette that the other frames predict, by number of the arm and name."""
-
-_CLEAR = 2.0  # standard deviations of a mean difference, and ...
-_LEAST_GAIN = 0.005  # ... of overlap, by which a solution must predict better than another one
 _MOVED_SHARE = 0.1  # of the frames, that agree only if the session is cut where its base moved
-_WELL = 0.06  # of overlap, by which left-out frames may be worse than their own fits for the session to predict well
 _AGREE: Final = 4.0  # standard deviations of each unknown, within which arms find the same endoscope
 _OTHER_TIP: Final = (
     "the arms tell another camera in the endoscope's tip: each has its own; one arm's readings may be wrong"
@@ -55,21 +43,21 @@ def solve_session(arms: Arms) -> Arms:
     """Solve the arms of a session in one problem; one that is cut where the base moved is also solved in one piece.
 
     Frames near each other in time, whose masks err alike, agree with each other whatever they show. So a session stays
-    cut only if that explains clearly more frames. Masks that were found in images are then found again.
+    cut only if that explains clearly more frames.
 
     Raises
     ------
     InputError
         As `session_problem.initialised` and `solved`.
     """
-    session = _solved_at_its_lag(arms)
+    session = _solved(arms)
     if any(isinstance(arm.model.endoscope, Pieces) for arm in session):
         with contextlib.suppress(InputError):
-            whole = _solved_at_its_lag([replace(arm, setup=replace(arm.setup, may_cut=False)) for arm in arms])
+            whole = _solved([replace(arm, setup=replace(arm.setup, may_cut=False)) for arm in arms])
             gain = sum(sum(one.agreeing) - sum(other.agreeing) for one, other in zip(session, whole, strict=True))
             if gain < max(LEAST_PIECE, _MOVED_SHARE * sum(len(arm.frames) for arm in session)):
                 session = whole
-    return _with_masks_again(session) if arms[0].setup.config.session.masks_again else session
+    return session
 
 
 def started(arms: Arms) -> Arms:
@@ -106,78 +94,9 @@ def _with_lag_of_modes(arm: ArmSession) -> ArmSession:
     return arm if again.lag.nowhere else again
 
 
-def _solved_at_its_lag(arms: Arms) -> Arms:
-    """Solve a session; where the frames' own modes do not tell the lag, also at others.
-
-    These are the lags that the modes allow and the one that the fits without a lag tell. A solution at such a lag is
-    taken where it predicts frames that are left out clearly better than that without; else the fits may tell that there
-    is no lag. Where the frames' own modes agree at no lag, such a solution must also predict well: the best of wrong
-    ones predicts better than the others by chance. Where they agree about as well at several lags, the one must predict
-    clearly better than none and than the others, or none is taken out.
-    """
-    arms = started(arms)
-    several = any(arm.lag.rivals for arm in arms)
-    if several:
-        arms = [replace(arm, lag=arm.lag.undecided()) if arm.lag.rivals else arm for arm in arms]
-    lags = _lags_to_try(arms)
-    try:
-        session = solved(_initialised(arms))
-    except InputError:
-        trials = _at_lags(arms, lags)
-        if not trials:
-            raise
-        return trials[int(np.argmax([np.mean(list(_overlaps(trial).values())) for trial in trials]))]
-    if not any(arm.lag.can_be_tried for arm in session):
-        return session
-    session, by_fits = (session, None) if several else with_lag_of_fits(session)
-    without_lag = _overlaps(session)
-    if by_fits is None and all(arm.lag.lag is not None for arm in session) and _predicts_well(session, without_lag):
-        return session
-    trials = _at_lags(arms, lags if by_fits is None else [by_fits, *lags])
-    overlaps = [_overlaps(trial) for trial in trials]
-    best = best_predicting(without_lag, overlaps)
-    if best is None:
-        return session
-    if any(arm.lag.nowhere for arm in session) and not _predicts_well(trials[best], overlaps[best]):
-        return session
-    apart = [own for trial, own in zip(trials, overlaps, strict=True) if _lags_differ(trial, trials[best])]
-    if several and any(best_predicting(own, [overlaps[best]]) is None for own in apart):
-        return session
-    return trials[best]
-
-
-def _lags_to_try(arms: Arms) -> list[float]:
-    """Return the lags at which a session is solved, the best first, in the unit of its readings' times."""
-    lags = list[float]()
-    for arm in arms:
-        if arm.lag.can_be_tried:
-            of_curve = [] if arm.lag.curve is None else arm.lag.curve.to_try
-            lags += [lag for lag in (_nonzero(arm) if arm.lag.rivals else of_curve) if lag not in lags]
-    return lags[:MOST_LAGS]
-
-
-def _nonzero(arm: ArmSession) -> list[float]:
-    """Return the lags that fit about as well as each other, without one that hardly differs from none."""
-    return [lag for lag in arm.lag.rivals if abs(lag) > 0.5 * (arm.lag.step or 0.0)]
-
-
-def _lags_differ(one: Arms, other: Arms) -> bool:
-    """Whether the lags of two solutions differ by more than a frame."""
-    pairs = [(a.lag.applied, b.lag.applied) for a, b in zip(one, other, strict=True)]
-    frames = [[0.0 if lag is None or lag.frames is None else lag.frames for lag in pair] for pair in pairs]
-    return any(abs(first - second) > 1.0 for first, second in frames)
-
-
-def _at_lags(arms: Arms, lags: Sequence[float]) -> list[Arms]:
-    """Solve a session at some lags, but for those that its readings contradict."""
-    trials = []
-    for lag in lags:
-        for arm in arms:
-            arm.setup.progress("trying another lag", len(arm.frames))
-        tried = [replace(arm, lag=arm.lag.with_trial(lag)) if arm.lag.lag is None else arm for arm in arms]
-        with contextlib.suppress(InputError):
-            trials.append(solved(_initialised(tried)))
-    return trials
+def _solved(arms: Arms) -> Arms:
+    """Solve a session at the lag that its frames' own modes determine."""
+    return solved(_initialised(started(arms)))
 
 
 def _initialised(arms: Arms) -> Arms:
@@ -226,96 +145,6 @@ def _of_endoscope(arm: ArmSession) -> Float64:
     """Return the covariance (M, M) of the endoscope's values that the frames of an arm tell."""
     place = arm.solution.calibration.place("endoscope")
     return arm.solution.covariance[place, place]
-
-
-def _overlaps(arms: Arms) -> Overlaps:
-    """Return the overlap of each frame's masks and the silhouette that all other frames predict."""
-    found = dict[tuple[int, str], float]()
-    for k, arm in enumerate(arms):
-        pairs = zip(arm.stored, arm.left_out_predictions(), strict=True)
-        measured = arm.setup.run(predicted_task, [(stored, [at], arm.change) for stored, at in pairs])
-        found |= {(k, frame.name): iou for frame, ((iou, _),) in zip(arm.frames, measured, strict=True)}
-    return found
-
-
-def best_predicting(first: Overlaps, others: Sequence[Overlaps]) -> int | None:
-    """Return which of several solutions predicts the frames best, or None if none is clearly better than the first.
-
-    Parameters
-    ----------
-    first, others
-        Overlap of each frame's mask and the silhouette that the other frames predict.
-    """
-    gains = []
-    for other in others:
-        both = sorted(first.keys() & other.keys())
-        change = np.array([other[name] - first[name] for name in both])
-        error = float(change.std() / np.sqrt(max(len(change) / CORRELATED_FRAMES, 1.0))) if len(change) else np.inf
-        gain = float(change.mean()) if len(change) else -np.inf
-        gains.append(gain if gain > max(_CLEAR * error, _LEAST_GAIN) else -np.inf)
-    best = int(np.argmax(gains)) if gains else 0
-    return best if gains and np.isfinite(gains[best]) else None
-
-
-def _predicts_well(arms: Arms, left_out: Overlaps) -> bool:
-    """Whether frames that are left out overlap nearly as well as their fits."""
-    fits = [fit.iou for arm in arms for fit in arm.fits]
-    return float(np.median(list(left_out.values()))) > float(np.median(fits)) - _WELL
-
-
-def _with_masks_again(session: Arms) -> Arms:
-    """Find the masks again that were found in images, around the fits, and solve again; returns the better solution.
-
-    Masks of frames that agree with the session are found around their fits, those of the others around what the session
-    predicts of them; only frames whose masks change are fitted again.
-    ``again`` of an arm tells what was compared; it is None without such frames.
-    """
-    found = [_found_again(arm) for arm in session]
-    if not any(found):
-        return session
-    new = [{i: own.masks for i, own in of_arm.items() if own.masks} for of_arm in found]
-    other = with_other_masks(session, new) if any(new) else session
-    each = [
-        compared(
-            [own.iou for own in of_arm.values()],
-            len(masks),
-            (before.solution.calibration.camera_from_base, after.solution.calibration.camera_from_base),
-            _both_predicted(before, after),
-            before.stored[0].camera.pixel_scale,
-        )
-        for of_arm, masks, before, after in zip(found, new, session, other, strict=True)
-        if of_arm
-    ]
-    applied = all(one.applied or not one.changed for one in each) and any(one.applied for one in each)
-    told = iter(each)
-    better = other if applied else session
-    out = []
-    for arm, of_arm in zip(better, found, strict=True):
-        again = replace(next(told), applied=applied) if of_arm else None
-        out.append(replace(arm, again=replace(arm.again or FoundMasks(), compared=again)) if of_arm else arm)
-    return out
-
-
-def _found_again(arm: ArmSession) -> dict[int, FoundAgain]:
-    """Find the masks of an arm's frames again."""
-    agree, expected = arm.agreeing, arm.model.priors(arm.solution.calibration)
-    tasks = {
-        i: (frame.data, frame.find_masks, arm.fits[i].at if agree[i] else expected[i].mean, agree[i], arm.change)
-        for i, frame in enumerate(arm.frames)
-        if frame.find_masks is not None
-    }
-    if not any(agree[i] for i in tasks):
-        return {}
-    arm.setup.progress("finding masks again", len(tasks))
-    return dict(zip(tasks, arm.setup.run(again_task, list(tasks.values())), strict=True))
-
-
-def _both_predicted(before: ArmSession, after: ArmSession) -> list[tuple[tuple[float, float], tuple[float, float]]]:
-    """Measure what the other frames predict of the first masks of each agreeing frame, by both solutions."""
-    poses = list(zip(before.left_out_predictions(), after.left_out_predictions(), strict=True))
-    used = [i for i, agrees in enumerate(before.agreeing) if agrees]
-    tasks = [(before.stored[i], poses[i], before.change) for i in used]
-    return [(first, second) for first, second in before.setup.run(predicted_task, tasks)]
 
 
 _LEAST_AGREEING = 0.7  # of the frames, from which on others are predicted from them

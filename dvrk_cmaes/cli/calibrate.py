@@ -257,7 +257,6 @@ def _begin_arm(
     from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.io.output import output
     from dvrk_cmaes.results.folder import ALONE, read_results
-    from dvrk_cmaes.runs.backgrounds import segment_settings
     from dvrk_cmaes.runs.pool import instrument_pool, usable_cores
 
     session, most = arm.session, count or usable_cores()
@@ -268,13 +267,12 @@ def _begin_arm(
         if results is not None:
             processes.begin()  # while the rest of the program is imported
             alone = read_results(results).frames
-            segment = segment_settings(session, results) if settings.session.masks_again else None
         else:
             results = target / ALONE
             done = estimated(arm, results, workers={"executor": processes}, config=replace(settings, threads=1))
             if done.interrupted:
                 return Begun.of(None)
-            alone, segment = done.results, done.setup.segment
+            alone = done.results
         from dvrk_cmaes.runs.calibrate_folder import begin_folder
 
         begun = begin_folder(
@@ -286,7 +284,6 @@ def _begin_arm(
             refine_camera=refine_camera,
             lag=lag,
             config=settings,
-            segment=segment,
             progress=lambda stage, count: note(f"{stage}: {count} frames"),
         )
         return begun.within(stack.pop_all())

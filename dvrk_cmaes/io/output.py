@@ -469,20 +469,6 @@ def check_files(path: Path, command: str, names: Iterable[str]) -> None:
         out.refuse(names)
 
 
-def edited(path: Path, names: Iterable[str]) -> set[str]:
-    """Return which of a folder's files have another content than its run.json states."""
-    with _writing(path / RUN, "results"), open(path / RUN, "rb") as file:
-        noted = _parsed(file.read(_LARGEST), path / RUN)[1]
-    with _folder(path) as folder:
-        found = set()
-        for name in names:
-            *above, last = name.split("/")
-            with _inner(folder, path, above, make=False) as inner:
-                if name in noted and _digest(inner, last) not in noted[name]:
-                    found.add(name)
-        return found
-
-
 def _write(folder: int, name: str, data: bytes, *, lock: bool = False) -> int:
     """Write a file under a temporary name, and rename it; returns its open descriptor."""
     temporary = _temporary()

@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 
 from dvrk_cmaes.frames.frame import FrameFiles, image_of, readable
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.results.paths import found_masks
-from dvrk_cmaes.runs.manifest import read_manifest
 from dvrk_cmaes.segment.background import MOST, learn_background
 from dvrk_cmaes.segment.segmentation import SegmentSettings
 from dvrk_cmaes.silhouette.threads import map_threaded
@@ -42,18 +39,6 @@ def with_backgrounds(
                 images[name].append(own)
     loads = {name: [partial(image_of, own) for own in _moved(of_view)] for name, of_view in images.items()}
     return _learned(settings, {name: of_view for name, of_view in loads.items() if of_view})
-
-
-def segment_settings(session: Session, results: Path) -> SegmentSettings | None:
-    """Return how the masks of a session were found in its images, given the folder of these results.
-
-    None where it is not known, no mask was found, or not by the classic model.
-    """
-    manifest = read_manifest(results)
-    found = any(not files.has_mask and found_masks(results, files.name) for files in session.frames)
-    if manifest is None or not found or manifest.get("segment", {}).get("model") != "classic":
-        return None
-    return with_backgrounds(SegmentSettings(), session.frames, session.rig.names)
 
 
 def learned_backgrounds(settings: SegmentSettings, images: Mapping[str, Sequence[Path]]) -> SegmentSettings:

@@ -2,7 +2,7 @@
 
 OUT/session.json, OUT/camera.yaml (a refined camera; of a rig that was changed, OUT/left.yaml and OUT/right.yaml),
 OUT/frames/FRAME.json, OUT/overlays/FRAME.jpg, OUT/overlays_left_out/FRAME.jpg, OUT/poses.csv,
-OUT/summary.json, OUT/report.html, OUT/masks/FRAME.png (masks that were found again)
+OUT/summary.json, OUT/report.html
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -19,7 +18,6 @@ import numpy as np
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
 from dvrk_cmaes.calibration.frame_task import Run, SessionFrame
-from dvrk_cmaes.calibration.masks_again import FindMasks
 from dvrk_cmaes.calibration.session_problem import ArmSetup
 from dvrk_cmaes.calibration.together import Begun
 from dvrk_cmaes.camera import Rig
@@ -27,19 +25,16 @@ from dvrk_cmaes.camera.ros import write_camera_info
 from dvrk_cmaes.camera.view_document import ViewDocument
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.estimation.masks_again import ImagesOfFrame
 from dvrk_cmaes.evidence.gather import Evidence
 from dvrk_cmaes.frames.frame import FrameFiles, read_frame
-from dvrk_cmaes.frames.session_folder import Session
-from dvrk_cmaes.io.atomic import encoded_image, write_json
-from dvrk_cmaes.io.output import edited, opened_output, whole_folder, write_bytes
+from dvrk_cmaes.io.atomic import write_json
+from dvrk_cmaes.io.output import opened_output, whole_folder, write_bytes
 from dvrk_cmaes.joints.lag import Lag
 from dvrk_cmaes.results.folder import ALONE, SESSION
 from dvrk_cmaes.results.paths import (
     check_output,
     found_masks,
     left_out_path,
-    mask_path,
     overlay_path,
     result_path,
 )
@@ -49,8 +44,7 @@ from dvrk_cmaes.runs.batch import finish
 from dvrk_cmaes.runs.calibration_pictures import draw_task
 from dvrk_cmaes.runs.manifest import frame_stamps, instrument_digest, manifest_of
 from dvrk_cmaes.runs.pool import Pool, run_with_body
-from dvrk_cmaes.runs.worker import BatchSetup, hints_of
-from dvrk_cmaes.segment.segmentation import Hints, SegmentSettings
+from dvrk_cmaes.runs.worker import BatchSetup
 
 CAMERA = "camera.yaml"
 """File of the camera with which the session was solved, where that is not the session's own; of a rig, VIEW.yaml."""
@@ -66,7 +60,6 @@ def begin_folder(
     refine_camera: bool = False,
     lag: Lag | Literal["auto"] | None = None,
     config: EstimateConfig,
-    segment: SegmentSettings | None = None,
     progress: Callable[[str, int], None] = lambda stage, count: None,
 ) -> Begun[SolvedSession]:
     """Solve a session folder of an arm from its frames' own results; what finishes it writes everything to a folder.
@@ -74,8 +67,7 @@ def begin_folder(
     Finish it by `solved_together` or `solved_alone`.
 
     ``processes`` are those of `instrument_pool`. ``alone`` is the folder of those results; masks that were found in
-    images, and overlays of frames that are left out, are taken from there; with ``segment``, how they were found there,
-    they are found again around the silhouettes that the session expects. All files are written to a temporary folder,
+    images, and overlays of frames that are left out, are taken from there. All files are written to a temporary folder,
     which takes the place of an earlier one when it is whole.
 
     Raises
@@ -87,7 +79,6 @@ def begin_folder(
     """
     session, instrument = arm.session, arm.body.instrument
     files = {own.name: _with_mask(own, alone) for own in session.frames}
-    finders = _finders(session, alone, segment)
     frames = []
     for name, own in files.items():
         check_output(out, name)
@@ -99,7 +90,7 @@ def begin_folder(
                 f"frame {name}: instrument: expected {instrument.name}, got a result of {result.instrument}"
             )
         reader = functools.partial(read_frame, own, session.rig)
-        frames.append(SessionFrame(name, reader, result, own.keypoints, find_masks=finders.get(name)))
+        frames.append(SessionFrame(name, reader, result, own.keypoints))
     run = functools.partial(run_with_body, processes, instrument_digest(instrument), config)
     series, refined = session.reading_series(), (refine_camera or session.guessed, session.guessed)
     problem = ArmSetup(series, instrument, arm.kinematics, config, run, progress, *refined, lag=lag)
@@ -124,28 +115,22 @@ class _FolderAlone:
 
     def written(self, found: tuple[SolvedSession, dict[str, Evidence]]) -> SolvedSession:
         """Write a calibration with drawings of its frames; returns it with the cameras with which it was solved."""
-        (solved, evidence), session, files = found, self.arm.session, dict(self.files)
+        (solved, evidence), session = found, self.arm.session
         self.progress("drawing", len(solved.leave_one_out))
-        with TemporaryDirectory(prefix="dvrk-cmaes-") as folder:
-            masks = Path(folder)
-            files |= _with_masks_again(solved, session, masks, {name: files[name] for name in solved.found_masks})
-            corrected = Rig(solved.calibration.corrected_views(session.rig.views))
-            views = tuple(ViewDocument.of(view) for view in corrected.views)
-            calibration = replace(solved.calibration, views=views)
-            # the camera that was found is the session's from here on
-            if session.guessed and calibration.camera is not None:
-                calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
-                session = replace(session, rig=corrected)
-            solved = replace(solved, calibration=calibration)
-            tasks = [
-                (files[k], solved.results[k], left_out, evidence[k]) for k, left_out in solved.leave_one_out.items()
-            ]
-            drawn = self.run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
-            pictures = dict(zip(solved.leave_one_out, drawn, strict=True))
-            with whole_folder(self.out, "calibrate", overwrite=True, kept=(ALONE,)) as beside:
-                for path in masks.rglob("*.png"):
-                    write_bytes(beside / path.relative_to(masks), path.read_bytes())
-                _write(solved, pictures, replace(self.arm, session=session), beside, self.config, self.alone)
+        corrected = Rig(solved.calibration.corrected_views(session.rig.views))
+        calibration = replace(solved.calibration, views=tuple(ViewDocument.of(view) for view in corrected.views))
+        # the camera that was found is the session's from here on
+        if session.guessed and calibration.camera is not None:
+            calibration = replace(calibration, camera=calibration.camera.of_the_camera_found())
+            session = replace(session, rig=corrected)
+        solved = replace(solved, calibration=calibration)
+        tasks = [
+            (self.files[k], solved.results[k], left_out, evidence[k]) for k, left_out in solved.leave_one_out.items()
+        ]
+        drawn = self.run(functools.partial(draw_task, rig=session.rig, calibrated=corrected), tasks)
+        pictures = dict(zip(solved.leave_one_out, drawn, strict=True))
+        with whole_folder(self.out, "calibrate", overwrite=True, kept=(ALONE,)) as written:
+            _write(solved, pictures, replace(self.arm, session=session), written, self.config, self.alone)
         return solved
 
 
@@ -158,34 +143,6 @@ def _with_mask(files: FrameFiles, alone: Path | None) -> FrameFiles:
         return replace(files, mask=next(iter(masks.values()), None))
     others = {name: replace(own, mask=masks.pop(name, None)) for name, own in files.others.items()}
     return replace(files, mask=next(iter(masks.values()), None), others=others)
-
-
-def _finders(session: Session, alone: Path | None, segment: SegmentSettings | None) -> dict[str, FindMasks]:
-    """Return what finds masks again, by frame: of frames without masks, whose found ones were not corrected by hand."""
-    if alone is None or segment is None or segment.model != "classic":
-        return {}
-    out: dict[str, FindMasks] = {}
-    for files in session.frames:
-        found = [path.relative_to(alone).as_posix() for path in found_masks(alone, files.name)]
-        if not files.has_mask and found and not edited(alone, found):
-            out[files.name] = ImagesOfFrame(files, session.rig, segment, hints_of(files) or Hints())
-    return out
-
-
-def _with_masks_again(
-    solved: SolvedSession, session: Session, folder: Path, files: Mapping[str, FrameFiles]
-) -> dict[str, FrameFiles]:
-    """Write the masks of frames that were found again below a folder; returns the frames with them."""
-    alone, out = len(session.rig.views) == 1, {}
-    for name, own in files.items():
-        paths = {}
-        for view, mask in solved.found_masks[name].items():
-            paths[view] = mask_path(folder, name, "" if alone else view)
-            write_bytes(paths[view], encoded_image(paths[view], mask.restored()))
-        first = session.rig.names[0]
-        others = {view: replace(each, mask=paths.get(view, each.mask)) for view, each in own.others.items()}
-        out[name] = replace(own, mask=paths.get(first, own.mask), others=others)
-    return out
 
 
 def _write(
