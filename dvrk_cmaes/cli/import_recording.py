@@ -281,13 +281,13 @@ def import_recording(
     taken, said = _lag(selected.lag, selected.calibration)
     video.check()
     check_range("--episode", part.episode, 0, MOST_EPISODES)
-    from dvrk_cmaes.frames.own_files import OwnFiles
+    from dvrk_cmaes.frames.own_files import check_own_folder
     from dvrk_cmaes.frames.picture_fit import parse_crop
     from dvrk_cmaes.recording.recording import Asked
     from dvrk_cmaes.recording.video import Pictures
     from dvrk_cmaes.recording.write_session import ImageSelection, write_session
 
-    OwnFiles(recording).check_folder()
+    check_own_folder(recording)
     table = _table(video.joints, poses, part.arm[0] if len(part.arm) == 1 else None)
     asked = Asked("left", part.arm[0] if part.arm else None, video.camera, table, video.video_start)
     crop = None if video.crop is None else parse_crop("--crop", video.crop)

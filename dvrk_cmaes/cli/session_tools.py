@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.camera.guess import CameraGuess
     from dvrk_cmaes.cli.options import CameraOptions, InstrumentOptions
     from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
-    from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.frames.video_frames import Video
     from dvrk_cmaes.geometry import Float64
     from dvrk_cmaes.results.result import Result
     from dvrk_cmaes.runs.agreement import ArmInSession
@@ -35,7 +35,7 @@ def read_arms(
     guess: CameraGuess | None = None,
     joints: Sequence[Path] | None = (),
     reading: ReadingOptions = DEFAULT_READING,
-    video: SessionVideo | None = None,
+    video: Video | None = None,
     labelled: bool = False,
     ahead: bool = True,
 ) -> dict[str, ArmInSession]:

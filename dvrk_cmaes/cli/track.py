@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from dvrk_cmaes.calibration.document import SessionCalibration
     from dvrk_cmaes.calibration.together import Begun
     from dvrk_cmaes.config import EstimateConfig
-    from dvrk_cmaes.frames.session_video import SessionVideo
+    from dvrk_cmaes.frames.video_frames import Video
     from dvrk_cmaes.runs.agreement import ArmInSession
     from dvrk_cmaes.runs.track import TrackedArm
 
@@ -272,27 +272,26 @@ def track(
     return DOUBTFUL if doubts or any(set(of_arm) - {"ok"} for of_arm in counts.values()) else 0
 
 
-def _session_of(path: Path, follow: TrackOptions, out: Path, camera: CameraOptions) -> tuple[Path, SessionVideo | None]:
+def _session_of(path: Path, follow: TrackOptions, out: Path, camera: CameraOptions) -> tuple[Path, Video | None]:
     """Return the session folder of a path, that of a ROS recording in ``out``, and the video that has its images.
 
     The video of a session counts where it has no images, and its masks are not all that is asked for. InputError if
     there is nothing at the path, it is neither, or it holds links that leave it.
     """
-    from dvrk_cmaes.frames.own_files import OwnFiles
-    from dvrk_cmaes.frames.session_video import SessionVideo, own_video
-    from dvrk_cmaes.frames.video_frames import SUFFIXES
+    from dvrk_cmaes.frames.own_files import check_own, check_own_folder
+    from dvrk_cmaes.frames.video_frames import SUFFIXES, Video, own_video
     from dvrk_cmaes.recording.topics import is_bag
 
     if path.suffix.lower() in SUFFIXES and not path.is_dir():
-        return path.parent, SessionVideo.open(path, side=camera.side)
+        return path.parent, Video(path)
     if is_bag(path):
-        OwnFiles(path).check_folder()
+        check_own_folder(path)
         return _imported(path, out / "session", camera.camera, follow.readings), None
     if not path.is_dir():
         raise InputError(f"{path}: {no_folder(path)}; expected a session folder, a video or a ROS recording")
     video = own_video(path) if follow.evidence == "images" or not (path / "masks").is_dir() else None
-    OwnFiles(path).check_all([video])
-    return path, None if video is None else SessionVideo.open(video, side=camera.side)
+    check_own(path, [video])
+    return path, None if video is None else Video(video)
 
 
 def _imported(path: Path, folder: Path, camera: Path | None, joints: Path | None) -> Path:

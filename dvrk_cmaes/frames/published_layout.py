@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles
-from dvrk_cmaes.frames.own_files import OwnFiles
+from dvrk_cmaes.frames.own_files import check_own
 from dvrk_cmaes.io.short_text import natural
 from dvrk_cmaes.joints.reading import frame_readings, read_joint_file
 
@@ -25,18 +25,18 @@ def is_published_layout(root: Path) -> bool:
     return next(_images(root), None) is not None
 
 
-def find_published_frames(root: Path, own: OwnFiles) -> tuple[FrameFiles, ...]:
+def find_published_frames(root: Path) -> tuple[FrameFiles, ...]:
     """Find the frames of a folder of this layout, sorted by name.
 
     A frame's name is the number of its image, prefixed with the folder's name if two folders have the same number. An
-    error in its readings is recorded as the frame's ``problem``. Links that leave ``own`` are refused.
+    error in its readings is recorded as the frame's ``problem``. Links that leave the folder are refused.
     """
     images = list(_images(root))
     numbers = [number for number, _ in images]
     frames = []
     for number, image in images:
         name = number if numbers.count(number) == 1 else f"{image.parent.name}_{number}"
-        frames.append(_frame(name, number, image, own))
+        frames.append(_frame(root, name, number, image))
     return tuple(sorted(frames, key=lambda frame: natural(frame.name)))
 
 
@@ -53,12 +53,12 @@ def _images(root: Path) -> Iterator[tuple[str, Path]]:
                 yield match[1], path
 
 
-def _frame(name: str, number: str, image: Path, own: OwnFiles) -> FrameFiles:
+def _frame(root: Path, name: str, number: str, image: Path) -> FrameFiles:
     """Find the mask and the readings of an image by its number."""
     masks = [path for path in sorted(image.parent.iterdir()) if _MASK.fullmatch(path.name)]
     matching = [path for path in masks if int(path.stem) == int(number)]
     paths = [image.with_name(f"{kind}_{number}.npy") for kind in ("joint", "jaw")]
-    own.check_all((image, *matching, *paths))
+    check_own(root, (image, *matching, *paths))
     problem, readings = None, {}
     try:
         if len(matching) > 1:

@@ -32,11 +32,11 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.coco_mask import FILES, ROBOFLOW, frames_of
 from dvrk_cmaes.frames.frame import FrameFiles, frame_size
 from dvrk_cmaes.frames.keypoints import FramePrompts, read_boxes, read_keypoints
-from dvrk_cmaes.frames.own_files import OwnFiles
+from dvrk_cmaes.frames.own_files import check_own
 from dvrk_cmaes.frames.picture_fit import WHOLE, PictureFit
 from dvrk_cmaes.frames.published_layout import find_published_frames, is_published_layout
-from dvrk_cmaes.frames.session_video import SessionVideo
 from dvrk_cmaes.frames.truth import SessionTruth, read_golden
+from dvrk_cmaes.frames.video_frames import Video, VideoFrame
 from dvrk_cmaes.io.arguments import PATH, check_type
 from dvrk_cmaes.io.image_header import foreign
 from dvrk_cmaes.io.short_text import escaped, listed, natural, no_folder
@@ -55,6 +55,7 @@ NO_READINGS = "readings: none"
 UNCALIBRATED = "without a calibration: `dvrk-cmaes calibrate FOLDER`, and `dvrk-cmaes help uncalibrated`"
 """What to do where there is no camera file."""
 
+_DIGITS = 6  # of the name of a frame that is only numbered
 _COUNTED = 3  # frames from which on their numbers may be those of every N-th image
 _MANY = 2  # times as many rows as frames that are the first of them
 _WORD = re.compile(r"^(?:mask|label|seg)s?[_-]|[_-](?:mask|label|seg|gt)s?$", re.IGNORECASE)
@@ -165,7 +166,7 @@ def read_session(
     read_as: ReadAs = BY_THEMSELVES,
     fit: PictureFit = WHOLE,
     masks: Path | None = None,
-    video: SessionVideo | None = None,
+    video: Video | None = None,
     guess: CameraGuess | None = None,
 ) -> Session:
     """Find the frames of a session folder and read its files, except masks and images.
@@ -213,12 +214,12 @@ def read_session(
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: {no_folder(folder)}; expected a session with camera.yaml, joints.csv and masks")
-    mask_folder, own = root / "masks" if masks is None else masks, OwnFiles(root)
+    mask_folder = root / "masks" if masks is None else masks
     if masks is not None or video is not None or is_session_layout(root) or not is_published_layout(root):
-        frames, readings, times, notes = _session_frames(own, root, mask_folder, tuple(known), joints, read_as, video)
+        frames, readings, times, notes = _session_frames(root, mask_folder, tuple(known), joints, read_as, video)
         notes = ("a session folder", *notes)
     else:
-        frames, readings, times = find_published_frames(root, own), (), {}
+        frames, readings, times = find_published_frames(root), (), {}
         notes = ("frames in the published layout, a folder each",)
     if fit.crop is not None:
         frames = tuple(frame.changed(crop=fit.crop) for frame in frames)
@@ -227,19 +228,23 @@ def read_session(
     guessed = guess is not None and (guess.focal_px is not None or without_file)
     _check_cameras(root, camera, camera_right, stereo=stereo, guessed=guessed, plain=notes[0] == "a session folder")
     if stereo:
-        lens = fit.lens(_read_eyes(own, root, camera, camera_right, rectified, frames[0]), frames[0])
+        lens = fit.lens(_read_eyes(root, camera, camera_right, rectified, frames[0]), frames[0])
         notes = ("a session folder of two views", *notes[1:])
     else:
         if guess is not None and guessed:
             lens = guess.file(frame_size(frames[0]))
         else:
-            path = own.check(camera or _camera_file(root))
+            path = camera or _camera_file(root)
+            check_own(root, [path])
             if without_file:
                 raise InputError(f"{path}: no such file; expected a camera file (--camera FILE); {UNCALIBRATED}")
             lens = read_camera_file(path, rectified=rectified, side=side, size=lambda: frame_size(frames[0]))
-        frames = frames if video is None else video.fitted(frames, lens.camera)
+        if video is not None and (film := frames[0].video) is not None:
+            window = film.video.window(lens.camera, None, side)
+            frames = tuple(replace(own, video=own.video and replace(own.video, window=window)) for own in frames)
         lens = fit.lens(lens, frames[0])
-    golden = own.check(root / "golden.json")
+    golden = root / "golden.json"
+    check_own(root, [golden])
     return Session(
         folder=root,
         rig=lens.rig,
@@ -268,15 +273,13 @@ def _check_cameras(
         raise InputError(f"{root}: expected a camera file with the frames (--camera FILE), got none; {UNCALIBRATED}")
 
 
-def _read_eyes(
-    own: OwnFiles, root: Path, left: Path | None, right: Path | None, rectified: bool, frame: FrameFiles
-) -> CameraFile:
+def _read_eyes(root: Path, left: Path | None, right: Path | None, rectified: bool, frame: FrameFiles) -> CameraFile:
     """Read the camera files of a folder with two views of each frame."""
     if left is None and right is None and os.path.lexists(root / "left.yaml"):
         left, right = root / "left.yaml", root / "right.yaml"
     first = frame if frame.mask or frame.image else frame.others[_VIEWS[1]]
     left = left or _camera_file(root)
-    own.check_all((left, right))
+    check_own(root, (left, right))
     return read_rig(left, right, rectified=rectified, size=lambda: frame_size(first))
 
 
@@ -300,29 +303,26 @@ def _image_folder(root: Path) -> Path:
     return root if not is_session_layout(root) and image_files(root) else root / "images"
 
 
-def _masks_as_json(own: OwnFiles, root: Path, folder: Path) -> Mapping[str, Path]:
+def _masks_as_json(root: Path, folder: Path) -> Mapping[str, Path]:
     """Find masks as JSON by frame name: a file for each frame, or one for all."""
     found = {path.stem: path for path in sorted(folder.glob("*.json"), key=lambda path: natural(path.name))}
     whole = next((root / name for name in FILES if (root / name).is_file()), None)
-    return found if found or whole is None else dict.fromkeys(frames_of(own.check(whole)), whole)
+    check_own(root, [whole])
+    return found if found or whole is None else dict.fromkeys(frames_of(whole), whole)
 
 
-def _pictures(
-    own: OwnFiles, root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bool
-) -> list[list[Mapping[str, Path]]]:
+def _pictures(root: Path, mask_folder: Path, views: Sequence[str], *, filmed: bool) -> list[list[Mapping[str, Path]]]:
     """Find masks, images and ignored pixels by view and frame; InputError if there are none, and no video either."""
     folders = (mask_folder, root / "images" if filmed else _image_folder(root), root / "ignore")
+    check_own(root, folders)
     for folder in folders:
-        own.check(folder)
         if folder.is_symlink() and not folder.exists():
             raise InputError(f"{folder}: expected a folder, got a link to nothing")
     of_views = [[image_files(folder / view) for folder in folders] for view in views]
     if len(views) == 1 and not of_views[0][0]:
-        masks = of_views[0][0] = _masks_as_json(own, root, mask_folder)
+        masks = of_views[0][0] = _masks_as_json(root, mask_folder)
         _refuse_annotations(root, mask_folder, masks)
-    for kinds in of_views:
-        for of_kind in kinds:
-            own.check_all(of_kind.values())
+    check_own(root, (path for kinds in of_views for of_kind in kinds for path in of_kind.values()))
     if not filmed and not any(files for kinds in of_views for files in kinds[:2]):
         raise InputError(f"{mask_folder}: expected masks (PNG or JPEG) of the frames, got {_other_files(mask_folder)}")
     return of_views
@@ -342,34 +342,35 @@ def _with_readings(frame: FrameFiles, files: Sequence[JointFile], time: int | No
 
 
 def _session_frames(
-    own: OwnFiles,
     root: Path,
     mask_folder: Path,
     known: tuple[str, ...],
     joints: Sequence[Path | JointFile] | None,
     read_as: ReadAs,
-    video: SessionVideo | None,
+    video: Video | None,
 ) -> tuple[tuple[FrameFiles, ...], tuple[JointFile, ...], dict[str, int | None], tuple[str, ...]]:
     """Find the frames of the session layout, its files of readings, the images' times, and notes on the formats."""
     views = _VIEWS if _is_stereo(root, mask_folder) else (".",)
-    of_views = _pictures(own, root, mask_folder, views, filmed=video is not None)
+    of_views = _pictures(root, mask_folder, views, filmed=video is not None)
     _, images, ignore = of_views[0]
+    sources = () if joints is None else joints or _joint_files(root)
+    tables = [root / name for name in ("images.csv", "keypoints.csv", "boxes.csv")]
+    check_own(root, [*tables, *(source for source in sources if isinstance(source, Path))])
     files = [
-        source if isinstance(source, JointFile) else read_joint_file(own.check(source), known=known, read_as=read_as)
-        for source in (() if joints is None else joints or _joint_files(root))
+        source if isinstance(source, JointFile) else read_joint_file(source, known=known, read_as=read_as)
+        for source in sources
     ]
-    own.check_all(root / name for name in ("images.csv", "keypoints.csv", "boxes.csv"))
     named = set(images).union(*(file.names for file in files if file.labels == "frame"))
     for kinds in of_views:
         kinds[0] = with_names_of(mask_folder, kinds[0], kinds[1], named)
     masks = of_views[0][0]
     # lexists: a broken link is an error, not a missing file
-    times = read_image_times(root / "images.csv") if os.path.lexists(root / "images.csv") else {}
-    tips = read_keypoints(root / "keypoints.csv") if os.path.lexists(root / "keypoints.csv") else {}
-    boxes = read_boxes(root / "boxes.csv") if os.path.lexists(root / "boxes.csv") else {}
-    films = {} if video is None else video.frames(files, tuple(masks))
-    if video is not None and all(file.labels != "frame" for file in files):  # else the times are those of the rows
-        times = {name: video.start + video.video.times[film.number] for name, film in films.items()}
+    times = read_image_times(tables[0]) if os.path.lexists(tables[0]) else {}
+    tips = read_keypoints(tables[1]) if os.path.lexists(tables[1]) else {}
+    boxes = read_boxes(tables[2]) if os.path.lexists(tables[2]) else {}
+    films = {} if video is None else _filmed(video, files, tuple(masks))
+    if films and all(file.labels != "frame" for file in files):  # else the times are those of the rows
+        times = {name: film.video.times[film.number] for name, film in films.items()}
     image_times = {
         name: times.get(name, time_in_name(name))
         for name in sorted(set(films).union(*(files for kinds in of_views for files in kinds[:2])), key=natural)
@@ -381,13 +382,15 @@ def _session_frames(
             view: FrameFiles(name, kinds[0].get(name), {}, kinds[1].get(name), kinds[2].get(name))
             for view, kinds in zip(views[1:], of_views[1:], strict=True)
         }
+        moments = [time, *(file.time(name) for file in files if file.labels == "frame")]
+        moment = next((each / NANOSECONDS for each in moments if each is not None), None)
         frame = FrameFiles(
             name,
             masks.get(name),
             image=images.get(name),
             ignore=ignore.get(name),
             keypoints=tips.get(name),
-            time=_seconds_of(files, name, time),
+            time=moment,
             others=others,
             prompts=boxes.get(name),
             video=films.get(name),
@@ -397,8 +400,29 @@ def _session_frames(
         farthest = max((d for d in (farthest, far) if d is not None), default=None)
     if all(frame.problem for frame in frames):
         raise InputError(str(frames[0].problem))
-    notes = (*(_described(files) or (NO_READINGS,)), *remarks, *_interpolation(farthest))
-    return tuple(frames), tuple(files), image_times, notes
+    notes = [text for file in files for text in (f"readings: {file.kind}", *file.notes)] or [NO_READINGS]
+    if farthest is not None:
+        away, most = farthest / NANOSECONDS, TIME_TOLERANCE / NANOSECONDS
+        remarks.append(
+            f"readings interpolated to the images' times, from at most {away:.3g} s away ({most:g} s are allowed)"
+        )
+    return tuple(frames), tuple(files), image_times, (*notes, *remarks)
+
+
+def _filmed(video: Video, files: Sequence[JointFile], masks: Sequence[str]) -> dict[str, VideoFrame]:
+    """Return the frames of a video by name: that of their masks, or of their rows in the readings, or their numbers.
+
+    Raises
+    ------
+    InputError
+        The readings have rows of named frames, but not one for each frame of the video.
+    """
+    count = len(video.times)
+    rows = next((tuple(file.names) for file in files if file.labels == "frame"), None)
+    if len(masks) != count and rows is not None and len(rows) != count:
+        raise InputError(f"{video.path}: expected {len(rows)} frames, as joints.csv has, got {count}")
+    names = masks if len(masks) == count else rows or [f"{number:0{_DIGITS}d}" for number in range(count)]
+    return {name: VideoFrame(video, number, (0, 0, *video.size)) for number, name in enumerate(names)}
 
 
 def _other_files(folder: Path) -> str:
@@ -450,17 +474,10 @@ def with_names_of(
     return masks
 
 
-def _seconds_of(files: Sequence[JointFile], frame: str, image_time: int | None) -> float | None:
-    """Return the time of a frame, s: that of its image (ns), or else of its row in the readings, if either is known."""
-    times = [image_time, *(file.time(frame) for file in files if file.labels == "frame")]
-    known = next((time for time in times if time is not None), None)
-    return None if known is None else known / NANOSECONDS
-
-
 def _meeting(
     files: Sequence[JointFile], image_times: Mapping[str, int | None], read_as: ReadAs
-) -> tuple[list[JointFile], tuple[str, ...]]:
-    """Return files of readings by the names of the frames, and a remark where their rows seem to be of other images.
+) -> tuple[list[JointFile], list[str]]:
+    """Return files of readings by the names of the frames, and remarks where their rows seem to be of other images.
 
     Raises
     ------
@@ -478,7 +495,7 @@ def _meeting(
             met.append(file.by_number(frames, read_as.offset, read_as.step))
             continue
         labels = list(file.names)
-        common = [name for name in frames if _has_row(file, name)]
+        common = [name for name in frames if (name if file.labels == "frame" else str(number_of(name))) in file.names]
         if not common and len(frames) > 1:  # a single frame may lack readings
             raise InputError(
                 f"{file.path}: none of {len(labels)} rows ({listed(labels, 2)}) has a frame's name "
@@ -493,12 +510,7 @@ def _meeting(
                 f"{Path(file.path).name}; if they are every N-th image, say --frame-offset 0 --frame-step N"
             )
         met.append(file)
-    return met, tuple(remarks)
-
-
-def _has_row(file: JointFile, frame: str) -> bool:
-    """Whether a file has the row of a frame, by its name or its number."""
-    return (frame if file.labels == "frame" else str(number_of(frame))) in file.names
+    return met, remarks
 
 
 def _joint_files(root: Path) -> list[Path]:
@@ -508,21 +520,6 @@ def _joint_files(root: Path) -> list[Path]:
         return [joints_csv]
     folders = [root, *(path for path in (root / "jaw",) if path.is_dir())]
     return [path for folder in folders for path in sorted(folder.iterdir()) if _TOPIC_DUMP.fullmatch(path.name)]
-
-
-def _described(files: Sequence[JointFile]) -> tuple[str, ...]:
-    """Return notes on the formats of files of readings."""
-    return tuple(text for file in files for text in (f"readings: {file.kind}", *file.notes))
-
-
-def _interpolation(farthest: int | None) -> tuple[str, ...]:
-    """Return a note on the largest distance in time between readings and images; none without interpolation."""
-    if farthest is None:
-        return ()
-    return (
-        f"readings interpolated to the images' times, from at most {farthest / NANOSECONDS:.3g} s away "
-        f"({TIME_TOLERANCE / NANOSECONDS:g} s are allowed)",
-    )
 
 
 def find_images(folder: str | Path) -> dict[str, Path]:
@@ -539,9 +536,8 @@ def find_images(folder: str | Path) -> dict[str, Path]:
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: {no_folder(folder)}; expected images, or a session with images")
-    own = OwnFiles(root)
     if not is_session_layout(root) and is_published_layout(root):
-        found = {frame.name: frame.image for frame in find_published_frames(root, own) if frame.image is not None}
+        found = {frame.name: frame.image for frame in find_published_frames(root) if frame.image is not None}
     elif any((root / "images" / view).is_dir() for view in _VIEWS):
         views = {view: image_files(root / "images" / view) for view in _VIEWS}
         found = {f"{view}/{name}": path for view, of_view in views.items() for name, path in of_view.items()}
@@ -549,7 +545,7 @@ def find_images(folder: str | Path) -> dict[str, Path]:
         found = dict(image_files(root / "images" if (root / "images").is_dir() else root))
     if not found:
         raise InputError(f"{folder}: expected images (PNG or JPEG), got none")
-    own.check_all(found.values())
+    check_own(root, found.values())
     return found
 
 

@@ -30,7 +30,7 @@ from typing import Any, Final, Literal, TypeVar
 from dvrk_cmaes.errors import InputError, nearest_first
 from dvrk_cmaes.frames.frame import Window
 from dvrk_cmaes.frames.label import Label, parse_label
-from dvrk_cmaes.frames.own_files import OwnFiles
+from dvrk_cmaes.frames.own_files import check_own
 from dvrk_cmaes.frames.picture_fit import PictureFit, parse_crop
 from dvrk_cmaes.io.toml_file import read_toml
 from dvrk_cmaes.io.typed_document import convert_document
@@ -119,7 +119,8 @@ def read_session_toml(folder: str | Path) -> SessionEntries | None:
     path = root / SESSION_FILE
     if not os.path.lexists(path):
         return None
-    document = read_toml(OwnFiles(root).check(path), expected="a session's description (TOML)")
+    check_own(root, [path])
+    document = read_toml(path, expected="a session's description (TOML)")
     tables = document.get("tool")
     tools: list[object] = tables if isinstance(tables, list) else []
     for prefix, table, kind in [

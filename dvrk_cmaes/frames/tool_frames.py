@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.frame import FrameFiles, OtherTool
-from dvrk_cmaes.frames.label import Label
-from dvrk_cmaes.frames.own_files import OwnFiles
+from dvrk_cmaes.frames.own_files import check_own
 from dvrk_cmaes.frames.session_folder import Session, image_files
-from dvrk_cmaes.frames.session_toml import SessionEntries, ToolEntry
+from dvrk_cmaes.frames.session_toml import SessionEntries
 
 
 def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Session:
@@ -25,40 +22,27 @@ def frames_of_tool(session: Session, entries: SessionEntries, arm: str) -> Sessi
     InputError
         There is no such arm, the folder of masks of another tool has none, or one is a link that leaves the session.
     """
-    tool, own = entries.tool(arm), OwnFiles(session.folder)
-    others = [_Masks.of(other, session, own) for other in entries.tools if other.arm != arm]
-    frames = tuple(_of_tool(files, session.view_names[0], tool, others) for files in session.frames)
-    return replace(session, frames=frames)
+    tool, others = entries.tool(arm), [other for other in entries.tools if other.arm != arm]
+    masks = {
+        (other.arm, view): image_files(other.masks / view)
+        for other in others
+        if other.masks is not None
+        for view in session.view_names
+    }
+    check_own(session.folder, (path for of_view in masks.values() for path in of_view.values()))
+    for other in others:
+        if other.masks is not None and not any(masks[other.arm, view] for view in session.view_names):
+            raise InputError(f"{other.masks}: expected masks (PNG or JPEG) of {other.arm}, got none")
 
+    def of_view(files: FrameFiles, view: str) -> FrameFiles:
+        """Return the files of one view of a frame for the tool, with those of its further views."""
+        hiding = []
+        for other in others:
+            if other.masks is None and files.mask is not None:
+                hiding.append(OtherTool(files.mask, other.label, other.arm, other.pick))
+            elif other.masks is not None and files.name in masks[other.arm, view]:
+                hiding.append(OtherTool(masks[other.arm, view][files.name], None, other.arm))
+        more = {name: of_view(each, name) for name, each in files.others.items()}
+        return replace(files, label=tool.label, pick=tool.pick, other_tools=tuple(hiding), others=more)
 
-@dataclass(frozen=True)
-class _Masks:
-    """Where the masks of another tool are: its label in the session's, or its own files by view and frame."""
-
-    arm: str
-    label: Label | None
-    pick: tuple[float, float] | None
-    files: Mapping[str, Mapping[str, Path]]
-
-    @staticmethod
-    def of(tool: ToolEntry, session: Session, own: OwnFiles) -> _Masks:
-        if tool.masks is None:
-            return _Masks(tool.arm, tool.label, tool.pick, {})
-        files = {name: image_files(tool.masks / name) for name in session.view_names}
-        for of_view in files.values():
-            own.check_all(of_view.values())
-        if not any(files.values()):
-            raise InputError(f"{tool.masks}: expected masks (PNG or JPEG) of {tool.arm}, got none")
-        return _Masks(tool.arm, None, tool.pick, files)
-
-    def of_frame(self, files: FrameFiles, view: str) -> OtherTool | None:
-        """Return the tool in a view of a frame; None if it has no mask there."""
-        path = self.files.get(view, {}).get(files.name) if self.files else files.mask
-        return None if path is None else OtherTool(path, self.label, self.arm, pick=self.pick)
-
-
-def _of_tool(files: FrameFiles, view: str, tool: ToolEntry, others: Sequence[_Masks]) -> FrameFiles:
-    """Return the files of one view of a frame for a tool, with those of its further views."""
-    hiding = tuple(there for other in others if (there := other.of_frame(files, view)) is not None)
-    more = {name: _of_tool(each, name, tool, others) for name, each in files.others.items()}
-    return replace(files, label=tool.label, pick=tool.pick, other_tools=hiding, others=more)
+    return replace(session, frames=tuple(of_view(files, session.view_names[0]) for files in session.frames))

@@ -108,6 +108,12 @@ class Video:
         return eye_window(self.path, self.size, camera, layout, side)
 
 
+def own_video(folder: Path) -> Path | None:
+    """Return the video of a session folder; None if it has none, or a folder of images."""
+    path = folder / "video.mp4"
+    return path if path.exists() and not (folder / "images").is_dir() else None
+
+
 def eye_of(picture: NDArray[np.uint8], window: Window) -> NDArray[np.uint8]:
     """Return the part of a picture (H, W, ...) that is one eye's."""
     left, top, width, height = window

@@ -15,7 +15,7 @@ from helpers.made_recordings import ARM, BEGIN, SECOND, camera_info, image, jaw,
 from helpers.moving_worlds import SMALL, MovingWorld, moving_world
 
 from dvrk_cmaes import read_session
-from dvrk_cmaes.frames.session_video import SessionVideo
+from dvrk_cmaes.frames.video_frames import Video
 from dvrk_cmaes.results.track_files import read_tracks
 from dvrk_cmaes.synth.images import draw_image
 
@@ -89,7 +89,7 @@ def test_video_of_a_session_is_followed(
 
 
 def test_frames_are_read_in_any_order(images: list[np.ndarray], session: Path) -> None:
-    frames = read_session(session, video=SessionVideo.open(session / "video.mp4")).frames
+    frames = read_session(session, video=Video(session / "video.mp4")).frames
     for k in (3, 1, 1, 5):
         film = frames[k].video
         assert film is not None
