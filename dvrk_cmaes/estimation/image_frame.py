@@ -15,11 +15,10 @@ from dvrk_cmaes.frames.field_of_view import IGNORED, outside_view
 from dvrk_cmaes.frames.frame import FrameData, FrameFiles, image_path
 from dvrk_cmaes.frames.seen_view import SeenView
 from dvrk_cmaes.geometry import Bool
-from dvrk_cmaes.pose.doubts import mask_is_a_guess, mask_or_pose, reasons
+from dvrk_cmaes.pose.doubts import mask_is_a_guess
 from dvrk_cmaes.results.parts import posed
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.segment import Segmentation
-from dvrk_cmaes.segment.mask_or_pose import CLEARLY, attribute_doubt, colours_side_with
 from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_again, segment_first
@@ -58,9 +57,8 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
     """Find the instrument's masks in the images of a frame's views, and its pose from these masks.
 
     Each image is segmented; with the classic model, the pose is estimated and the image segmented again with the pose's
-    silhouette as prior, up to two times, until the image's colours side with the mask before. A mask by a background,
-    or of a learned model, is kept as it is. The result of a frame of one view is doubtful if the mask's confidence is
-    low; if it is doubtful, it states whether the mask or the pose is likely to be wrong.
+    silhouette as prior, two times, unless silhouette and mask hardly overlap. A mask by a background, or of a learned
+    model, is kept as it is. The result of a frame of one view is doubtful if the mask's confidence is low.
 
     Parameters
     ----------
@@ -103,9 +101,8 @@ def segment_and_estimate(data: FrameData, files: FrameFiles, body: Body, method:
         result = solve(data.views, session)
         seconds += result.seconds
     result = replace(result, warnings=(*data.notes, *result.warnings), seconds=seconds)
-    if alone:
-        shown = data.views if session is None else session.corrected_views(data.views)
-        result = _with_doubts(result, shown[0], first.segmentation, body)
+    if alone and (guess := mask_is_a_guess(first.segmentation.confidence, GUESS)):
+        result = replace(result, status="doubtful", reasons=(*result.reasons, guess))
     return SegmentedFrame(data, first.segmentation, result)
 
 
@@ -145,7 +142,7 @@ def _find_mask(
         result = solve([own])
         silhouette = _silhouette(result, view, body)
         again = segment_again(image, silhouette, found.mask, view.ignore, hints=hints, outside=outside)
-        if again is None or (colours_side_with(image, found.mask, again.mask, view.ignore) or 0.0) > CLEARLY:
+        if again is None:
             break
         which = found.notes[-1:] if found.others else ()  # the last note tells which of several is taken
         less_sure, notes = again.confidence, (*again.notes, *which)
@@ -157,16 +154,6 @@ def _find_mask(
     how = f"mask found in the image {means}, confidence {found.confidence:.2f}"
     found = replace(found, notes=(how, *found.notes))
     return _FoundMask(replace(view, mask=found.mask, given=True), found, (*notes, *found.notes), result)
-
-
-def _with_doubts(result: Result, view: SeenView, found: Segmentation, body: Body) -> Result:
-    """Add to a result the doubts that follow from how its mask was found."""
-    doubts = (*result.reasons, *reasons(mask_is_a_guess(found.confidence, GUESS)))
-    if doubts:
-        assert view.image is not None
-        cause = attribute_doubt(view.image, found, _silhouette(result, view, body), view.ignore)
-        doubts = (*doubts, *reasons(mask_or_pose(cause)))
-    return replace(result, status="doubtful", reasons=doubts) if doubts else result
 
 
 def _silhouette(result: Result, view: SeenView, body: Body) -> Bool:

@@ -223,11 +223,6 @@ def mask_is_a_guess(confidence: float, least: float) -> str | None:
     return f"mask is a guess: confidence {confidence:.2f}, expected at least {least}" if confidence < least else None
 
 
-def mask_or_pose(cause: str) -> str | None:
-    """Say which of mask and pose seems to be wrong; an empty text if that is not known."""
-    return f"mask or pose: {cause}" if cause else None
-
-
 def base_apart(angle_deg: float, most_deg: float) -> str | None:
     """Judge the rotation of the base that a frame implies from that of the other frames of its folder."""
     if angle_deg > most_deg:

@@ -1,7 +1,7 @@
 """The calibration by which a recording is followed: solved from keyframes, or the reason that there is none.
 
-Where frames have no masks, those of the keyframes are found in each image by the colours of what moves. Masks that show
-something else than the instrument do not agree with the others, and are left out as the keyframes are solved together.
+Where frames have no masks, those of the keyframes are found in each image by itself. Masks that show something else
+than the instrument do not agree with the others, and are left out as the keyframes are solved together.
 From the keyframes' poses the colours of instrument and surroundings are learned, by which the masks of all images are
 found around what is expected of them.
 """
@@ -15,7 +15,6 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dvrk_cmaes.calibration.calibrate import SolvedSession, begin_arm
 from dvrk_cmaes.calibration.document import SessionCalibration
@@ -28,8 +27,7 @@ from dvrk_cmaes.camera import Rig
 from dvrk_cmaes.config import EstimateConfig
 from dvrk_cmaes.errors import DvrkCmaesError, InputError
 from dvrk_cmaes.estimation.one_tool import FrameMethod
-from dvrk_cmaes.frames.field_of_view import outside_view
-from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame, read_frame_image
+from dvrk_cmaes.frames.frame import FrameData, FrameFiles, read_frame
 from dvrk_cmaes.frames.seen_view import PackedMask, SeenView
 from dvrk_cmaes.frames.session_folder import Session
 from dvrk_cmaes.geometry import Bool, Posed
@@ -40,15 +38,12 @@ from dvrk_cmaes.runs.frame import estimate_frame
 from dvrk_cmaes.runs.recording import RecordedFrames, RecordedSolution, predict, read_seen
 from dvrk_cmaes.runs.track_inputs import series_of
 from dvrk_cmaes.runs.worker import hints_of
-from dvrk_cmaes.segment.moving_colours import MOST, reduced
-from dvrk_cmaes.segment.prompts import Prompts
 from dvrk_cmaes.segment.segmentation import GUESS, Hints, SegmentSettings
 from dvrk_cmaes.segment.shaft_pairs import prompts_in
 from dvrk_cmaes.segment.silhouette_prior import segment_first
 from dvrk_cmaes.silhouette import Body
 from dvrk_cmaes.track.frame_fits import around_task, learn_task, with_outside
-from dvrk_cmaes.track.histogram_ratio import ColourModel
-from dvrk_cmaes.track.image_masks import mask_by_colours, moving_colours, pooled_colours
+from dvrk_cmaes.track.image_masks import pooled_colours
 from dvrk_cmaes.track.keyframe_problem import solved_with
 from dvrk_cmaes.track.keyframes import LEAST_KEYFRAMES, choose_keyframes
 
@@ -234,12 +229,10 @@ def segment_task(
     task: tuple[FrameFiles, Hints],
     *,
     rig: Rig,
-    colours: Mapping[str, ColourModel],
 ) -> PackedFrame | None:
     """Find the masks in the images of a frame with its hints; None where nothing is found, or only a guess.
 
     Masks that the frame has are kept. In further views the instrument of the first view's prompts is looked for.
-    ``colours``, by view, are those of what moves in the recording.
     """
     files, of_frame = task
     data = read_seen(files, rig)
@@ -252,23 +245,15 @@ def segment_task(
         if view.image is None or (view.given and view.mask.any()):
             views.append(replace(view, image=None))
             continue
-        mask = _first_mask(view, hints, colours.get(view.name))
+        mask = _first_mask(view, hints)
         views.append(view if mask is None else replace(view, mask=mask, given=True))
     found = replace(data, views=tuple(views))
     return PackedFrame.of(found) if any(view.given and view.shows for view in found.views) else None
 
 
-def _first_mask(view: SeenView, hints: Hints, colours: ColourModel | None) -> Bool | None:
-    """Find the mask of a view in its image; None where nothing is found, or only a guess.
-
-    It is found by the colours of what moves in the recording; by those of this image alone where that gives a guess,
-    nothing moves, or there are prompts.
-    """
+def _first_mask(view: SeenView, hints: Hints) -> Bool | None:
+    """Find the mask of a view in its image; None where nothing is found, or only a guess."""
     assert view.image is not None
-    if colours is not None and hints == Hints():
-        found = mask_by_colours(view.image, colours, Prompts().with_outside(outside_view(view.image)))
-        if found.confidence >= GUESS:
-            return found.mask
     try:
         found = segment_first(
             view.image, view.ignore, settings=SegmentSettings(), hints=hints, threads=1, view=view.name
@@ -278,19 +263,6 @@ def _first_mask(view: SeenView, hints: Hints, colours: ColourModel | None) -> Bo
     except DvrkCmaesError:
         return None
     return found.mask if found.confidence >= GUESS else None
-
-
-def _moving_colours(recorded: RecordedFrames, chosen: Sequence[int]) -> dict[str, ColourModel]:
-    """Return the colours of what moves in the images of each view, where anything does."""
-    step = max(len(chosen) // MOST, 1)
-    images: dict[str, list[NDArray[np.uint8]]] = {name: [] for name in recorded.rig.names}
-    for i in chosen[::step][:MOST]:
-        if recorded.files[i].has_image and not recorded.files[i].has_mask:
-            for view in read_frame_image(recorded.files[i], recorded.rig).views:
-                if view.image is not None:
-                    images[view.name].append(reduced(view.image))
-    found = {name: moving_colours(of_view) for name, of_view in images.items()}
-    return {name: colours for name, colours in found.items() if colours is not None}
 
 
 def begin_images(
@@ -311,7 +283,7 @@ def begin_images(
     if given is None and len(chosen) < LEAST_KEYFRAMES:  # too few to tell masks of another tool from the right ones
         return Begun.of(f"{len(chosen)} images that differ have readings, fewer than {LEAST_KEYFRAMES}")
     work.progress("finding masks", len(chosen))
-    segmented = partial(segment_task, rig=recorded.rig, colours=_moving_colours(recorded, chosen))
+    segmented = partial(segment_task, rig=recorded.rig)
     of_frames = {i: hints if i == 0 and hints != Hints() else hints_of(files[i]) or Hints() for i in chosen}
     tasks = [(files[i], of_frame) for i, of_frame in of_frames.items()]
     found: dict[int, PackedFrame | None] = dict(zip(chosen, work.run(segmented, tasks), strict=True))

@@ -17,13 +17,8 @@ import numpy as np
 from dvrk_cmaes.evidence.outline_noise import signed_distance
 from dvrk_cmaes.geometry import Bool, Float32, Image
 from dvrk_cmaes.segment import around
-from dvrk_cmaes.segment.classic import GAP
-from dvrk_cmaes.segment.graph_cut import cut
-from dvrk_cmaes.segment.moving_colours import moving_pixels
 from dvrk_cmaes.segment.prompts import Prompts
-from dvrk_cmaes.segment.regions import fill_holes, instrument_region
-from dvrk_cmaes.segment.segmentation import Segmentation
-from dvrk_cmaes.segment.sizes import FINEST, REDUCED, resized, shrunk, size_within
+from dvrk_cmaes.segment.sizes import FINEST, resized, shrunk, size_within
 from dvrk_cmaes.track.histogram_ratio import ColourModel, bins_of
 
 _BLURRED = 2.0  # px from the outline, within which pixels have colours of both sides
@@ -118,27 +113,6 @@ def mask_around(
         return None
     unsupported = float((found.by_colour[found.sure] < _LEAST_ODDS).mean()) if found.sure.any() else 0.0
     return FoundMask(resized(found.mask, (width, height)), unsupported) if unsupported < _NOWHERE else None
-
-
-def moving_colours(images: Sequence[Image]) -> ColourModel | None:
-    """Return the colours of what moves in images spread over a recording, against the rest; None if nothing does."""
-    found = moving_pixels(images)
-    if found is None:
-        return None
-    bins = np.stack([bins_of(image) for image, _ in found])
-    moving = np.stack([flags for _, flags in found])
-    return ColourModel.learned([bins[moving]], bins[~moving])
-
-
-def mask_by_colours(image: Image, colours: ColourModel, prompts: Prompts) -> Segmentation:
-    """Segment the instrument in an image (H, W, 3) uint8 BGR by colours that other images of the recording tell."""
-    height, width = image.shape[:2]
-    size, scale = size_within(image.shape, REDUCED)
-    small, fixed = shrunk(image, REDUCED), prompts.resized(*size, scale)
-    odds = _by_colours(small, colours)
-    rough = cut(odds, around.guide(small), background=fixed.background, tool=fixed.tool)
-    rough = fill_holes(instrument_region(rough, GAP * max(size), fixed))
-    return around.segmentation_around(image, resized(rough, (width, height)), prompts, rough=True)
 
 
 def _by_colours(image: Image, colours: ColourModel) -> Float32:

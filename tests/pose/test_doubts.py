@@ -142,7 +142,6 @@ EXAMPLES: list[tuple[str, str, tuple[Any, ...], tuple[Any, ...]]] = [
     ("shaft not found", "shaft_not_found", (False,), (True,)),
     ("points", "points_off", (9.0, 8.0), (7.0, 8.0)),
     ("mask is a guess", "mask_is_a_guess", (0.4, 0.5), (0.6, 0.5)),
-    ("mask or pose", "mask_or_pose", ("the mask",), ("",)),
     ("base far from the others'", "base_apart", (20.0, 10.0), (9.0, 10.0)),
     ("mask not explained", "mask_not_explained", (GOOD, 0.98, 3.5), (GOOD, 0.9, 3.5)),
     ("disagrees with the session", "pose_not_expected", (LIMITS["solved"], np.nan, 4.0), (LIMITS["solved"], 1.0, 4.0)),

@@ -245,7 +245,7 @@ def test_box_in_the_left_eye_chooses_the_arm_in_the_right_one(run: Run, made: Pa
     run("import", made, "--arm", arm, "--side", "both", "--out", "session")
     session = read_session("session")
     task = session.frames[4], session.frames[4].prompts or Hints()
-    found = segment_task(prepare("lnd"), EstimateConfig(), task, rig=session.rig, colours={})
+    found = segment_task(prepare("lnd"), EstimateConfig(), task, rig=session.rig)
     assert found is not None
     for mask, right in zip(found.masks, (False, True), strict=True):
         true = arms.coverages(4, right)[arm] > 0.5
