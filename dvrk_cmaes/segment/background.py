@@ -51,7 +51,6 @@ _LEAST_PIXELS: Final = 200  # in such a bin
 _SAME: Final = 0.15, 4.0  # log-odds against a pixel that is as the background: where the instrument has its colour, not
 _UNSEEN: Final = 0.05  # share of the instrument whose colours do not differ from the background anywhere
 _SMOOTH: Final = 0.7  # px, standard deviation of the Gaussian that smooths differences
-_BESIDE: Final = 0.5  # weight beside a silhouette that is expected, which knows the outline where both sides look alike
 GAP: Final = 0.04
 """Of the longer side, between pieces of an instrument."""
 _SURFACE: Final = 160  # px, longer side at which it is fitted
@@ -133,28 +132,17 @@ def foreground_log_odds(image: Image, background: Image) -> Float32:
     return np.where(odds < 0, np.maximum(odds, np.clip(likely, -_SAME[1], -_SAME[0])), odds)
 
 
-def segment_before(image: Image, odds: Float32, prompts: Prompts, silhouette: Bool | None = None) -> Segmentation:
-    """Segment what is before a background in an image (H, W, 3) uint8 BGR.
+def segment_before(image: Image, odds: Float32, prompts: Prompts) -> Segmentation:
+    """Segment what differs from a background in an image (H, W, 3) uint8 BGR.
 
-    Parameters
-    ----------
-    image
-        (H, W, 3) uint8, BGR.
-    odds
-        (h, w), `foreground_log_odds`.
-    prompts
-        Prompts in pixels of the image.
-    silhouette
-        (H, W), neither empty nor full, around which the instrument is; by default, what differs from the background.
+    ``odds`` (h, w) are `foreground_log_odds`, ``prompts`` those in pixels of the image.
     """
     height, width = image.shape[:2]
     small = prompts.resized(odds.shape[1], odds.shape[0], odds.shape[1] / width)
-    around = resized(differing_region(odds, small), (width, height)) if silhouette is None else silhouette
+    around = resized(differing_region(odds, small), (width, height))
     if not around.any() or around.all():
         return Segmentation(np.zeros((height, width), np.bool_), None, 0.0, ("no instrument found",))
-    if silhouette is not None:
-        odds = np.float32(_BESIDE) * odds
-    return segmentation_around(image, around, prompts, rough=silhouette is None, colours=odds, local=False)
+    return segmentation_around(image, around, prompts, rough=True, colours=odds, local=False)
 
 
 def differing_share(mask: Bool, odds: Float32) -> float:

@@ -68,29 +68,22 @@ def segment_first(
 def segment_again(
     image: NDArray[np.uint8],
     silhouette: Bool,
-    mask: Bool | None,
+    mask: Bool,
     ignore: Bool | None,
     *,
     hints: Hints,
     outside: Bool,
-    background: NDArray[np.uint8] | None = None,
 ) -> Segmentation | None:
     """Segment an image (H, W, 3) BGR with a silhouette (H, W) as prior.
 
-    ``mask`` (H, W) is the mask that the silhouette's pose was fitted to, None if it was fitted to none in this image;
-    ``outside`` (H, W) are the pixels outside the field of view, ``background`` (h, w, 3) what the camera sees without
-    the instrument, if the mask is to be told by that. Returns None where silhouette and mask overlap too little for a
-    prior, or where no pixel is taken for the instrument.
+    ``mask`` (H, W) is the mask that the silhouette's pose was fitted to, ``outside`` (H, W) are the pixels outside the
+    field of view. Returns None where silhouette and mask overlap too little for a prior, or where no pixel is taken for
+    the instrument.
     """
-    if mask is not None and _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
+    if _overlap(silhouette, mask, ignore) < _LEAST_OVERLAP:
         return None
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points).with_outside(outside)
-    if background is None:
-        segmentation = segmentation_around(image, silhouette, prompts)
-    else:
-        from dvrk_cmaes.segment.background import foreground_log_odds, segment_before
-
-        segmentation = segment_before(image, foreground_log_odds(image, background), prompts, silhouette)
+    segmentation = segmentation_around(image, silhouette, prompts)
     return segmentation if segmentation.mask.any() else None
 
 
