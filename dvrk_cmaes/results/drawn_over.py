@@ -11,7 +11,7 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Bool, Float64, Image
 from dvrk_cmaes.io.arguments import checked_array
 
-_COLOURS = {"ok": (86, 180, 233), "doubtful": (240, 200, 60), "lost": (213, 94, 0)}  # RGB, of the silhouette's outline
+_COLOURS = {"ok": (233, 180, 86), "doubtful": (60, 200, 240), "lost": (0, 94, 213)}  # BGR, of the silhouette's outline
 _TIPS = (255, 255, 255)
 
 
@@ -48,7 +48,7 @@ def drawn_over(
     status: str,
     renderer: SilhouetteModel | None,
 ) -> Image:
-    """Return an image, (H, W, 3) RGB, with the outline of a pose in the colour of its status.
+    """Return an image, (H, W, 3) BGR, with the outline of a pose in the colour of its status.
 
     ``image`` is (H, W, 3) BGR, as OpenCV reads it, or grey (H, W), of any size of the camera's aspect.
 
@@ -62,8 +62,7 @@ def drawn_over(
     given = checked_array("image", image, np.uint8, "an image (H, W, 3) of uint8, BGR, or a grey one (H, W)")
     if given.ndim not in (2, 3) or given.shape[2:] not in ((), (3,)) or not given.size:
         raise InputError(f"image: expected (H, W, 3) BGR or (H, W), got an array of shape {given.shape}")
-    code = cv2.COLOR_GRAY2RGB if given.ndim == 2 else cv2.COLOR_BGR2RGB
-    drawn = np.asarray(cv2.cvtColor(np.ascontiguousarray(given), code), np.uint8)
+    drawn = np.array(given if given.ndim == 3 else np.repeat(given[..., None], 3, axis=2), np.uint8, order="C")
     if camera_from_root is None:
         return drawn
     if renderer is None:

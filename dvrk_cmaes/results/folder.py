@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from dvrk_cmaes.io.json_file import read_json_object
 from dvrk_cmaes.io.short_text import in_order, no_folder, shown
 from dvrk_cmaes.results.file import read_result
 from dvrk_cmaes.results.followed import read_followed
-from dvrk_cmaes.results.parts import data_frame
+from dvrk_cmaes.results.parts import data_frame, html_table
 from dvrk_cmaes.results.result import Result
 from dvrk_cmaes.results.track_files import TRACKS
 
@@ -38,6 +39,16 @@ class ResultsFolder:
     frames: dict[str, Result]
     summary: dict[str, Any] | None
     session: dict[str, Any] | None
+
+    def __repr__(self) -> str:
+        """Show the folder and how many frames have each status."""
+        counts = Counter(result.status for result in self.frames.values())
+        return f"ResultsFolder({str(self.folder)!r}, {', '.join(f'{n} {status}' for status, n in counts.items())})"
+
+    def _repr_html_(self) -> str:
+        """Show frames, statuses, the 90 % range of the tips and reasons as a table in a notebook."""
+        names = ("frame", "status", "tips_90_mm", "tip_probability", "iou", "reasons")
+        return html_table([names, *([row[name] for name in names] for row in self.to_rows())])
 
     def to_rows(self) -> list[dict[str, Any]]:
         """Return the rows of poses.csv: a number, a text or None by column, with the unit in the column's name."""

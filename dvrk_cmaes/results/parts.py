@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -162,3 +163,10 @@ def data_frame(rows: Sequence[Mapping[str, Any]]) -> Any:
     except ImportError:
         raise InputError("to_frame: expected pandas, which is not installed (pip install pandas)") from None
     return DataFrame([dict(row) for row in rows])
+
+
+def html_table(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows of cells as a table in HTML, without those whose last cell is None."""
+    kept = [cells for cells in map(tuple, rows) if cells[-1] is not None]
+    lines = ("".join(f"<td>{escape(str(cell))}</td>" for cell in cells) for cells in kept)
+    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"

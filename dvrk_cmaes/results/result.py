@@ -9,6 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from dvrk_cmaes.config import __version__
+from dvrk_cmaes.errors import DvrkCmaesError
 from dvrk_cmaes.geometry import Float64, Image, Posed, in_parent
 from dvrk_cmaes.io.encode import encoded, encoded_fields
 from dvrk_cmaes.io.rounding import rounded_matrix
@@ -27,7 +28,16 @@ from dvrk_cmaes.io.typed_document import (
 )
 from dvrk_cmaes.results.drawn_over import drawn_over
 from dvrk_cmaes.results.links import LinkModel, camera_from_links
-from dvrk_cmaes.results.parts import Alternative, ExpectedError, Quality, ViewCheck, data_frame, posed, std_document
+from dvrk_cmaes.results.parts import (
+    Alternative,
+    ExpectedError,
+    Quality,
+    ViewCheck,
+    data_frame,
+    html_table,
+    posed,
+    std_document,
+)
 
 __all__ = [
     "POSE_AXES",
@@ -230,8 +240,24 @@ class Result:
             return None
         return in_parent(self.camera_from_root, self.covariance)
 
+    def require_pose(self) -> Float64:
+        """Return ``camera_from_root`` (4, 4), m.
+
+        Raises
+        ------
+        DvrkCmaesError
+            The frame failed, and has no pose: its reasons.
+        """
+        if self.camera_from_root is None:
+            raise DvrkCmaesError(f"frame {self.frame}: no pose: {'; '.join(self.reasons)}")
+        return self.camera_from_root
+
+    def _repr_html_(self) -> str:
+        """Show the row of `to_row` as a table in a notebook, a line each column."""
+        return html_table(self.to_row().items())
+
     def overlay(self, image: Image, renderer: Any = None) -> Image:
-        """Return an image with the outline of the pose, (H, W, 3) uint8 RGB, as matplotlib shows it.
+        """Return an image with the outline of the pose, (H, W, 3) uint8 BGR, the order of the image given.
 
         The outline is blue where the result is ok, and yellow where it is doubtful.
 

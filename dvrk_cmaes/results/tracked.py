@@ -86,7 +86,7 @@ class TrackResult:
         return in_parent(self.camera_from_root, self.covariance)
 
     def overlay(self, image: Image) -> Image:
-        """Return an image with the outline of the pose, (H, W, 3) uint8 RGB, as matplotlib shows it.
+        """Return an image with the outline of the pose, (H, W, 3) uint8 BGR, the order of the image given.
 
         The outline is blue where the result is ok, yellow where it is doubtful, and red where it is predicted.
 

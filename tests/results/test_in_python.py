@@ -12,6 +12,7 @@ import pytest
 from helpers.places import ROOT
 
 from dvrk_cmaes import (
+    DvrkCmaesError,
     InputError,
     Renderer,
     Result,
@@ -47,12 +48,12 @@ def followed(mask: Any, result: Result) -> TrackResult:
     return tracker.step(0.03, mask)
 
 
-def test_overlay_is_rgb_and_shows_the_outline_alone(result: Result) -> None:
+def test_overlay_keeps_the_order_of_colours_and_shows_the_outline_alone(result: Result) -> None:
     image = cv2.imread(str(DEMO / "images" / "0001.jpg"))
     assert image is not None
     assert result.camera_from_root is not None
     drawn = result.overlay(image)
-    changed = (drawn != image[:, :, ::-1]).any(axis=2)
+    changed = (drawn != image).any(axis=2)
     silhouette = Renderer(prepare("lnd"), CAMERA).masks(result.camera_from_root, result.joints)
     edge = cv2.morphologyEx(silhouette.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3)))
     near = cv2.dilate(edge, np.ones((11, 11))) > 0
@@ -60,7 +61,7 @@ def test_overlay_is_rgb_and_shows_the_outline_alone(result: Result) -> None:
     assert drawn.shape == image.shape
     assert 500 < changed.sum() < 0.05 * changed.size
     assert not changed[~near].any()
-    blue = (drawn == (86, 180, 233)).all(axis=2)
+    blue = (drawn == (233, 180, 86)).all(axis=2)
     assert blue.sum() > 300
 
 
@@ -104,6 +105,23 @@ def test_frames_are_those_of_pandas(result: Result, tmp_path: Any, monkeypatch: 
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InputError, match=r"^to_frame: expected pandas, which is not installed \(pip install pandas\)$"):
         result.to_frame()
+
+
+def test_notebooks_show_results_as_tables(result: Result, tmp_path: Any) -> None:
+    import json
+
+    (tmp_path / "0001.json").write_text(json.dumps(result.to_dict()))
+    folder = read_results(tmp_path)
+    assert repr(folder) == f"ResultsFolder({str(tmp_path)!r}, 1 {result.status})"
+    assert f"<tr><td>0001</td><td>{result.status}</td>" in folder._repr_html_()
+    assert f"<tr><td>status</td><td>{result.status}</td></tr>" in result._repr_html_()
+
+
+def test_a_pose_is_required_of_a_result(result: Result) -> None:
+    assert result.require_pose() is result.camera_from_root
+    failed = Result.failed("0009", "mask is empty", {}, instrument="lnd", root_link="roll_link")
+    with pytest.raises(DvrkCmaesError, match=r"^frame 0009: no pose: mask is empty$"):
+        failed.require_pose()
 
 
 def test_single_pose_and_joints_by_name_render_one_image(result: Result, mask: Any) -> None:
