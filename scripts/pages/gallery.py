@@ -22,7 +22,7 @@ _INTRODUCTION: Final = """\
 What the commands write. All of it was made by the commands shown when this site was built: the bundled session and the
 recordings are drawn, so that their truth is known. The pages are those that the commands write, as they are.
 
-The recordings were drawn with this `camera.yaml`:
+The first recording was drawn with this `camera.yaml`:
 
 """
 CAMERA: Final = """\
@@ -31,7 +31,7 @@ height: 720
 K: [1540, 0, 480, 0, 1540, 360, 0, 0, 1]
 D: [0, 0, 0, 0, 0]
 """
-"""The camera of the recordings, which is in the folder in which the commands are run."""
+"""The camera of the first recording, which is in the folder in which the commands are run."""
 _DONE: Final = (0, 3)
 """Exit codes of commands whose output is shown: ok and doubtful."""
 FOLLOWED: Final = "followed.webp"
@@ -123,7 +123,7 @@ EXHIBITS: Final = (
         "Another instrument and a piece of tissue pass before the one that is followed. The pose goes on, and is "
         "called doubtful meanwhile.",
         (
-            "synth passing --motion video --level medium --frames 90 --seed 7 --camera camera.yaml",
+            "synth passing --motion video --level medium --frames 60 --seed 7",
             "track passing --every 2 --out hidden",
         ),
         "hidden",
@@ -140,7 +140,7 @@ EXHIBITS: Final = (
         "Two arms",
         "Two tools in one recording, each followed without the pixels of the other one, and each in its colour.",
         (
-            "synth two --motion video --arms 2 --level easy --frames 60 --seed 1 --camera camera.yaml",
+            "synth two --motion video --arms 2 --level easy --frames 40 --seed 1",
             "track two --every 2 --out arms",
         ),
         "arms",
