@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from dvrk_cmaes.draw.arms_overlay import arm_colours
-from dvrk_cmaes.draw.canvas import DARK, GREEN, SKY_BLUE, VERMILLION, YELLOW, Colour, beside
+from dvrk_cmaes.draw.canvas import DARK, GREEN, SKY_BLUE, VERMILLION, YELLOW, Canvas, Colour, beside
 from dvrk_cmaes.geometry import Bool, Image
 from dvrk_cmaes.results.tracked import TrackView
 
@@ -16,7 +16,7 @@ _STATUS: dict[str, Colour] = {"ok": GREEN, "doubtful": YELLOW, "lost": VERMILLIO
 _FAINT = 0.25  # brightness of the mask where there is no image
 _TINT = 0.35  # of an arm's colour within its tool
 _MASK_LINES, _LINES = 150, 320  # widths of a line in that of the picture: 4 and 2 px at 640 px, 9 and 4 px at 1280
-_STRIP = 22  # px, height of the strip with the status
+_STRIP, _MARGIN, _SIZE = 22, 6, 0.45  # px at 640 px: height of a strip with the status, its margin; size of its text
 
 
 def draw_track(views: Sequence[TrackView], *, frame: str, status: str, reasons: Sequence[str]) -> Image:
@@ -83,10 +83,17 @@ def _contour(picture: Image, region: Bool, colour: Colour, lines: int) -> None:
 
 
 def _write(picture: Image, texts: Sequence[tuple[str, Colour]]) -> None:
-    """Write texts, each in a colour, one after the other on a dark strip at the top of a picture."""
-    picture[:_STRIP] = (picture[:_STRIP] * 0.3).astype(np.uint8)
-    left = 6
+    """Write texts, each in a colour, one after the other on dark strips at the top of a picture, as many as needed."""
+    canvas = Canvas(picture, max(1.0, picture.shape[1] / 640))
+    left, row, placed = _MARGIN * canvas.unit, 0, []
     for text, colour in texts:
-        plain = text.encode("ascii", "replace").decode()
-        cv2.putText(picture, plain, (left, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
-        left += cv2.getTextSize(plain + "  ", cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0]
+        for word in (*text.split(), ""):
+            wide = canvas.text_width(f"{word} ", _SIZE)
+            if left + wide > picture.shape[1] and placed:
+                left, row = _MARGIN * canvas.unit, row + 1
+            placed.append((word, (left, canvas.unit * _STRIP * (row + 0.5)), colour))
+            left += wide
+    strip = picture[: round(canvas.unit * _STRIP * (row + 1))]
+    strip[:] = (strip * 0.3).astype(np.uint8)
+    for word, at, colour in placed:
+        canvas.text(word, at, colour, size=_SIZE)
