@@ -144,10 +144,10 @@ def estimated(
             workers = {**workers, "executor": stack.enter_context(dask_executor(scheduler, session.folder))}
         stop, report = stack.enter_context(stopping_on_interrupt()), stack.enter_context(progress())
 
-        def told(done: int, todo: int, statuses: Mapping[str, int]) -> None:
+        def show_progress(done: int, todo: int, statuses: Mapping[str, int]) -> None:
             report(done, todo, f", {statuses.get('doubtful', 0)} doubtful, {statuses.get('failed', 0)} failed")
 
-        by = Workers(stop=stop, progress=told, notice=note, **workers)
+        by = Workers(stop=stop, progress=show_progress, notice=note, **workers)
         return run_batch(
             session, out, arm.body.instrument, arm=arm.kinematics, calibration=calibration, workers=by, **asked
         )

@@ -85,7 +85,8 @@ def _contour(picture: Image, region: Bool, colour: Colour, lines: int) -> None:
 def _write(picture: Image, texts: Sequence[tuple[str, Colour]]) -> None:
     """Write texts, each in a colour, one after the other on dark strips at the top of a picture, as many as needed."""
     canvas = Canvas(picture, max(1.0, picture.shape[1] / 640))
-    left, row, placed = _MARGIN * canvas.unit, 0, []
+    left, row = _MARGIN * canvas.unit, 0
+    placed: list[tuple[str, tuple[float, float], Colour]] = []
     for text, colour in texts:
         for word in (*text.split(), ""):
             wide = canvas.text_width(f"{word} ", _SIZE)

@@ -99,9 +99,9 @@ def _texts(images: Sequence[Image], inside: Bool, masks: Sequence[Bool]) -> Bool
 
 def _stand_still(details: Sequence[Float32], where: Bool) -> bool:
     """Whether the details (H, W) of images are in the same places: their mean then varies as each of them does."""
-    told = [np.clip(each[where], -_STANDS_OUT, _STANDS_OUT) for each in details]
-    one = float(np.mean([each.var() for each in told]))
-    return float(np.mean(told, axis=0).var()) > (_LASTING + 1 / len(told)) * one
+    clipped = [np.clip(each[where], -_STANDS_OUT, _STANDS_OUT) for each in details]
+    one = float(np.mean([each.var() for each in clipped]))
+    return float(np.mean(clipped, axis=0).var()) > (_LASTING + 1 / len(clipped)) * one
 
 
 def _ranges(images: Sequence[Image]) -> Image:
