@@ -77,7 +77,6 @@ _REMOVED: Final[tuple[tuple[Sequence[str], Sequence[str], str], ...]] = (
     (_SESSIONS, ("--camera-right", "--crop", "--stretch"), _PICTURES),
     (("batch",), ("--shard", "--merge"), "`--frames` patterns with an --out each, or --scheduler"),
     (("batch",), ("--retry-failed",), "the same command: failed frames are estimated again"),
-    (("batch",), ("--lag",), "--session, whose lag is taken out"),
     (("calibrate",), ("--every",), "--keyframes, or --frames with a pattern"),
     (
         ("calibrate",),

@@ -86,6 +86,9 @@ class BatchOptions:
         Address of a Dask scheduler, e.g. tcp://head:8786: use its workers instead of local processes.
     time_limit
         Seconds after which a frame is stopped and marked as failed; for local processes only.
+    lag
+        Lag of the images behind the readings, in seconds or frames, such as 0.13 or 4frames, or 0: each frame gets the
+        readings of that much earlier. By default it is that of --session; otherwise none is taken out.
     """
 
     out: Path | None = None
@@ -98,6 +101,7 @@ class BatchOptions:
     workers: int | None = None
     scheduler: str | None = None
     time_limit: float = 600.0
+    lag: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
 
     def check(self) -> None:
         """Raise an InputError for values that are not valid, or do not fit together."""
@@ -130,15 +134,18 @@ def estimated(
     *,
     scheduler: str | None = None,
     calibration: SessionCalibration | None = None,
+    lag: str | None = None,
     workers: Mapping[str, Any],
     **asked: Any,
 ) -> BatchSummary:
     """Run the batch of an arm's session, with progress on stderr; ``asked`` and ``workers`` are as of `run_batch`."""
+    from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.batch import Workers, run_batch
     from dvrk_cmaes.runs.cluster import dask_executor
 
-    lag = None if calibration is None else calibration.applied_lag
-    session = arm.session if lag is None else arm.session.with_lag(lag)
+    applied = None if calibration is None else calibration.applied_lag
+    applied = applied if lag is None else Lag.parse("--lag", lag)
+    session = arm.session if applied is None else arm.session.with_lag(applied)
     with ExitStack() as stack:
         if scheduler is not None:
             workers = {**workers, "executor": stack.enter_context(dask_executor(scheduler, session.folder))}
@@ -232,6 +239,7 @@ def batch(
                 results / name,
                 scheduler=wanted.scheduler,
                 calibration=known[name],
+                lag=wanted.lag,
                 workers=by,
                 config=settings,
                 pattern=wanted.frames,

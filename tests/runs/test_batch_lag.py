@@ -1,4 +1,4 @@
-"""Readings of the moment that an image shows, by a calibrated lag."""
+"""``dvrk-cmaes batch --lag``: readings of the moment that an image shows, by a given or a calibrated lag."""
 
 from __future__ import annotations
 
@@ -36,6 +36,41 @@ def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
 def result(name: str) -> dict[str, object]:
     found: dict[str, object] = json.loads((Path("out") / "frames" / f"{name}.json").read_text())
     return found
+
+
+def test_given_lag_gives_frames_earlier_readings(command: Command) -> None:
+    rows = read_session("session").frames
+    assert command("--lag", "1frame").code in (0, 3)
+    assert result("0002")["readings"] == pytest.approx(rows[1].readings)
+    assert "readings of 1 frames before the image" in str(result("0002")["warnings"])
+    assert result("0000")["readings"] == {}
+    assert "no readings of 1 frames before the image" in str(result("0000")["warnings"])
+
+
+def test_no_lag_is_none_also_of_readings_without_times(command: Command) -> None:
+    assert command("--lag", "0").code in (0, 3)
+    assert result("0002")["readings"] == pytest.approx(read_session("session").frames[2].readings)
+    assert not [text for text in result("0002")["warnings"] if "before the image" in text]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (
+            ("--lag", "soon"),
+            "--lag: expected a number of seconds such as 0.13, or of frames such as 4frames, got 'soon'",
+        ),
+        (("--lag", "0.1"), "lag: expected a lag in frames, such as 4frames, since the images have no times, got 0.1 s"),
+        (
+            ("--lag", "auto"),
+            "--lag: expected a number of seconds such as 0.13, or of frames such as 4frames, got 'auto'",
+        ),
+    ],
+)
+def test_wrong_lag_is_refused(command: Command, options: tuple[str, ...], expected: str) -> None:
+    done = command(*options)
+    assert (done.code, done.err) == (2, f"dvrk-cmaes: {expected}\n")
+    assert not Path("out").exists()
 
 
 def test_lag_of_the_calibration_is_taken_out(tmp_path: Path) -> None:
