@@ -62,7 +62,7 @@ def benchmark_report(options: argparse.Namespace) -> Report:
     if options.what == "run":
         submissions = _run(folder, options)
     elif options.what == "score" and not submissions:
-        raise InputError("score: expected submissions (CSV) after the folder, got none")
+        raise InputError("score: expected submissions (JSON Lines) after the folder, got none")
     givens = [
         one for number in _numbers(options) for task in _tasks(options) for one in _given(folder, options, number, task)
     ]
@@ -100,8 +100,8 @@ def _run(folder: Path, options: argparse.Namespace) -> list[Path]:
     found = [pair for each in in_processes(_one_world, jobs, options.workers, "worlds") for pair in each]
     for method in names:
         rows = sorted((row for name, row in found if name == method), key=lambda row: row.key)
-        write_submission(folder / f"{method}.csv", rows)
-    return [folder / f"{method}.csv" for method in names]
+        write_submission(folder / f"{method}.jsonl", rows)
+    return [folder / f"{method}.jsonl" for method in names]
 
 
 def _one_world(

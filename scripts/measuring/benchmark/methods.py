@@ -23,7 +23,8 @@ from dvrk_cmaes.frames.markers import read_detections, read_marker_table
 from dvrk_cmaes.geometry import transform
 from dvrk_cmaes.instrument.arm import OUTER_JOINTS
 from dvrk_cmaes.io.bundled import bundled_path
-from measuring.benchmark.submission import JOINTS, Row, read_submission, write_submission
+from dvrk_cmaes.results.result import POSE_AXES
+from measuring.benchmark.submission import STATED, Row, read_submission, write_submission
 from measuring.benchmark.tasks import BASE, Given, TaskName, readings_of
 from measuring.runner import Command, Failure, Ran, run, solved
 
@@ -39,14 +40,14 @@ def rows_of_method(method: str, given: Given, out: Path) -> list[Row]:
 
     The rows are kept in the folder ``out``, and read from there if they are later than what was given.
     """
-    path = out / f"{method}-{given.task}-{given.given.frames}.csv"
+    path = out / f"{method}-{given.task}-{given.given.frames}.jsonl"
     if not path.exists() or path.stat().st_mtime < given.given.path.stat().st_mtime:
         started = sum(os.times()[:4])
         found = {row.frame: row for row in METHODS[method][1](given, out)}
         seconds = (sum(os.times()[:4]) - started) / len(given.frames)
-        missing = [Row(given.task, given.world.number, name, "failed") for name in given.frames if name not in found]
+        missing = [_row(given, name, {"status": "failed"}) for name in given.frames if name not in found]
         rows = [*found.values(), *missing]
-        write_submission(path, [replace(row, seconds=row.seconds or seconds) for row in rows])
+        write_submission(path, [replace(row, stated={"seconds": seconds, **row.stated}) for row in rows])
     return [*read_submission(path).values()]
 
 
@@ -94,14 +95,14 @@ def _whole(given: Given, command: Command, out: Path, *options: str) -> Ran:
 def _calibrate(given: Given, out: Path) -> Iterator[Row]:
     """Calibrate a session, once for its frames and its base, and that of both eyes."""
     ran = _whole(given, "calibrate", out / f"calibrate-{given.given.path.name}")
-    seconds = ran.processor / len(given.frames)
+    seconds = {"seconds": ran.processor / len(given.frames)}
     if given.task != BASE:
         for name, result in ran.documents(given.given.arm).items():
-            yield replace(_row(given, name, result), seconds=seconds)
+            yield _row(given, name, {**result, **seconds})
     elif (found := ran.document("session.json", given.given.arm)) is not None:
-        covariance = np.array(found["covariance"]["matrix"])[:6, :6]
-        pose = np.array(found["camera_from_base"])
-        yield Row(BASE, given.world.number, BASE, found["status"], pose, None, None, covariance, seconds)
+        matrix = np.array(found["covariance"]["matrix"])[:6, :6]
+        pose = {"status": found["status"], "camera_from_root": found["camera_from_base"]}
+        yield _row(given, BASE, {**pose, "covariance": {"axes": [*POSE_AXES], "matrix": matrix.tolist()}, **seconds})
 
 
 def _track(given: Given, out: Path, *options: str) -> Iterator[Row]:
@@ -127,19 +128,10 @@ def _say(given: Given, failures: Sequence[Failure]) -> None:
 
 
 def _row(given: Given, name: str, result: Mapping[str, Any]) -> Row:
-    """Return the row of a result in frames/FRAME.json or in tracks.jsonl."""
-    if result["camera_from_root"] is None:
-        return Row(given.task, given.world.number, name, "failed")
-    status = result["status"] if result["status"] in ("ok", "doubtful") else "failed"
-    joints = np.array([result["joints"][joint] for joint in JOINTS])
-    covariance, std = (result.get("covariance") or {}).get("matrix"), result.get("std")
-    if covariance is not None:
-        covariance, std = np.array(covariance), None
-    elif std is not None:
-        turns = [*std["rotation_deg"], *(std["joints_deg"][joint] for joint in JOINTS)]
-        std = np.array([*(1e-3 * np.array(std["translation_mm"])), *np.deg2rad(turns)])
-    pose = np.array(result["camera_from_root"])
-    return Row(given.task, given.world.number, name, status, pose, joints, std, covariance)
+    """Return the row of a result in frames/FRAME.json or in tracks.jsonl; frames that were lost have failed."""
+    stated = {"status": "failed"} if result["status"] == "lost" else {}
+    known = {name: result[name] for name in STATED if result.get(name) is not None}
+    return Row(given.task, given.world.number, name, known | stated)
 
 
 def _pnp(given: Given, _: Path) -> Iterator[Row]:
@@ -157,11 +149,13 @@ def _pnp(given: Given, _: Path) -> Iterator[Row]:
         if given.task == BASE:
             bases += [result.camera_from_base] if result.status == "ok" and result.camera_from_base is not None else []
         elif result.camera_from_root is not None:
-            pose = result.camera_from_root
-            yield Row(given.task, world.number, name, result.status, pose, readings.joints[number])
+            read = dict(zip(instrument.joint_names, readings.joints[number].tolist(), strict=True))
+            pose = {"status": result.status, "camera_from_root": result.camera_from_root.tolist()}
+            yield _row(given, name, {**pose, "joints": read})
     if bases:
         turn = Rotation.from_matrix([base[:3, :3] for base in bases]).mean().as_matrix()
-        yield Row(BASE, world.number, BASE, "ok", transform(turn, np.mean([base[:3, 3] for base in bases], axis=0)))
+        mean = transform(turn, np.mean([base[:3, 3] for base in bases], axis=0))
+        yield _row(given, BASE, {"status": "ok", "camera_from_root": mean.tolist()})
 
 
 METHODS: Final[Mapping[str, tuple[tuple[TaskName, ...], Method]]] = {

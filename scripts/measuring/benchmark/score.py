@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
 from worlds.motion import instrument_of
 
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.atomic import write_text
-from measuring.benchmark.submission import JOINTS, Key, Row
+from measuring.benchmark.submission import Key, Row
 from measuring.benchmark.tasks import BASE, Given, TaskName
 from measuring.report import ROOT, markdown
 from measuring.scorer import Scored, figures, is_wrong, score_base, scored
@@ -53,29 +52,14 @@ def score_world(given: Given, rows: Mapping[str, Row]) -> Scores:
     if strangers:
         place = f"task {given.task}, world {given.world.number}"
         raise InputError(f"{place}: frame: expected one of {given.frames[0]} to {given.frames[-1]}, got {strangers[0]}")
-    documents = {name: _document(row) for name, row in rows.items() if row.pose is not None}
+    documents = {name: row.stated for name, row in rows.items() if row.stated.get("camera_from_root") is not None}
     if given.task == BASE:
-        frames: tuple[Scored, ...] = (score_base(documents.get(BASE), given.drawn.camera_from_base())[0],)
+        base = {**documents[BASE], "camera_from_base": documents[BASE]["camera_from_root"]} if documents else None
+        frames: tuple[Scored, ...] = (score_base(base, given.drawn.camera_from_base())[0],)
     else:
         golden, focal = given.drawn.golden(), given.world.camera.fx
         frames = tuple(scored(instrument_of(given.world.instrument), documents, golden, focal))
-    return Scores(given, frames, tuple(row.seconds for row in rows.values() if row.seconds is not None))
-
-
-def _document(row: Row) -> dict[str, Any]:
-    """Return a row as the document of a result or a calibration."""
-    assert row.pose is not None
-    document: dict[str, Any] = {"status": row.status, "camera_from_root": row.pose, "camera_from_base": row.pose}
-    if row.joints is not None:
-        document["joints"] = dict(zip(JOINTS, row.joints.tolist(), strict=True))
-    if row.covariance is not None:
-        document["covariance"] = {"matrix": row.covariance}
-    elif row.std is not None:
-        turns = np.degrees(row.std[3:]).tolist()
-        joints = dict(zip(JOINTS, turns[3:], strict=False))
-        std = {"translation_mm": [1e3 * float(value) for value in row.std[:3]], "rotation_deg": turns[:3]}
-        document["std"] = {**std, "joints_deg": joints}
-    return document
+    return Scores(given, frames, tuple(row.stated["seconds"] for row in rows.values() if row.stated.get("seconds")))
 
 
 def score_submission(givens: Sequence[Given], rows: Mapping[Key, Row]) -> dict[TaskName, list[Scores]]:
