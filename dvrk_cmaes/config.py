@@ -220,7 +220,7 @@ class RefineConfig:
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """Standard deviations of a camera file that states none, as those of a calibration by some pictures of a board.
+    """Standard deviations of a camera file that states none, by some pictures of a board, and of the instrument's size.
 
     Attributes
     ----------
@@ -230,12 +230,15 @@ class CameraConfig:
         Of each coordinate of the principal point, % of the focal length.
     radial
         Of the first radial coefficient of the distortion.
+    instrument_size_percent
+        Of the size of the instrument in the images against its model, %; it holds beside a file's own covariance.
     """
 
     focal_length_percent: float = 0.5
     aspect_percent: float = 0.2
     principal_point_percent: float = 0.3
     radial: float = 0.02
+    instrument_size_percent: float = 0.3
 
 
 @dataclass(frozen=True)

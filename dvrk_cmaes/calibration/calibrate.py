@@ -329,7 +329,7 @@ def reported(arm: ArmSession, camera_errors: Float64) -> tuple[list[FrameReport]
     ----------
     arm
         The arm, solved; its evidence is as seen by the camera that is used.
-    camera_errors : (5, 5)
+    camera_errors : (6, 6)
         Covariance of the camera that is used.
 
     Raises
@@ -358,7 +358,7 @@ def _report_task(
 ) -> ReportTask:
     """Return what is to be reported of a frame, given its own result.
 
-    ``known`` are its covariance (D, D) by the session, and that of the camera, (5, 5).
+    ``known`` are its covariance (D, D) by the session, and that of camera and size, (6, 6).
     """
     setup, without, fit = arm.setup, leave_one_out(arm.solution, i), arm.fits[i]
     alone = arm.model.subset([i])

@@ -43,7 +43,7 @@ from dvrk_cmaes.io.typed_document import (
     Count,
     Number,
     PositiveNumber,
-    SquareOfFive,
+    SquareOfSix,
     Texts,
     Transform,
     convert_document,
@@ -107,8 +107,8 @@ class SessionCalibration:
     lag_curve : disagreement of the frames as a function of the lag; None if no lag was searched.
     cables : coupling, play and wander of the cables; None if offsets explain the session as well.
     camera : change of the camera that the frames fit; None if it was not tested.
-    camera_errors : (5, 5) covariance of the camera with which the session was solved, by file and frames, in the order
-    of `PARAMETERS`.
+    camera_errors : (6, 6) covariance of camera and size with which the session was solved, by file and frames, in the
+    order of `PARAMETERS`.
     shaft : the radius of the shaft that the frames fit; None if it was not tested.
     blocks : what was found of further unknowns that all frames share, by block; the solution leaves them at zero.
     masks : the margin and the other errors that all masks share; None if they were not estimated.
@@ -142,7 +142,7 @@ class SessionCalibration:
     shaft: SessionShaft | None = None
     blocks: dict[str, FoundBlock] = field(default_factory=dict)
     masks: SessionMasks | None = None
-    camera_errors: SquareOfFive = field(default_factory=partial(usual_covariance, CameraConfig()), metadata=SIGNIFICANT)
+    camera_errors: SquareOfSix = field(default_factory=partial(usual_covariance, CameraConfig()), metadata=SIGNIFICANT)
     rig: tuple[ViewRotation, ...] = ()
     views: tuple[ViewDocument, ...] = ()
     endoscope: SessionEndoscope | None = None

@@ -103,8 +103,8 @@ class ReportTask:
     fit, including the calibration's. ``predicted`` are the pose and joints that the other frames predict, and
     ``predicted_std`` (J,) the standard deviations of these joints, rad. ``base`` (4, 4) is the camera_from_base of the
     fit and the corrected readings, ``doubts`` the texts of reasons to doubt the frame. If ``agree`` is true, the
-    frame's new result is the fit, otherwise its own result. ``brief`` is as in `SessionFrame`, ``camera_errors`` (5, 5)
-    the covariance of the camera's parameters.
+    frame's new result is the fit, otherwise its own result. ``brief`` is as in `SessionFrame`, ``camera_errors`` (6, 6)
+    the covariance of `PARAMETERS`.
     """
 
     stored: StoredFrame

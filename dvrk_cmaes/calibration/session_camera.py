@@ -263,7 +263,7 @@ class CameraCheck:
 
 
 def errors_of_camera(check: CameraCheck, camera: Camera, config: CameraConfig) -> Float64:
-    """Return the covariance (5, 5) of the camera with which a session was solved, in the order of `PARAMETERS`.
+    """Return the covariance (6, 6) of what a session was solved with, in the order of `PARAMETERS`.
 
     What the session finds and does not correct is an error of that camera as well. ``camera`` is that of the file, for
     images of any size; ``config`` counts where the session tests nothing.
@@ -275,6 +275,8 @@ def errors_of_camera(check: CameraCheck, camera: Camera, config: CameraConfig) -
     if change is not None and check.square is not None:
         to_relative = np.array([1.0, *(2 * [camera.width / change.width / camera.fx])])
         errors[np.ix_(TESTED, TESTED)] = check.square * np.outer(to_relative, to_relative)
+    if check.shaft is not None:
+        errors[-1, -1] = check.shaft.square(config.instrument_size_percent / 100)
     return errors
 
 

@@ -43,12 +43,8 @@ _SHOW_THE_CAMERA = 40
 It did so in 2 of 159 sessions of more than 30 frames, both wrong, and in 4 of 100 of 10 to 30, some of them right.
 """
 _LARGEST_INSERTION = 10e-3  # m, beyond which tools of one kind do not differ
-_BEYOND_CABLES_DEG = {"roll": 15.0, "wrist": 20.0, "jaw": 30.0}  # by the beginning of the joint's name
+_BEYOND_CABLES_DEG = {"wrist": 20.0, "jaw": 30.0}  # by the beginning of the joint's name; roll is homed by hand
 _FAR_INSERTION = 3.0  # standard deviations of prior and estimate together
-_CAUSES_OF_ROLL = (
-    "another instrument, a tool that was exchanged or homed during the recording, readings of another tool, or a lag "
-    "between images and readings that is not taken out"
-)
 _CAUSES_OF_CABLES = "another instrument, a tool that was not homed, a coupling of another tool, or slipped cables"
 _CAUSES_OF_INSERTION = (
     "another focal length than the camera file's, an instrument with another shaft (--instrument), a tool or arm of "
@@ -172,7 +168,7 @@ def insertion_off(calibration: SessionCalibration, settings: SessionConfig) -> s
 
 
 def offsets_beyond_cables(calibration: SessionCalibration) -> list[str]:
-    """Judge the offsets of roll, wrist and jaw.
+    """Judge the offsets of wrist and jaw.
 
     That of a joint whose readings are commanded values is no offset of its cables.
     """
@@ -182,10 +178,9 @@ def offsets_beyond_cables(calibration: SessionCalibration) -> list[str]:
         deg = float(np.degrees(offset))
         most = next((limit for start, limit in _BEYOND_CABLES_DEG.items() if name.startswith(start)), np.inf)
         if name not in calibration.commanded and abs(deg) > most + own:
-            causes = _CAUSES_OF_ROLL if name == "roll" else _CAUSES_OF_CABLES
             found.append(
                 f"offset of {name}: {deg:+z.1f} deg (std {own:.1f}), where {most:.1f} deg are the most that cables "
-                f"do; likely causes: {causes}"
+                f"do; likely causes: {_CAUSES_OF_CABLES}"
             )
     return found
 

@@ -679,8 +679,6 @@ def _with_check(arm: ArmSession, check: CameraCheck) -> ArmSession:
         arm = arm.noted(remarks=[check.camera.describe_found(arm.stored[0].camera)])
     elif check.camera.applied:
         arm = arm.noted(remarks=check.camera.contradictions())
-    if check.shaft is not None and not (check.camera and check.camera.contradicts):
-        arm = arm.noted(remarks=check.shaft.hints())
     if arm.change is not None:
         frames = [frame.with_data(partial(with_changed_cameras, arm.change)) for frame in arm.frames]
         arm = replace(arm, stored=tuple(arm.setup.run(gather_task, frames)))

@@ -1,6 +1,6 @@
-"""What a session's frames tell of the sizes of the instrument: its shaft's radius, its wrist's and its jaws' length.
+"""What a session's frames tell of the sizes of the instrument: of the whole, its shaft, its wrist and its jaws.
 
-A thicker shaft looks as wide as a thinner one nearby. The arm tells the distance of the remote centre and of the wrist,
+A larger instrument looks like a smaller one nearby. The arm tells the distance of the remote centre and of the wrist,
 so a session tells both apart, beside the focal length of a camera whose file is right.
 """
 
@@ -18,36 +18,31 @@ from dvrk_cmaes.geometry import Float64, Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.io.encode import Document
 from dvrk_cmaes.io.typed_document import Number
-from dvrk_cmaes.pose.doubts import OTHER_SIZES
 from dvrk_cmaes.pose.terms.shared_errors import NEAREST
 from dvrk_cmaes.silhouette import OutlinePoints
 
 SIZES = "sizes"
 """Name of the block."""
 
-_STD = 0.01  # of the logarithms, between tools of one kind
+_STD = 0.01  # of the logarithms, of parts of tools of one kind
 _WEAK_STD = 0.5  # of the same where it is asked which tool is there
-_LEAST: Final = {"shaft": 0.05, "wrist": 0.1, "jaws": 0.1}
-"""Shares of the sizes, beyond which a part is another one.
+_LEAST: Final = {"shaft": 0.02, "wrist": 0.04, "jaws": 0.04, "whole": 0.02}
+"""Shares of the sizes, beyond which whole or part is another one.
 
-A margin that is taken off all masks explains a part of it. Right ones are found to 0.5 %, lengths to 1 % in recordings
-of `fleet.py make` and sessions of `synth`, seeds 7701 to 7704 (`scripts/measure.py track`, `calibrate`).
-"""
-_HINT, _HINT_STD = 0.4, 1.5
-"""Share of these, and standard deviations, beyond which that is a remark.
-
-Of 79 recordings of `fleet.py make` with the right instrument one is (`scripts/measure.py track`, seeds 8605 to 8919),
-as its masks are 3 px too wide on one side; of another make (`calibrate --falsify`, frames/made/easy, medium) all are.
+Right ones are found to 0.5 %, lengths to 1 % in recordings of `fleet.py make` and sessions of `synth`, seeds 7701 to
+7704 (`scripts/measure.py track`, `calibrate`). Of 79 recordings of `fleet.py make` with the right instrument the shaft
+of one is beyond it (seeds 8605 to 8919), as its masks are 3 px too wide on one side.
 """
 _TEXTS: Final = {
     "shaft": ("the shaft is", "thicker", "thinner"),
     "wrist": ("the length from the wrist's to the jaws' axis is", "longer", "shorter"),
     "jaws": ("the jaws are", "longer", "shorter"),
+    "whole": ("all of it is", "larger", "smaller"),
 }
 
 
 class InstrumentSizes(SeenBlock):
-    """The logarithms (3,) of factors on the shaft's radius, the length from wrist to jaws' axis, and the jaws' length.
+    """The logarithms (4,) of factors on shaft's radius, length from wrist to jaws' axis, jaws' length, and the whole.
 
     Nothing is told of a size that the instrument does not have.
     """
@@ -70,7 +65,7 @@ class InstrumentSizes(SeenBlock):
             sides = view.sides_of_shaft(points, outline.at).sum(axis=1)
             length = np.linalg.norm(points.normals, axis=1)
             out[:, 0] = sides * length * view.camera.fx * self._instrument.shaft.radius / depth
-        for k, moves in enumerate(self._moves(points, in_root, seen), start=1):
+        for k, moves in enumerate((*self._moves(points, in_root, seen), in_root), start=1):
             by_size = moves @ seen.pose[:3, :3].T
             across = by_size[:, :2] - by_size[:, 2:] * (apply(seen.pose, in_root)[:, :2] / depth[:, None])
             out[:, k] = (points.normals * across * [view.camera.fx, view.camera.fy]).sum(axis=1) / depth
@@ -109,7 +104,8 @@ class SessionShaft(Document):
     """The factors on the instrument's sizes that a session's frames fit, and their standard deviations.
 
     ``radius_scale`` is that on the radius of its shaft, ``wrist_scale`` that on the length from the axis of its wrist
-    to that of its jaws, ``jaws_scale`` that on the length of its jaws.
+    to that of its jaws, ``jaws_scale`` that on the length of its jaws, all in an instrument whose whole is known, and
+    ``whole_scale`` that on all of it, in proportion.
     """
 
     radius_scale: Number
@@ -118,41 +114,38 @@ class SessionShaft(Document):
     std_wrist_scale: Number = _WEAK_STD
     jaws_scale: Number = 1.0
     std_jaws_scale: Number = _WEAK_STD
+    whole_scale: Number = 1.0
+    std_whole_scale: Number = _WEAK_STD
 
     @classmethod
     def of(cls, there: Linearised, known: Mapping[str, Float64 | float]) -> SessionShaft:
         """Tell the factors from outlines that were linearised in them, with what is known of other blocks."""
-        values, covariance = there.with_std({**known, SIZES: _WEAK_STD})
         place = there.solution.calibration.place(SIZES)
-        scales = np.exp(values[place])
-        pairs = zip(scales, scales * np.sqrt(np.diag(covariance)[place]), strict=True)
+        of_whole = np.array([name == "whole" for name in _LEAST])
+        pairs = []
+        for asked in (~of_whole, of_whole):
+            values, covariance = there.with_std({**known, SIZES: np.where(asked, _WEAK_STD, _STD)})
+            scales = np.exp(values[place])
+            pairs += [*zip(scales[asked], (scales * np.sqrt(np.diag(covariance)[place]))[asked], strict=True)]
         return cls(*(float(value) for pair in pairs for value in pair))
+
+    def square(self, std: float) -> float:
+        """Return the mean square of the error of the whole's logarithm, which is known to ``std`` beforehand."""
+        share = std**2 / (std**2 + self.std_whole_scale**2)
+        return (share * float(np.log(self.whole_scale))) ** 2 + share * self.std_whole_scale**2
 
     def contradictions(self) -> list[str]:
         """Say by how much the frames contradict sizes of the instrument; empty where they do not."""
-        return [text for text, off, std, least in self._differences() if off > max(least, CLEAR * std)]
-
-    def hints(self) -> list[str]:
-        """Say which sizes may be others, without being sure of it; empty where one is contradicted, or none is."""
-        if self.contradictions():
-            return []
-        return [
-            f"the instrument may be another one: {text}: {OTHER_SIZES}"
-            for text, off, std, least in self._differences()
-            if off > max(_HINT * least, _HINT_STD * std)
-        ]
-
-    def _differences(self) -> list[tuple[str, float, float, float]]:
-        """Return for each size the difference in words, as a share with its standard deviation, and the least share."""
         found = (
             (self.radius_scale, self.std_radius_scale),
             (self.wrist_scale, self.std_wrist_scale),
             (self.jaws_scale, self.std_jaws_scale),
+            (self.whole_scale, self.std_whole_scale),
         )
-        rows = []
+        texts = []
         for (part, least), (scale, std) in zip(_LEAST.items(), found, strict=True):
             what, more, less = _TEXTS[part]
             than = more if scale > 1 else less
-            text = f"{what} {100 * abs(scale - 1):.0f} % (std {100 * std:.0f}) {than} than the instrument's"
-            rows.append((text, abs(scale - 1), std, least))
-        return rows
+            if abs(scale - 1) > max(least, CLEAR * std):
+                texts.append(f"{what} {100 * abs(scale - 1):.0f} % (std {100 * std:.0f}) {than} than the instrument's")
+        return texts

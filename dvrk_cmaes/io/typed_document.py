@@ -55,13 +55,13 @@ if TYPE_CHECKING:  # arrays to a type checker, classes with a shape to msgspec
     Point = Float64
     Pixel = Float64
     SquareOfThree = Float64
-    SquareOfFive = Float64
+    SquareOfSix = Float64
 else:
     Transform = _array_type(4, 4)  # a rigid transform
     Point = _array_type(3)
     Pixel = _array_type(2)
     SquareOfThree = _array_type(3, 3)
-    SquareOfFive = _array_type(5, 5)
+    SquareOfSix = _array_type(6, 6)
 
 
 def convert_document(where: str, document: object, kind: type[T], expected: Mapping[Any, str] | None = None) -> T:

@@ -1,7 +1,8 @@
-"""What errors of the camera file do to a pose: five parameters, what the file says of them, and how a pose follows.
+"""What errors of the camera file and of the instrument's size do to a pose: six parameters, and how a pose follows.
 
 The parameters are relative, so that they are the same for an image of any size and crop: the logarithm of the focal
-length, that of fy / fx, the principal point right and down over the focal length, and the first radial coefficient.
+length, that of fy / fx, the principal point right and down over the focal length, the first radial coefficient, and the
+logarithm of the factor on all of the instrument.
 An outline that is seen stays where it is in the image, so that a pose moves with the parameters by which it is read.
 """
 
@@ -14,11 +15,11 @@ import numpy as np
 
 from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.config import CameraConfig
-from dvrk_cmaes.geometry import Float64, Indices, Posed
+from dvrk_cmaes.geometry import Float64, Indices, Posed, apply
 from dvrk_cmaes.instrument import Instrument
 from dvrk_cmaes.instrument.sections import plane_basis
 
-PARAMETERS: Final = ("focal_length", "aspect", "centre_right", "centre_down", "radial")
+PARAMETERS: Final = ("focal_length", "aspect", "centre_right", "centre_down", "radial", "instrument_size")
 
 _STEP: Final = 1e-5  # m and rad
 _ALONG: Final = 5e-3  # m, between the points of the shaft
@@ -30,19 +31,23 @@ _HELD: Final = 1e-3  # px^2 per m^2 or rad^2: keeps the equations solvable
 
 
 def file_covariance(camera: Camera, config: CameraConfig) -> Float64:
-    """Return the covariance (5, 5) of the parameters in a camera file: that which it states, else the settings'."""
-    return np.array(camera.covariance) if camera.covariance else usual_covariance(config)
+    """Return the covariance (6, 6) of the parameters, of the camera's that which its file states if it does."""
+    covariance = usual_covariance(config)
+    if camera.covariance:
+        covariance[:-1, :-1] = camera.covariance
+    return covariance
 
 
 def usual_covariance(config: CameraConfig) -> Float64:
-    """Return the covariance (5, 5) of the parameters that the settings state."""
+    """Return the covariance (6, 6) of the parameters that the settings state."""
     centre = config.principal_point_percent / 100
     std = [config.focal_length_percent / 100, config.aspect_percent / 100, centre, centre, config.radial]
+    std.append(config.instrument_size_percent / 100)
     return np.diag(np.square(std))
 
 
 def displacements(camera: Camera, pixels: Float64, tangent: Float64) -> Float64:
-    """Return by how much the pixels (N, 2) of points with x/z, y/z (N, 2) move with each parameter, (N, 2, 5) px."""
+    """Return the moves (N, 2, 5), px, of pixels (N, 2) of points with x/z, y/z (N, 2) by the camera's parameters."""
     focal, off = np.array([camera.fx, camera.fy]), pixels - [camera.cx, camera.cy]
     radial = focal * camera.by_radial(tangent)
     right, down = np.array([[camera.fx, 0.0], [0.0, camera.fx]])
@@ -51,10 +56,10 @@ def displacements(camera: Camera, pixels: Float64, tangent: Float64) -> Float64:
 
 
 def moves_by_camera(instrument: Instrument, camera: Camera, at: Posed) -> Float64:
-    """Return the change (6 + J, 5) of a pose and its joints with each parameter of the camera by which it is read.
+    """Return the change (6 + J, 6) of a pose and its joints with each parameter by which it is read.
 
     It is that of least squares over points of the instrument in the image, of which those of the shaft tell only where
-    they are across it; zero where none is in view.
+    they are across it; zero where none is in view. A larger instrument is farther away in the same proportion.
     """
     count = 6 + len(at.joints)
     links, points = _points(instrument)
@@ -74,13 +79,15 @@ def moves_by_camera(instrument: Instrument, camera: Camera, at: Posed) -> Float6
         along = np.linalg.svd(pixels[0, on_shaft] - pixels[0, on_shaft].mean(axis=0))[2][0]
         across = np.where(on_shaft[:, None, None], np.eye(2) - np.outer(along, along), np.eye(2))
         by_pose, by_camera = across @ by_pose, across @ by_camera
-    by_pose, by_camera = by_pose.reshape(-1, count), by_camera.reshape(-1, len(PARAMETERS))
+    by_pose, by_camera = by_pose.reshape(-1, count), by_camera.reshape(len(by_pose) * 2, -1)
     held = np.diag([_HELD] * 6 + [1 / _JOINT**2] * (count - 6))
-    return -np.asarray(np.linalg.solve(by_pose.T @ by_pose + held, by_pose.T @ by_camera))
+    by_size = np.zeros((count, 1))
+    by_size[:3, 0] = at.pose[:3, :3].T @ apply(at.pose, instrument.ends(at.joints)).mean(axis=0)
+    return np.hstack([-np.linalg.solve(by_pose.T @ by_pose + held, by_pose.T @ by_camera), by_size])
 
 
 def covariance_by_camera(instrument: Instrument, camera: Camera, at: Posed, errors: Float64) -> Float64:
-    """Return the covariance (6 + J, 6 + J) of a pose by errors of the camera, whose covariance is (5, 5)."""
+    """Return the covariance (6 + J, 6 + J) of a pose by errors of the parameters, whose covariance is (6, 6)."""
     moves = moves_by_camera(instrument, camera, at)
     return np.asarray(moves @ errors @ moves.T)
 

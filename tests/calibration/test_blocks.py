@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import pytest
-from helpers.resized import with_jaws, with_shaft, with_wrist
+from helpers.resized import with_jaws, with_shaft, with_size, with_wrist
 from helpers.session_worlds import BASE, EXPECTED_OFFSETS, NAMES, SMALL, make_frames_in_memory, make_world
 from helpers.transforms import moved, transform
 
@@ -87,6 +87,7 @@ CASES = {
     "shaft": Shown(lambda body: InstrumentSizes(body.instrument), 0, np.log(1.03), instrument=with_shaft),
     "wrist": Shown(lambda body: InstrumentSizes(body.instrument), 1, np.log(1.03), instrument=with_wrist),
     "jaws": Shown(lambda body: InstrumentSizes(body.instrument), 2, np.log(1.03), instrument=with_jaws),
+    "whole": Shown(lambda body: InstrumentSizes(body.instrument), 3, np.log(1.03), instrument=with_size),
 } | {
     f"{block.name} {axis}": Shown(made_by_the_list(number), k, float(block.std[k]))
     for number, block in enumerate(make(EstimateConfig(), SMALL) for make in TESTED)

@@ -92,7 +92,6 @@ def test_contradicted_camera_is_a_doubt_unless_it_is_put_right() -> None:
             0.1e-3,
             "offset of insertion: +16.8 mm (std 0.1), where 0.5 mm are usual; likely",
         ),
-        ("roll", np.deg2rad(-28), np.deg2rad(1), "offset of roll: -28.0 deg (std 1.0), where 15.0 deg are the most"),
         ("wrist_yaw", np.deg2rad(24), np.deg2rad(1), "offset of wrist_yaw: +24.0 deg (std 1.0), where 20.0 deg are"),
     ],
 )
@@ -100,6 +99,10 @@ def test_offset_beyond_what_cables_do_is_a_doubt(name: str, value: float, std: f
     (text,) = doubts_of(with_offset(name, value, std))
     assert text.startswith(expected)
     assert "another instrument" in text or "an instrument with another shaft" in text
+
+
+def test_offset_of_roll_is_no_doubt_as_it_is_homed_by_hand() -> None:
+    assert doubts_of(with_offset("roll", np.deg2rad(-28), np.deg2rad(1))) == ()
 
 
 def test_masks_that_are_far_too_wide_are_a_doubt() -> None:

@@ -32,9 +32,10 @@ def test_another_radius_is_a_doubt_and_the_right_one_is_none(bundled_body: Body,
 
 
 def test_doubt_says_by_how_much() -> None:
-    assert SessionShaft(1.04, 0.01, 1.09, 0.01, 0.91, 0.02).contradictions() == []
-    assert SessionShaft(0.6, 0.2, 0.5, 0.2, 1.5, 0.2).contradictions() == []
-    shaft, wrist, jaws = SessionShaft(0.63, 0.02, 1.15, 0.03, 2.0, 0.1).contradictions()
+    assert SessionShaft(1.015, 0.001, 1.03, 0.01, 0.97, 0.005, 1.019, 0.005).contradictions() == []
+    assert SessionShaft(0.6, 0.2, 0.5, 0.2, 1.5, 0.2, 1.05, 0.02).contradictions() == []
+    shaft, wrist, jaws, whole = SessionShaft(0.63, 0.02, 1.15, 0.03, 2.0, 0.1, 1.05, 0.01).contradictions()
+    assert "all of it is 5 % (std 1) larger than the instrument's" in whole
     assert "the shaft is 37 % (std 2) thinner than the instrument's" in shaft
     assert "the length from the wrist's to the jaws' axis is 15 % (std 3) longer" in wrist
     assert "the jaws are 100 % (std 10) longer" in jaws

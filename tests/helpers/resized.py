@@ -1,4 +1,4 @@
-"""Instruments of which one part is larger."""
+"""Instruments of which one part is larger, or the whole."""
 
 from __future__ import annotations
 
@@ -53,3 +53,13 @@ def with_jaws(body: Body, scale: float) -> Body:
     for tip in body.instrument.jaw_tips:
         links[tip.link] = longer(links[tip.link], tip.position, scale)
     return Body.prepare(replace(body.instrument, links=tuple(links)))
+
+
+def with_size(body: Body, scale: float) -> Body:
+    """Give the instrument all of which is larger by a factor."""
+    instrument, sizes = body.instrument, np.array([*[[1.0, 1.0, 1.0, scale]] * 3, [1.0] * 4])
+    assert instrument.shaft is not None
+    joints = [replace(one, parent_from_joint=sizes * one.parent_from_joint) for one in instrument.chain.joints]
+    links = [replace(link, vertices=scale * link.vertices) for link in instrument.links]
+    shaft = replace(instrument.shaft, point=scale * instrument.shaft.point, radius=scale * instrument.shaft.radius)
+    return Body.prepare(replace(instrument, links=tuple(links), chain=Chain(tuple(joints)), shaft=shaft))

@@ -86,20 +86,24 @@ def test_points_move_with_aspect_and_radial_coefficient_of_every_lens_as_they_ar
 def test_errors_of_the_file_are_in_metres_and_not_in_this_camera(bundled_body: Body) -> None:
     _, truths, frames = make_frames_in_memory(bundled_body, 1, level="clean", seed=11)
     given = frames[0].data.mask, SMALL, frames[0].result.readings
-    exact = EstimateConfig(camera=CameraConfig(0.0, 0.0, 0.0, 0.0))
+    exact = EstimateConfig(camera=CameraConfig(0.0, 0.0, 0.0, 0.0, 0.0))
     usual, right = (estimate(*given, instrument=bundled_body, config=config) for config in (EstimateConfig(), exact))
     np.testing.assert_allclose(usual.covariance, right.covariance)
     assert usual.expected_error.tip_90_given_camera_mm == pytest.approx(right.expected_error.tip_90_mm)
     assert usual.expected_error.tip_90_mm > right.expected_error.tip_90_mm + 0.3
     assert usual.tip_probability < right.tip_probability
     at = Posed(truths[0].camera_from_root, truths[0].values)
-    spread = covariance_by_camera(bundled_body.instrument, SMALL, at, np.diag([0.01**2, 0, 0, 0, 0]))
+    spread = covariance_by_camera(bundled_body.instrument, SMALL, at, np.diag([0.01**2, 0, 0, 0, 0, 0]))
     assert np.sqrt(np.trace(spread[:3, :3])) == pytest.approx(0.01 * at.pose[2, 3], rel=0.15)
+    spread = covariance_by_camera(bundled_body.instrument, SMALL, at, np.diag([0, 0, 0, 0, 0, 0.01**2]))
+    tips = apply(at.pose, bundled_body.instrument.ends(at.joints)).mean(axis=0)
+    assert np.sqrt(np.trace(spread)) == pytest.approx(0.01 * np.linalg.norm(tips))
 
 
 def test_covariance_that_a_file_states_takes_the_place_of_the_settings() -> None:
     stated = tuple(map(tuple, (1e-4 * np.eye(5)).tolist()))
-    np.testing.assert_array_equal(file_covariance(replace(SMALL, covariance=stated), CameraConfig()), 1e-4 * np.eye(5))
+    given = file_covariance(replace(SMALL, covariance=stated), CameraConfig())
+    np.testing.assert_allclose(given, np.diag([1e-4] * 5 + [0.003**2]))
     std = np.sqrt(np.diag(file_covariance(SMALL, CameraConfig())))
     assert dict(zip(PARAMETERS, std.round(6).tolist(), strict=True)) == {
         "focal_length": 0.005,
@@ -107,6 +111,7 @@ def test_covariance_that_a_file_states_takes_the_place_of_the_settings() -> None
         "centre_right": 0.003,
         "centre_down": 0.003,
         "radial": 0.02,
+        "instrument_size": 0.003,
     }
 
 
