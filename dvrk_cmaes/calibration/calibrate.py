@@ -27,7 +27,7 @@ from dvrk_cmaes.calibration.frame_task import (
 )
 from dvrk_cmaes.calibration.model import SessionModel, outer_readings
 from dvrk_cmaes.calibration.session_camera import CameraCheck, errors_of_camera
-from dvrk_cmaes.calibration.session_doubts import doubts_of, resting_on, unusual_insertion
+from dvrk_cmaes.calibration.session_doubts import doubts_of, ends_missing, resting_on, unusual_insertion
 from dvrk_cmaes.calibration.session_endoscope import SessionEndoscope
 from dvrk_cmaes.calibration.session_problem import LEAST_FRAMES, ArmSession, ArmSetup
 from dvrk_cmaes.calibration.session_rig import rotations_of_session, turns_of
@@ -172,6 +172,8 @@ def _finished(given: _Given, outcome: Outcome | None) -> tuple[SolvedSession, di
     given = given._replace(left_out={**given.left_out, **reasons})
     predicted = {name: report.leave_one_out for name, report in by_name.items()}
     calibration = _judged(arm, _stated(given, arm, check, errors, results, predicted))
+    lacking = ends_missing([by_name[name].end_missing for name in calibration.frames])
+    calibration = replace(calibration, doubts=(*calibration.doubts, *lacking))
     results = {name: resting_on(result, calibration) for name, result in results.items()}
     evidence = {frame.name: one.views[0].evidence for frame, one in zip(arm.frames, arm.stored, strict=True)}
     return SolvedSession(calibration, results, predicted), evidence

@@ -21,7 +21,7 @@ from dvrk_cmaes.joints.prior import Readings, reading_distance, split_readings
 from dvrk_cmaes.pose.camera_errors import covariance_by_camera
 from dvrk_cmaes.pose.covariance import rough_covariance
 from dvrk_cmaes.pose.expected_error import expected_error, locate_tips
-from dvrk_cmaes.pose.judge import doubts_in_views
+from dvrk_cmaes.pose.judge import doubts_in_views, jaw_end_missing
 from dvrk_cmaes.pose.quality import measure_overlap, measure_views, pooled_quality
 from dvrk_cmaes.pose.search.modes import are_distinct
 from dvrk_cmaes.pose.terms.expected import Expected
@@ -139,10 +139,11 @@ class LeaveOneOutPrediction:
 
 @dataclass(frozen=True, eq=False)
 class FrameReport:
-    """A frame's result with the session's prior, and its leave-one-out prediction."""
+    """A frame's result with the session's prior, its leave-one-out prediction; whether the mask lacks a jaw's end."""
 
     result: Result
     leave_one_out: LeaveOneOutPrediction
+    end_missing: bool
 
 
 def gather_task(body: Body, config: EstimateConfig, frame: SessionFrame) -> StoredFrame:
@@ -224,7 +225,7 @@ def report_task(body: Body, config: EstimateConfig, task: ReportTask) -> FrameRe
         predicted.contour_px_median,
         {view.name: (own[0].iou, own[0].contour_px_median) for view, own in zip(views, of_views, strict=True)},
     )
-    return FrameReport(result, leave_one_out)
+    return FrameReport(result, leave_one_out, jaw_end_missing(views[0], task.fit.at))
 
 
 def _result_of_fit(

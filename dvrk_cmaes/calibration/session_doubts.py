@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, TypeVar
 
@@ -28,6 +29,7 @@ LARGEST_LOSS: Final = 0.15
 _TRUSTED_SHARE = 0.5  # of the frames that were solved together; if no more agree, these few may be the wrong ones
 LARGEST_PREDICTED_PX: Final = 2.5
 """Median distance of the contours of frames from what the other frames of their session predict, at 640 px of width."""
+_LACKING_SHARE = 0.5  # of the frames, whose masks lack the end of a jaw; of 60 right frames of all kinds one does
 _LARGEST_MARGIN_PX = 2.0  # of all masks of a session
 _LARGEST_SIDE_PX = 1.5
 """Standard deviation of the errors of a side of the shaft that are autocorrelated from frame to frame.
@@ -149,6 +151,13 @@ def masks_off(masks: SessionMasks, pixel_scale: float) -> list[str]:
         if one_sided
         else None,
     )
+
+
+def ends_missing(missing: Sequence[bool]) -> list[str]:
+    """Judge in how many of the frames the mask lacks the end of a jaw."""
+    if sum(missing) > _LACKING_SHARE * len(missing):
+        return [f"the ends of the jaws are missing from the masks in {sum(missing)} of {len(missing)} frames"]
+    return []
 
 
 def camera_untestable(calibration: SessionCalibration) -> str | None:

@@ -52,6 +52,7 @@ Both are root mean squares over the frames of one recording.
 In 13 made recordings with rough masks, that is so of 3 of 780 frames with right columns, of 45 % with exchanged ones.
 """
 _CLEAR = 4.0  # standard deviations of a rotation
+_END: Final = 0.85  # of the way from the jaws' axis to a tip, where right masks show the jaw's end
 _MINOR = 0.15  # probability that may be missing from the modes found, before they are not named
 
 
@@ -212,6 +213,18 @@ def outside_image(points: Float64, camera: Camera) -> Bool:
         return np.ones(len(points), dtype=np.bool_)
     pixels = camera.project(points)
     return np.asarray(((pixels < -0.5) | (pixels > [camera.width - 0.5, camera.height - 0.5])).any(axis=1))
+
+
+def jaw_end_missing(view: FrameView, at: Posed) -> bool:
+    """Return whether the mask of a view shows nothing where a pose has the end of a jaw, inside the image."""
+    instrument, evidence, seen = view.renderer.body.instrument, view.evidence, at.seen_from(view.view_from_camera)
+    if not instrument.jaw_tips or not instrument.hinges:
+        return False
+    hinge = instrument.chain.forward(seen.joints, [instrument.hinges[-1]])[0, :3, 3]
+    points = apply(seen.pose, hinge + _END * (instrument.tips(seen.joints) - hinge))
+    inside = points[~outside_image(points, evidence.camera)]
+    u, v = np.rint(evidence.camera.project(inside)).astype(int).T
+    return bool((~evidence.mask[v, u] & (evidence.weight[v, u] > 0)).any())
 
 
 def _mirrored_overlap(at: Posed, check: ViewCheck, view: FrameView) -> float:

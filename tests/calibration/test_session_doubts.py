@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.page_calibrations import calibration, solved
+from helpers.session_worlds import SMALL, make_frames_in_memory
 
-from dvrk_cmaes import SessionCalibration, TrackResult
+from dvrk_cmaes import Body, FrameData, SessionCalibration, SessionFrame, TrackResult, calibrate_session
 from dvrk_cmaes.calibration.lag import NO_READINGS_AT_LAG
 from dvrk_cmaes.calibration.session_camera import IMPLAUSIBLE, SessionCamera
 from dvrk_cmaes.calibration.session_doubts import (
@@ -22,6 +23,7 @@ from dvrk_cmaes.camera.critical import WRONG
 from dvrk_cmaes.geometry import Posed
 from dvrk_cmaes.pose.doubts import DISAGREES
 from dvrk_cmaes.pose.judge import far_joints
+from dvrk_cmaes.synth.truth import Truth
 
 FRAMES = ("0000", "0001", "0002")
 BADLY = {"0000": (0.62, 9.0), "0001": (0.66, 8.0)}
@@ -103,6 +105,30 @@ def test_offset_beyond_what_cables_do_is_a_doubt(name: str, value: float, std: f
 
 def test_offset_of_roll_is_no_doubt_as_it_is_homed_by_hand() -> None:
     assert doubts_of(with_offset("roll", np.deg2rad(-28), np.deg2rad(1))) == ()
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_masks_without_the_ends_of_the_jaws_are_a_doubt(bundled_body: Body, cut: bool) -> None:
+    _, truths, frames = make_frames_in_memory(bundled_body, 6)
+    seen = [
+        replace(frame, data=without_ends(*one)) if cut else frame
+        for frame, *one in zip(frames, truths, frames, strict=True)
+    ]
+    found = calibrate_session(seen, bundled_body).calibration.doubts
+    assert [text for text in found if text.startswith("the ends of the jaws are missing from the masks in")] or not cut
+    assert cut or not found
+
+
+def without_ends(truth: Truth, frame: SessionFrame) -> FrameData:
+    """Remove from a mask what is within 4 mm of the tips of the jaws."""
+    data = frame.data
+    assert isinstance(data, FrameData)
+    mask = data.mask.copy()
+    for tip in truth.tips:
+        (u, v), radius = SMALL.project(tip[None])[0], 4e-3 * SMALL.fx / tip[2]
+        rows, columns = np.indices(mask.shape)
+        mask &= (columns - u) ** 2 + (rows - v) ** 2 > radius**2
+    return FrameData.of(mask, data.camera, None)
 
 
 def test_masks_that_are_far_too_wide_are_a_doubt() -> None:

@@ -185,6 +185,8 @@ OF_SESSIONS = (
     "the shaft is",
     "the length from the wrist",
     "the jaws are",
+    "all of it is",
+    "the ends of the jaws are missing from the masks",
     "masks are",
     "masks err by",
     "camera file: most likely wrong",
