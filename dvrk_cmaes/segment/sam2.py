@@ -94,7 +94,7 @@ class Sam2:
         else:
             mask = candidate > 0
         confidence, notes = self._trust(float(overlaps[best]), outputs, mask)
-        return Segmentation(mask, probability(candidate), confidence, (*notes, *self._export.notes))
+        return Segmentation(mask, probability(candidate), confidence, notes)
 
     def _features(self, image: NDArray[np.uint8]) -> Tensors:
         """Return the features of an image, from the last call if the image is the same."""

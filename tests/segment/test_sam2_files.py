@@ -33,7 +33,6 @@ def test_encoder_and_decoder_are_recognised_by_tensors(tmp_path: Path, family: s
     export = open_export(write_export(tmp_path, family, names=names), threads=1)
     assert export.family.name == family
     assert (export.encoder.file.name, export.decoder.file.name) == names
-    assert export.notes == ()
 
 
 def test_folder_without_model_is_refused(tmp_path: Path) -> None:
