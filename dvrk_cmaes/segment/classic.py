@@ -58,9 +58,8 @@ def rough_mask(image: Image, hints: Hints) -> Segmentation:
     return Segmentation(mask, None, verdict.confidence, verdict.notes)
 
 
-def segment_classic(image: Image, hints: Hints, rough: Segmentation | None = None) -> Segmentation:
-    """Segment the instrument in an image (H, W, 3) uint8 BGR, given its `rough_mask` if that is known."""
-    rough = rough_mask(image, hints) if rough is None else rough
+def segment_classic(image: Image, hints: Hints, rough: Segmentation) -> Segmentation:
+    """Segment the instrument in an image (H, W, 3) uint8 BGR, given its `rough_mask`."""
     if not rough.mask.any():
         return Segmentation(np.zeros(image.shape[:2], np.bool_), None, 0.0, ("no instrument found",))
     prompts = draw_prompts(image.shape, 1.0, hints.box, hints.points, hints.not_points)
