@@ -1,6 +1,6 @@
 """Segmentation of the instrument in an image.
 
-`segment` returns a mask, with or without prompts (a box around the instrument, points on it, points beside it). It uses
+`segment` returns a mask, with or without prompts (a box around the instrument, points on it, points off it). It uses
 one of two models: ``classic`` needs no weights, and looks for the instrument by its meshes, if it is given, and by
 colours and edges; ``sam2`` runs an exported checkpoint of Segment Anything 2.
 """

@@ -34,7 +34,7 @@ _CLEAR: Final = 2.0  # mean edge, from which on a sharper one is no surer: blur 
 _UNLIKE: Final = 0.3  # separation of wrist and jaws from the shaft, from which on more says nothing
 _BEYOND: Final = 0.008  # m along the shaft, by which the instrument is moved to see what is beyond its tip
 _BEFORE: Final = 12.0
-"""Weight of the share of what differs from a known background that a silhouette covers, less what it covers beside."""
+"""Weight of the share of what differs from a known background that a silhouette covers, less what else it covers."""
 _THICK: Final = 1.5  # px from the rim of what differs from a background, beyond which pixels count less
 _SMOOTHING: Final = 2.0  # pixels added to the bins of each histogram, as the whole picture has them
 _LEAST: Final = 1.5, 0.8, 6.0, 4.0
@@ -46,7 +46,7 @@ along the outline of all and of wrist and jaws, whose edges count fully, in widt
 class Scores:
     """Measures of C candidates, (C,) each.
 
-    shaft, distal : separation from the band beside, 0 to 1, of the shaft, and of wrist and jaws.
+    shaft, distal : separation from the band around it, 0 to 1, of the shaft, and of wrist and jaws.
     edges, distal_edges : mean edge along the outline of all, and of wrist and jaws.
     ending : separation, 0 to 1, of wrist and jaws from what is beyond their tip.
     unlike : separation of wrist and jaws from the shaft, as a share of what is enough, 0 to 1.
@@ -80,7 +80,7 @@ class Scores:
 
 
 class Appearance:
-    """What one picture tells of candidate poses of an instrument, at a reduced size."""
+    """Likelihood of candidate poses of an instrument, at a reduced size."""
 
     def __init__(
         self, image: Image, camera: Camera, body: Body, outside: Bool, foreground: Float32 | None = None
@@ -98,7 +98,9 @@ class Appearance:
         edges = edge_scores(image, counts)
         within = cv2.erode(counts.astype(np.uint8), np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT, borderValue=0)
         before = np.zeros(counts.shape, np.float32)
-        if foreground is not None:  # thin parts tell wrist and jaws, the inside of the shaft is only large
+        if (
+            foreground is not None
+        ):  # thin parts locate wrist and jaws; the inside of the shaft is large and locates nothing
             inside = cv2.distanceTransform((foreground > 0).astype(np.uint8), cv2.DIST_L2, 3)
             before = np.where(counts, foreground / np.maximum(inside / _THICK, 1), 0).astype(np.float32)
         self._before = 1 / max(float(np.maximum(before, 0).sum()), 1.0)
@@ -119,16 +121,16 @@ class Appearance:
             for renderer in (self._shaft, self._wide, self._wide_shaft)
         )
         distal = np.maximum(whole - shaft, 0)
-        beside_shaft = np.maximum(wide_shaft - shaft - distal, 0)
-        beside_distal = np.maximum(wide - wide_shaft - distal, 0)
+        around_shaft = np.maximum(wide_shaft - shaft - distal, 0)
+        around_distal = np.maximum(wide - wide_shaft - distal, 0)
         moved = at.pose.copy()
         moved[:, :3, 3] += _BEYOND * moved[:, :3, 2]
         beyond = np.maximum(self._all.sums(moved, at.joints, self._bins, to_pixel=True)[:, :-2] - whole, 0)
         outlines = [renderer.sums(at.pose, at.joints, self._edges) for renderer in self._bounds]
         width = 2 * self._radius * self._focal / np.maximum(at.pose[:, 2, 3], 1e-3)
         return Scores(
-            self._separation(shaft, beside_shaft, _LEAST[0] * width**2),
-            self._separation(distal, beside_distal, np.minimum(_LEAST[1] * width**2, beside_distal.sum(axis=1))),
+            self._separation(shaft, around_shaft, _LEAST[0] * width**2),
+            self._separation(distal, around_distal, np.minimum(_LEAST[1] * width**2, around_distal.sum(axis=1))),
             _mean(outlines[0] - outlines[1], _LEAST[2] * width),
             _mean(outlines[2] - outlines[3], _LEAST[3] * width),
             self._separation(distal, beyond, np.minimum(_LEAST[1] * width**2, beyond.sum(axis=1))),

@@ -3,7 +3,7 @@
 Pairs of straight edges give axes of the shaft. Along each axis the instrument is tried at steps, from both ends, and
 the best places with the wrist bent; the best places of each instrument are tried at all rolls and at some angles of the
 wrist, or at those that are read; the best of these at other distances and tilts, and then improved step by step.
-Nothing is drawn by chance. What a picture tells of a candidate is in `appearance`.
+Nothing is drawn by chance. The likelihood of a candidate is in `appearance`.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ _SHARES: Final = np.array([0.4, 0.7, 1.0])  # of the way to the peak of the para
 _SCALE: Final = np.array([7e-4, 4e-3, 4e-3, np.deg2rad(10), np.deg2rad(2), np.deg2rad(15)])
 """Usual changes of a pose, m and rad: to the side in the image, in depth, along the shaft; tilt in depth, turn in the
 image, roll."""
-_DISTANCES: Final = 0.9, 1.0, 1.1  # of that of a start, that are tried, as edges tell a shaft's width roughly
-_TILTS: Final = np.deg2rad([-16.0, -8.0, 0.0, 8.0, 16.0])  # and tilts in depth, which they tell by small differences
+_DISTANCES: Final = 0.9, 1.0, 1.1  # of that of a start, that are tried, as edges measure a shaft's width roughly
+_TILTS: Final = np.deg2rad([-16.0, -8.0, 0.0, 8.0, 16.0])  # and tilts in depth, which they measure by small differences
 _SLIDES: Final = np.arange(-0.012, 0.031, 0.003)  # m along the shaft, by which finalists are moved
 _STRAIN: Final = 0.01  # of the score, for each squared unit of change
 _USUAL: Final = 95  # percentile of the scores along all axes, over which a candidate's margin is measured
@@ -281,7 +281,7 @@ def _joined(sets: Sequence[Posed]) -> Posed:
 def _appearance(
     image: Image, outside: Bool, drawn: Body, camera: Camera, longest: int, foreground: Float32 | None
 ) -> Appearance:
-    """Return what an image tells at a size with at most some px as longer side, by some meshes of the instrument."""
+    """Return the likelihoods of an image with at most some px as longer side, by some meshes of the instrument."""
     size, _ = size_within(image.shape, longest)
     before = None
     if foreground is not None:

@@ -38,7 +38,7 @@ _CONVERGED = 0.97  # IoU of the masks of two successive iterations, above which 
 _REACH = 0.125  # largest distance from the last mask at which a pixel may be labelled instrument
 _AROUND = 0.19  # largest distance from the mask of the pixels that the background's histogram is taken from
 GAP = 0.06  # largest distance between pieces of an instrument, at the reduced size
-_PRIOR_WEIGHT, _LARGEST_PRIOR = 0.3, 2.0  # weight of the greyness log-odds beside the histograms', and their bound
+_PRIOR_WEIGHT, _LARGEST_PRIOR = 0.3, 2.0  # weight of the greyness log-odds against the histograms', and their bound
 
 
 def rough_mask(image: Image, hints: Hints) -> Segmentation:

@@ -86,7 +86,7 @@ def greyness_log_odds(
         (H, W), pixels known to be background, from which the background's rays are taken; by default the pixels whose
         saturation is above Otsu's threshold.
     tool
-        (H, W), pixels known to be instrument; their mean direction is a ray of the instrument beside the grey axis.
+        (H, W), pixels known to be instrument; their mean direction is a further ray of the instrument.
     any_colour
         Whether the instrument may have any colour: the log-odds against a pixel that is far from the instrument's rays
         are bounded, so that one far from the background's rays too is taken for instrument.

@@ -22,7 +22,7 @@ from dvrk_cmaes.segment.regions import border_contact, meets_border
 _BAND = (2.0, 12.0)  # px, distances from the outline between which colours are compared
 _ACROSS = 4.0  # px, distance of the two points on either side of the outline whose difference is measured
 _FARTHER, _SHARP = 12.0, 0.5  # px; least ratio of the difference over _ACROSS to that over _FARTHER at an edge
-_BESIDE = 16.0  # px, distance from the outline of the level line along which the background's differences are measured
+_FARTHER_OUT = 16.0  # px from the outline, of the level line along which the background's differences are measured
 _CLEAR = 2.0  # least ratio of the difference at an edge to the median difference in the background
 _LEAST_AREA, _LARGEST_AREA = 0.004, 0.6  # fractions of the image
 _MOST_SIDES = 2  # largest number of the image's sides that an instrument meets
@@ -99,8 +99,8 @@ def _edges(away: Float32, colours: Colours) -> float:
     across, farther = _changes(away, colours, 0.0, (_ACROSS, _FARTHER))
     if not len(across):
         return 0.0
-    beside = _changes(away, colours, _BESIDE, (_ACROSS,))[0]
-    own = float(np.median(beside)) if len(beside) else 0.0
+    around = _changes(away, colours, _FARTHER_OUT, (_ACROSS,))[0]
+    own = float(np.median(around)) if len(around) else 0.0
     least = max(_CLEAR * own, 2 * colours.noise / max(float(np.median(colours.brightness)), 1.0))
     return float(((across > least) & (across > _SHARP * farther)).mean())
 

@@ -19,7 +19,7 @@ _BAND = (2.5, 14.0)  # px, distances from the outline between which the means ar
 _NEARBY = 8.0  # px, standard deviation of the Gaussian weights of the means
 _COARSER = 4  # by which the image is reduced for the means
 _SMOOTH = 1.0  # px, standard deviation of the Gaussian that smooths the image
-_BRIGHTNESS = 0.5  # weight of brightness beside colour; below 1, because the tool casts shadows beside its outline
+_BRIGHTNESS = 0.5  # weight of brightness against colour; below 1, because the tool casts shadows along its outline
 _TEXTURE = 6.0  # grey levels, difference of the two means at which the log-odds have half their weight
 _STEEPNESS = 8.0  # difference of the log-odds between the background's and the instrument's mean colour
 
@@ -48,8 +48,8 @@ def edge_log_odds(image: NDArray[np.uint8], mask: Bool) -> Float32:
     between = inside - outside
     square = (between**2).sum(axis=-1)
     share = ((parts - outside) * between).sum(axis=-1) / np.maximum(square, 1e-3)
-    sure = square / (square + _TEXTURE**2)
-    odds = _STEEPNESS * sure * np.clip(share - 0.5, -0.5, 0.5)
+    weight = square / (square + _TEXTURE**2)
+    odds = _STEEPNESS * weight * np.clip(share - 0.5, -0.5, 0.5)
     return np.asarray(np.where(np.abs(away) < _BAND[1], odds, 0), np.float32)
 
 

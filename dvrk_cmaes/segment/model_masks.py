@@ -35,7 +35,7 @@ _FREE_INSIDE: Final = 0.15  # widths from the outline of wrist and jaws, within 
 _FREE_BEFORE: Final = 0.1, 0.25  # likewise, before a background that is known
 _STEEPNESS: Final = 3.0  # log-odds for each width beyond
 _REACH: Final = 0.15, 1.5  # widths beyond, from which on nothing is instrument
-_BESIDE: Final = 0.15, 3.0  # widths around a mask, between which the colours of the surroundings are learned
+_AROUND: Final = 0.15, 3.0  # widths around a mask, between which the colours of the surroundings are learned
 _LARGEST: Final = 4.0  # log-odds by the colours, which outweigh the silhouette: what lies before it is no instrument
 _UNSEEN: Final = 0.2  # share of the instrument whose colours the silhouette does not show
 _PASSES: Final = 2
@@ -57,7 +57,7 @@ _FITS_BOX: Final = 0.3  # least overlap of the bounding box of a silhouette with
 def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: Prompts) -> tuple[Bool, Float32]:
     """Cut out the instrument (h, w) around a silhouette whose wrist and jaws may be off by much of the shaft's width.
 
-    Also returns the log-odds (h, w) by the colours in the mask and beside it.
+    Also returns the log-odds (h, w) by the colours in the mask and around it.
     ``shaft`` and ``whole`` (h, w) are silhouettes of the shaft and of the whole instrument, neither empty nor full;
     ``width`` is that of the shaft, px.
     """
@@ -68,10 +68,10 @@ def _rough_mask(image: Image, shaft: Bool, whole: Bool, width: float, prompts: P
     table, mask = ColourTable(measure_colours(image)), whole
     for _ in range(_PASSES):
         away = distance_to(mask)
-        beside = (away > _BESIDE[0] * width) & (away < _BESIDE[1] * width) & ~unsure
+        surroundings = (away > _AROUND[0] * width) & (away < _AROUND[1] * width) & ~unsure
         if prompts.outside is not None:
-            beside &= ~prompts.outside
-        odds = np.clip(table.log_odds(mask, beside, unseen=_UNSEEN), -_LARGEST, _LARGEST).astype(np.float32)
+            surroundings &= ~prompts.outside
+        odds = np.clip(table.log_odds(mask, surroundings, unseen=_UNSEEN), -_LARGEST, _LARGEST).astype(np.float32)
         found = mask_around(
             image,
             whole,
@@ -150,12 +150,12 @@ def segment_by_model(
     other = by_colours() if sure else None
 
     def mask_of(each: Candidate) -> Segmentation | None:
-        beside, same = _beside(each, likely, outside.shape), None
+        others_pixels, same = _of_others(each, likely, outside.shape), None
         if other is not None and _overlap(each, other.mask) > SAME:
-            same = replace(other, mask=other.mask & ~beside) if beside.any() else other
+            same = replace(other, mask=other.mask & ~others_pixels) if others_pixels.any() else other
             if same.confidence > each.confidence:  # its own mask would be no surer than the candidate
                 return same
-        own = mask_of_candidate(image, each, body, camera, prompts.with_outside(outside | beside), foreground)
+        own = mask_of_candidate(image, each, body, camera, prompts.with_outside(outside | others_pixels), foreground)
         return same if own is not None and same is not None and same.confidence > own.confidence else own
 
     masks: list[Segmentation] = []
@@ -179,11 +179,11 @@ def segment_by_model(
     return replace(first, confidence=confidence, notes=notes, others=tuple(others))
 
 
-def _beside(found: Candidate, likely: Sequence[Candidate], shape: tuple[int, ...]) -> Bool:
+def _of_others(found: Candidate, likely: Sequence[Candidate], shape: tuple[int, ...]) -> Bool:
     """Return the pixels (H, W) of other instruments, whose colours are no surroundings' and may be this one's, too."""
     others = [each.silhouette for each in likely if each is not found]
-    beside = np.any([np.zeros_like(found.silhouette), *others], axis=0) & ~found.silhouette
-    return resized(beside, (shape[1], shape[0]))
+    others_pixels = np.any([np.zeros_like(found.silhouette), *others], axis=0) & ~found.silhouette
+    return resized(others_pixels, (shape[1], shape[0]))
 
 
 def _is_alike(mask: Bool, candidates: Sequence[Candidate], body: Body, camera: Camera) -> bool:

@@ -8,7 +8,7 @@ pixels of the encoder's square of 1024 pixels, x before y:
   multiplied by the encoder's; the graph appends the padding point). Older versions also take ``orig_im_size``, later
   ones also return ``low_res_masks``.
 - onnxruntime: `onnxruntime/python/tools/transformers/models/sam2/image_decoder.py` ("normalized with H=W=1024"; the
-  graph appends the padding point, and returns boolean masks of the image's size beside logits).
+  graph appends the padding point, and returns boolean masks of the image's size and logits).
 - onnx-community: `Sam2Model.forward` in transformers.js (a box in ``input_boxes``; where there is no point, or no box,
   an empty tensor; the processor scales both to the square).
 - osam: `osam/_models/sam2` (the encoder's outputs are identified by position; the graph scales masks to the image).
@@ -40,7 +40,7 @@ class Prompt:
     """Prompts in pixels of the encoder's square.
 
     points : (N, 2) float32, x and y.
-    labels : (N,) int64, 1 on the instrument, 0 beside it.
+    labels : (N,) int64, 1 on the instrument, 0 off it.
     box : (4,) float32, left, top, right, bottom, or None.
     shape : height and width of the original image, px.
     """

@@ -32,7 +32,7 @@ class Segmentation:
     score : (H, W) float32, probability of instrument at each pixel, 0 to 1; None if there is none.
     confidence : 0 to 1; below 0.5, the mask is called a guess.
     notes : messages for the user about the mask.
-    before : what the instrument was told from, if that was a background.
+    before : the background that the instrument was segmented against, if there was one.
     others : masks of further instruments in the image, if these were looked for; the surest one first.
     """
 
@@ -46,8 +46,8 @@ class Segmentation:
 
 def noted(found: Segmentation) -> Segmentation:
     """Return a segmentation that says if it is a guess."""
-    told = found.confidence >= GUESS or "a guess" in found.notes
-    return found if told else replace(found, notes=("a guess", *found.notes))
+    stated = found.confidence >= GUESS or "a guess" in found.notes
+    return found if stated else replace(found, notes=("a guess", *found.notes))
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def check_prompts(
     box
         Left, top, right, bottom in pixels, or None.
     points, not_points
-        Pixels (u, v) on the instrument and beside it.
+        Pixels (u, v) on the instrument and off it.
 
     Raises
     ------

@@ -33,7 +33,7 @@ _NEAREST, _FARTHEST = 0.015, 0.5  # m, between which the instrument is looked fo
 _NARROWEST: Final = 4.0  # px, width of a shaft
 _LEAST_OVERLAP: Final = 0.7  # of the width, of the stretch that has both lines
 _TRIED: Final = 50  # points along an axis, of which the one deepest in a mask is taken
-_AT_EDGE: Final = 3.0  # px beside what is outside the picture, whose own edge is no shaft's
+_AT_EDGE: Final = 3.0  # px from what is outside the picture, whose own edge is no shaft's
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def prompts_in(other: View, first: SeenView, prompts: Hints, body: Body, *, seve
 
 
 def prompt_in(other: View, mask: Bool, view: View, body: Body) -> Hints:
-    """Return a point on the instrument in another view of its mask (H, W) in a view, where the shaft's edges tell one.
+    """Return a point on the instrument in another view, given its mask (H, W) in a view that shows the shaft's edges.
 
     The distance of the point on the shaft's axis follows from the width between the edges.
     """
