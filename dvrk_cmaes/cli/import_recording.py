@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -26,12 +25,9 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.io.short_text import shown
 
 if TYPE_CHECKING:
-    from dvrk_cmaes.camera.files import Side
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.rows import JointFile
     from dvrk_cmaes.recording.pose_table import PoseTable
-    from dvrk_cmaes.recording.recording import Asked, Recording
-    from dvrk_cmaes.recording.video import Pictures
     from dvrk_cmaes.recording.write_session import ImportSummary
 
 SELECTION = Group.create_ordered("Selection")
@@ -283,19 +279,29 @@ def import_recording(
     check_range("--episode", part.episode, 0, MOST_EPISODES)
     from dvrk_cmaes.frames.own_files import check_own_folder
     from dvrk_cmaes.frames.picture_fit import parse_crop
+    from dvrk_cmaes.recording.readers import open_recording
     from dvrk_cmaes.recording.recording import Asked
-    from dvrk_cmaes.recording.video import Pictures
+    from dvrk_cmaes.recording.topics import TopicRequest
     from dvrk_cmaes.recording.write_session import ImageSelection, write_session
 
     check_own_folder(recording)
-    table = _table(video.joints, poses, part.arm[0] if len(part.arm) == 1 else None)
-    asked = Asked("left", part.arm[0] if part.arm else None, video.camera, table, video.video_start)
-    crop = None if video.crop is None else parse_crop("--crop", video.crop)
-    shown_part = Pictures(video.layout, "left", video.interlaced, crop)
-    with _opened(recording, topics, asked, shown_part, part.side, part.arm, part.episode) as opened:
+    asked = Asked(
+        side=None if part.side == "both" else part.side,
+        both=part.side == "both",
+        arms=part.arm,
+        camera=video.camera,
+        joints=_table(video.joints, poses, part.arm[0] if len(part.arm) == 1 else None),
+        start=video.video_start,
+        layout=video.layout,
+        crop=None if video.crop is None else parse_crop("--crop", video.crop),
+        first_field=video.interlaced,
+        episode=part.episode,
+        topics=TopicRequest(**vars(topics)),
+    )
+    with open_recording(recording, asked) as opened:
         shown = tracked(opened.images, "Importing", opened.total)
         summary = write_session(
-            replace(opened, images=iter(shown), rectified=topics.rectified),
+            replace(opened, images=iter(shown)),
             out,
             selection=ImageSelection(selected.every, selected.start, selected.end),
             tolerance=selected.tolerance,
@@ -361,79 +367,6 @@ def _lag(text: str | None, calibration: Path | None) -> tuple[Lag | None, str]:
     if found.lag.seconds is None:
         raise InputError(f"{calibration}: lag: expected seconds, as of a session with times, got {found.lag.text}")
     return found.lag, ""
-
-
-def _opened(
-    path: Path,
-    topics: TopicOptions,
-    asked: Asked,
-    pictures_asked: Pictures,
-    side: Literal["left", "right", "both"] | None,
-    arms: Sequence[str],
-    episode: int,
-) -> AbstractContextManager[Recording]:
-    """Open a recording; a folder is known by its files, a ROS recording by its extension, and others are videos."""
-    from dvrk_cmaes.frames.session_folder import is_session_layout
-    from dvrk_cmaes.recording.bag import open_bag
-    from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
-    from dvrk_cmaes.recording.pose_table import PoseTable
-    from dvrk_cmaes.recording.recording import both_eyes
-    from dvrk_cmaes.recording.stereo_videos import has_stereo_videos, open_stereo_videos
-    from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
-    from dvrk_cmaes.recording.surgsync import is_packed, is_surgsync, open_packed, open_surgsync
-    from dvrk_cmaes.recording.topics import SUFFIXES, TopicRequest, is_bag
-    from dvrk_cmaes.recording.video import Pictures, open_pictures, open_video
-
-    arm, camera, joints = asked.arm, asked.camera, asked.joints
-    if path.is_dir() and is_lerobot(path):
-        if side == "both" or isinstance(joints, PoseTable) or topics != _DEFAULT_TOPICS or asked.start:
-            raise InputError(
-                f"{path}: expected none of --side both, --pose-of, --video-start and topics with a LeRobot data set"
-            )
-        return open_lerobot(path, replace(asked, side=side or "left"), episode)
-    if episode:
-        raise InputError(f"{path}: --episode: expected a LeRobot data set, with meta/info.json and data")
-    surgpose = path.is_dir() and is_surgpose(path)
-    packed = path.is_dir() and is_packed(path)
-    clip = packed or (path.is_dir() and is_surgsync(path))
-    stereo = surgpose or clip or (path.is_dir() and has_stereo_videos(path))
-    if not stereo and path.is_dir() and is_session_layout(path):
-        raise InputError(f"{path}: expected a recording, got a session folder (masks or images): no import is needed")
-    bag = not stereo and is_bag(path)
-    pictures = not stereo and not bag and path.is_dir()
-    if arm is not None and not (clip or surgpose or bag):
-        raise InputError(f"{path}: --arm: expected a ROS recording, a clip of SurgSync or a folder of SurgPose")
-    if len(arms) > 1 and not bag:
-        raise InputError(f"{path}: --arm: expected one arm, but of a ROS recording, got {', '.join(arms)}")
-    if pictures_asked != Pictures() and (stereo or bag or (pictures and pictures_asked.first_field)):
-        raise InputError(
-            f"{path}: --layout, --crop, --interlaced: expected a video, or with the first two a folder of pictures"
-        )
-    if side == "both" and camera is not None and (stereo or bag):
-        raise InputError("--camera: expected none with --side both, whose cameras are those of the recording")
-    if not bag and topics != _DEFAULT_TOPICS:
-        raise InputError(f"{path}: topics were asked for; expected a ROS recording ({', '.join(SUFFIXES)} or a folder)")
-
-    def of_eye(eye: Side, *, named: bool = True) -> AbstractContextManager[Recording]:
-        """Open one eye; ``named``: whether the topic of its images has the eye in its name."""
-        of_side = replace(asked, side=eye)
-        if not bag:
-            shown = replace(pictures_asked, side=eye)
-            if pictures:
-                return open_pictures(path, of_side, shown)
-            if not stereo:
-                return open_video(path, of_side, shown)
-            by_frame = open_packed if packed else open_surgsync if clip else open_stereo_videos
-            return (open_surgpose if surgpose else by_frame)(path, of_side)
-        of_arm = topics.camera_topic, topics.joints_topic, topics.jaw_topic
-        own = TopicRequest(topics.image_topic, *of_arm, topics.image_topic_right, eye=eye if named else None)
-        own = replace(own, arms=tuple(arms), recorded_times=topics.recorded_times)
-        own = own.of_right_eye() if side == "both" and eye == "right" else own
-        return open_bag(path, own, replace(of_side, joints=joints if eye == "left" or side == "right" else None))
-
-    if side == "both":
-        return both_eyes(of_eye)
-    return of_eye(side or "left", named=side is not None)
 
 
 def _lines(summary: ImportSummary) -> Iterator[Line]:

@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,18 +45,15 @@ _LARGEST_MESSAGE, _LARGEST_IMAGE = 2**20, 400_000_000  # bytes
 
 
 @contextmanager
-def open_bag(path: Path, requested: TopicRequest, asked: Asked) -> Iterator[Recording]:
+def open_bag(path: Path, asked: Asked) -> Iterator[Recording]:
     """Open a ROS recording; readings and camera are read at once, images during iteration.
 
     Parameters
     ----------
     path
         A .bag, .mcap or .db3 file, or a folder with such files of ROS 2.
-    requested
-        Topics given by name, the others are found automatically; eye, arms, and the times that are used.
     asked
-        A camera file, and a file of time-stamped readings, to use instead of the recording's topics. A recording
-        without images needs no camera.
+        What is read. Topics that are not given are found automatically. A recording without images needs no camera.
 
     Raises
     ------
@@ -65,18 +62,23 @@ def open_bag(path: Path, requested: TopicRequest, asked: Asked) -> Iterator[Reco
     """
     with _open(path) as reader:
         with _errors_as_input_errors(path):
-            recording = _recording(reader, path, requested, asked)
+            recording = _recording(reader, path, asked)
         yield recording  # outside the inner context: errors of the caller are not damage of the recording
 
 
-def _recording(reader: AnyReader, path: Path, requested: TopicRequest, asked: Asked) -> Recording:
+def _recording(reader: AnyReader, path: Path, asked: Asked) -> Recording:
     """Choose topics and time source, read camera and readings; the recording's ``notes`` state the choices."""
-    camera, joints = asked.camera, asked.joints
+    camera, joints, requested = asked.camera, asked.joints, asked.topics
+    arms, eye, option = asked.arms or ("",), asked.side, "--image-topic"
+    if asked.both and eye == "right":  # the readings are read with the left eye; the camera is that of the images
+        joints, arms, option, topic = None, ("",), "--image-topic-right", requested.image_topic_right
+        requested = replace(requested, image_topic=topic, camera_topic=None, joints_topic=NONE, jaw_topic=NONE)
     types = {connection.topic: connection.msgtype for connection in reader.connections if connection.msgcount}
-    has_images = requested.image is not None or any(kind in IMAGES for kind in types.values())
+    has_images = requested.image_topic is not None or any(kind in IMAGES for kind in types.values())
     own = {"images": has_images, "camera": camera is None, "joints": joints is None}
-    arms = requested.arms or ("",)
-    chosen = {arm: choose_topics(path, types, requested, **own, arm=arm or None) for arm in arms}
+    chosen = {
+        arm: choose_topics(path, types, requested, **own, arm=arm or None, eye=eye, option=option) for arm in arms
+    }
     topics = next(iter(chosen.values()))
     read = {
         arm: [_Readings.of(reader, path, name, arm or None) for name in (own.joints, own.jaw) if name is not None]
@@ -123,24 +125,25 @@ def _recording(reader: AnyReader, path: Path, requested: TopicRequest, asked: As
         images,
         sum(connection.msgcount for connection in reader.connections if connection.topic == topics.image),
         lens,
-        tuple(own for of_arm in series.values() for own in of_arm),
+        {arm if len(series) > 1 else "": tuple(own) for arm, own in series.items()},
         tuple(notes),
         kept={SETUP: setup_text(setup).encode()} if setup else {},
-        arms={arm: tuple(own) for arm, own in series.items()} if len(series) > 1 else {},
+        rectified=requested.rectified,
         has_images=has_images,
     )
 
 
 def read_bag_joints(path: Path, arm: str | None = None) -> JointFile:
     """Read the readings of an arm in a ROS recording as a file of readings with times; errors as `open_bag`."""
-    with open_bag(path, TopicRequest(image=NONE, arms=() if arm is None else (arm,)), Asked()) as recording:
+    with open_bag(path, Asked(arms=() if arm is None else (arm,), topics=TopicRequest(image_topic=NONE))) as recording:
         rows = {
             f"message {k + 1} of {series.source}": JointRow(
                 f"{path}: {series.source}: message {k + 1}",
                 dict(zip(series.joints, row, strict=True)),
                 int(time),
             )
-            for series in recording.readings
+            for of_arm in recording.arms.values()
+            for series in of_arm
             for k, (time, row) in enumerate(zip(series.times, series.values.tolist(), strict=True))
         }
     return JointFile.of(str(path), "ROS recording", rows, "message", recording.notes)

@@ -49,7 +49,7 @@ class _Episode:
 
 
 @contextmanager
-def open_lerobot(path: Path, asked: Asked, episode: int = 0) -> Iterator[Recording]:
+def open_lerobot(path: Path, asked: Asked) -> Iterator[Recording]:
     """Open an episode of a data set; readings are read at once, images during iteration.
 
     Parameters
@@ -57,10 +57,8 @@ def open_lerobot(path: Path, asked: Asked, episode: int = 0) -> Iterator[Recordi
     path
         The folder.
     asked
-        Eye and arm, of a set with several, and the camera file, which is required, because these sets have none. The
-        times of a file of readings are those of the episode.
-    episode
-        Number of the episode.
+        The episode, eye and arm, of a set with several, and the camera file, which is required, because these sets have
+        none. The times of a file of readings are those of the episode.
 
     Raises
     ------
@@ -68,12 +66,12 @@ def open_lerobot(path: Path, asked: Asked, episode: int = 0) -> Iterator[Recordi
         A file or field is missing or not valid, names of the readings are not those of joints, there is no camera file,
         or an arm or eye must be chosen.
     """
-    camera = asked.camera
+    camera, episode = asked.camera, asked.episode
     if camera is None:
         raise InputError(f"{path}: --camera: expected a camera file, for these data sets have none; got none")
     file = path / "meta" / "info.json"
     info = read_json_object(file, expected="a LeRobot data set's info.json")
-    key = _video_key(file, info, asked.side)
+    key = _video_key(file, info, asked.eye)
     where = _place(path, file, info, key, episode)
     columns = read_columns(where.table, _ROWS if asked.joints is not None else (*_ROWS, _STATE))
     own = [k for k, number in enumerate(columns["episode_index"]) if number == episode]
@@ -103,7 +101,7 @@ def open_lerobot(path: Path, asked: Asked, episode: int = 0) -> Iterator[Recordi
         )
         count, numbered = first + len(times), dict(enumerate(times, start=first))
         images = frames_at(where.video, capture, numbered, count, " by the readings", first)
-        yield Recording(path, images, len(times), read_camera_bytes(camera), readings, notes)
+        yield Recording(path, images, len(times), read_camera_bytes(camera), {"": readings}, notes)
 
 
 def _video_key(file: Path, info: Mapping[str, Any], side: Side) -> str:

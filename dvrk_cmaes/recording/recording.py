@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Literal
 
 from dvrk_cmaes.camera.files import Side
-from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings
+from dvrk_cmaes.frames.video_frames import Layout, Window
+from dvrk_cmaes.joints.interpolation import TimedReadings
 from dvrk_cmaes.joints.reading import read_joint_file
 from dvrk_cmaes.joints.rows import JointFile
 from dvrk_cmaes.recording.pose_table import PoseTable, read_timed_joints
+from dvrk_cmaes.recording.topics import AUTOMATIC, TopicRequest
 
 _DIGITS = 6  # number of digits of a frame's name
 _PLAIN = re.compile(r"[\w-][\w.-]*")  # a row's name that is also that of a file
@@ -28,15 +29,50 @@ def frame_name(number: int) -> str:
 class Asked:
     """What of a recording is read, and the files that are used instead of its own.
 
-    side : the eye whose images are read. arm : name of the arm, e.g. PSM1; None for the only one. camera, joints : a
-    camera file, and a file of readings by time. start : time of a video's first image in that of the readings, s.
+    Parameters
+    ----------
+    side
+        The eye whose images are read; None for the left one, or the only one.
+    both
+        Whether the other eye is read, too.
+    arms
+        Names of the arms whose readings are read, e.g. PSM1; none for the only one. Several of a ROS recording alone.
+    camera, joints
+        A camera file, and a file of readings by time.
+    start
+        Time of a video's first image in that of the readings, s.
+    layout, crop
+        Of a video or a folder of pictures: where the eyes are in a picture, and its part that is used, as in
+        `eye_window`.
+    first_field
+        The field that comes first in interlaced pictures, each of whose fields is an image.
+    episode
+        Number of the episode of a LeRobot data set.
+    topics
+        Topics of a ROS recording.
     """
 
-    side: Side = "left"
-    arm: str | None = None
+    side: Side | None = None
+    both: bool = False
+    arms: tuple[str, ...] = ()
     camera: Path | None = None
     joints: Path | PoseTable | JointFile | None = None
     start: float = 0.0
+    layout: Layout | None = None
+    crop: Window | None = None
+    first_field: Literal["top", "bottom"] | None = None
+    episode: int = 0
+    topics: TopicRequest = AUTOMATIC
+
+    @property
+    def eye(self) -> Side:
+        """The eye whose images are read."""
+        return self.side or "left"
+
+    @property
+    def arm(self) -> str | None:
+        """The arm whose readings are read; None for the only one."""
+        return self.arms[0] if self.arms else None
 
     def read(self) -> Asked:
         """Return the same with the file of readings read."""
@@ -90,16 +126,15 @@ class Recording:
         Number of images stated by the recording; None if it is not stated.
     camera
         Bytes of a camera file.
-    readings
-        A time series for each source, e.g. one topic of the arm and one of the jaw.
+    arms
+        By the name of the arm, "" for one that is not named: a time series for each source, e.g. one topic of the arm
+        and one of the jaw.
     notes
         The choices that were made, e.g. of topics and time source, one sentence each.
     kept
         Further files that are copied to the session folder: their bytes by their path in it.
     right
         The recording of the right eye, of which images and camera are used; None for one eye.
-    arms
-        The readings of each of several arms by its name, in place of ``readings``.
     rectified
         Whether the images are rectified.
     has_images
@@ -112,11 +147,10 @@ class Recording:
     images: Iterator[RecordedImage]
     total: int | None
     camera: bytes
-    readings: tuple[TimedReadings, ...]
+    arms: Mapping[str, tuple[TimedReadings, ...]]
     notes: tuple[str, ...]
     kept: Mapping[str, bytes] = field(default_factory=dict)
     right: Recording | None = None
-    arms: Mapping[str, tuple[TimedReadings, ...]] = field(default_factory=dict)
     rectified: bool = False
     has_images: bool = True
     names: tuple[str, ...] = ()
@@ -124,43 +158,3 @@ class Recording:
     def name(self, number: int) -> str:
         """Return the name in a session of the image of a number."""
         return self.names[number] if number < len(self.names) else frame_name(number)
-
-
-_FARTHEST: Final = NANOSECONDS // 100  # ns, between the images of a pair: less than half of the time between images
-
-
-@contextmanager
-def both_eyes(open_eye: Callable[[Side], AbstractContextManager[Recording]]) -> Iterator[Recording]:
-    """Open the recordings of both eyes, the right one as ``right`` of the left one; errors as ``open_eye``."""
-    with open_eye("left") as left, open_eye("right") as right:
-        of_right = tuple(f"right eye: {note}" for note in right.notes if note.startswith(("images:", "camera:")))
-        yield replace(left, right=right, notes=(*left.notes, *of_right))
-
-
-@dataclass
-class Pairing:
-    """Pairs images of the right eye with those of the left one, and summarises how far apart they are.
-
-    ``without`` counts the images without a partner, ``farthest`` is the largest distance in time within a pair, ns.
-    """
-
-    images: Iterator[RecordedImage]
-    without: int = 0
-    farthest: int = 0
-    _next: RecordedImage | None = None
-
-    def partner(self, time: int) -> RecordedImage | None:
-        """Return the image of the right eye taken at a time, ns; None if there is none within 10 ms.
-
-        The times of successive calls must increase.
-        """
-        while self._next is None or self._next.time < time - _FARTHEST:
-            self._next = next(self.images, None)
-            if self._next is None:
-                break
-        if self._next is None or self._next.time > time + _FARTHEST:
-            self.without += 1
-            return None
-        image, self._next = self._next, None
-        self.farthest = max(self.farthest, abs(image.time - time))
-        return image

@@ -139,7 +139,7 @@ def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
         arms were recorded and none was chosen.
     """
     rows = _by_frame(path / _READINGS, read_yaml_by_frame(path / _READINGS, expected="joints by frame (YAML)"))
-    chosen, side, camera = _chosen_arm(path, rows, asked.arm), asked.side, asked.camera
+    chosen, side, camera = _chosen_arm(path, rows, asked.arm), asked.eye, asked.camera
     if asked.joints is None:
         readings, source = _readings(path / _READINGS, rows, chosen), f"{_READINGS}, {chosen}"
         jaw, of_jaw = _jaw(path, chosen) if "jaw" not in readings[0].joints else ((), [])
@@ -168,7 +168,7 @@ def open_surgpose(path: Path, asked: Asked) -> Iterator[Recording]:
         if asked.joints is None and total > 0 and total != len(rows):
             notes.append(f"{_READINGS} has {len(rows)} frames, the video {total}")
         images = _images(video, capture)
-        yield Recording(path, images, total if total > 0 else None, lens, readings, tuple(notes), kept)
+        yield Recording(path, images, total if total > 0 else None, lens, {"": readings}, tuple(notes), kept)
 
 
 def _by_frame(path: Path, document: Any) -> dict[int, Any]:

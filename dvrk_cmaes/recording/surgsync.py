@@ -191,8 +191,8 @@ def open_packed(path: Path, asked: Asked) -> Iterator[Recording]:
     if not (path / _STAMPS).is_file():
         episodes = sorted(found.parent.relative_to(path).as_posix() for found in path.glob(f"*/episodes/*/*/{_STAMPS}"))
         raise InputError(f"{path}: expected the folder of one episode, one of {listed(episodes) or 'none'}")
-    video, rectified = _video(path, asked.side, asked.camera)
-    times = _times(path, asked.side)
+    video, rectified = _video(path, asked.eye, asked.camera)
+    times = _times(path, asked.eye)
     lens, source = camera_of_clip(path / "calibration", asked)
     kind = "rectified" if rectified else "raw"
     notes = [f"images: {video.relative_to(path)} ({kind})", f"camera: {source}", f"times: {_TIME}"]
@@ -203,7 +203,7 @@ def open_packed(path: Path, asked: Asked) -> Iterator[Recording]:
     kept, of_kept = registrations(path / "calibration" / "hand_eye")
     with open_capture(video) as capture:
         recorded = frames_at(video, capture, times.images, len(times.left), f", one for each row of {_STAMPS}")
-        yield Recording(path, recorded, len(times.images), lens, readings, (*notes, *said, *of_kept), kept)
+        yield Recording(path, recorded, len(times.images), lens, {"": readings}, (*notes, *said, *of_kept), kept)
 
 
 def _video(path: Path, side: Side, camera: Path | None) -> tuple[Path, bool]:
@@ -337,7 +337,7 @@ def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
     InputError
         A file is missing or not valid, or several arms were recorded and none was chosen.
     """
-    side, images = asked.side, _images(path, asked.side)
+    side, images = asked.eye, _images(path, asked.eye)
     camera_bytes, source = camera_of_clip(path / _CAMERAS, asked)
     arms = [folder.name for folder in (path / "kinematic").iterdir() if folder.is_dir()]
     chosen = None if asked.joints is not None else chosen_arm(path, arms, asked.arm, "clip")
@@ -359,7 +359,7 @@ def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
         RecordedImage(number, times[number].image, lambda file=file: _load(file))  # type: ignore[misc]
         for number, file in images.items()
     )
-    yield Recording(path, recorded, len(images), camera_bytes, readings, (*notes, *of_kept), kept)
+    yield Recording(path, recorded, len(images), camera_bytes, {"": readings}, (*notes, *of_kept), kept)
 
 
 def registrations(folder: Path) -> tuple[dict[str, bytes], list[str]]:
@@ -376,9 +376,9 @@ def camera_of_clip(folder: Path, asked: Asked) -> tuple[bytes, str]:
 
     To that of a right eye without a pose, the one between the eyes is added.
     """
-    lens, stereo = asked.camera or folder / f"{asked.side}.yaml", folder / _STEREO
+    lens, stereo = asked.camera or folder / f"{asked.eye}.yaml", folder / _STEREO
     data = read_camera_bytes(lens)
-    if asked.camera is not None or asked.side == "left" or not stereo.is_file():
+    if asked.camera is not None or asked.eye == "left" or not stereo.is_file():
         return data, str(lens)
     right = read_document(lens)
     if has_pose(str(lens), right):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from dvrk_cmaes.camera.files import Side
@@ -51,27 +51,22 @@ def is_bag(path: Path) -> bool:
 class TopicRequest:
     """Topics given by name; None to find the topic automatically, ``none`` to use none.
 
-    ``option`` is that by which the images' topic is chosen, for messages. ``eye`` of a stereo endoscope is a word in
-    the name of its images' topic; None for one camera. ``arms`` are those whose topics are read, or whose joints of
-    topics with those of several; none for the only one. ``recorded_times`` uses the times at which messages were
-    recorded instead of those in their headers. This is also done, with a note, if the headers of a topic have no times,
-    or times that do not advance.
+    ``recorded_times`` uses the times at which messages were recorded instead of those in their headers. This is also
+    done, with a note, if the headers of a topic have no times, or times that do not advance. ``rectified``: whether the
+    images are rectified.
     """
 
-    image: str | None = None
-    camera: str | None = None
-    joints: str | None = None
-    jaw: str | None = None
-    image_right: str | None = None
-    option: str = "--image-topic"
-    eye: Side | None = None
-    arms: tuple[str, ...] = ()
+    image_topic: str | None = None
+    image_topic_right: str | None = None
+    camera_topic: str | None = None
+    joints_topic: str | None = None
+    jaw_topic: str | None = None
     recorded_times: bool = False
+    rectified: bool = False
 
-    def of_right_eye(self) -> TopicRequest:
-        """Return the request of the right eye's images, without readings; a camera found by the name of the images."""
-        without = replace(self, camera=None, joints=NONE, jaw=NONE, arms=())
-        return replace(without, image=self.image_right, option="--image-topic-right")
+
+AUTOMATIC = TopicRequest()
+"""All topics are found automatically."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +88,8 @@ def choose_topics(
     camera: bool = True,
     joints: bool = True,
     arm: str | None = None,
+    eye: Side | None = None,
+    option: str = "--image-topic",
 ) -> Topics:
     """Choose the topics to read among those of a recording that have messages.
 
@@ -108,23 +105,27 @@ def choose_topics(
         Whether they are read from the recording.
     arm
         The arm, whose name is a part of those of its topics, or which is one of a topic with the joints of several.
+    eye
+        The eye of a stereo endoscope, a word in the name of its images' topic; None for one camera.
+    option
+        That which names the topic of its images, for messages.
 
     Raises
     ------
     InputError
         A topic is missing or of another type, or none or several are suitable; the message lists the candidates.
     """
-    image, info, side = None, None, requested.eye
-    if images and requested.image != NONE:
+    image, info = None, None
+    if images and requested.image_topic != NONE:
         shown = [name for name, kind in types.items() if kind in IMAGES]
-        eye = None if side is None else [name for name in shown if side in re.split("[/_]", name.lower())]
-        what = "images" if side is None else f"images of the {side} eye"
-        image = _one(path, types, requested.image, requested.option, IMAGES, what, eye)
+        of_eye = None if eye is None else [name for name in shown if eye in re.split("[/_]", name.lower())]
+        what = "images" if eye is None else f"images of the {eye} eye"
+        image = _one(path, types, requested.image_topic, option, IMAGES, what, of_eye)
     if camera and image is not None:
         camera_info = camera_info_of(image)
-        requested_camera = requested.camera or (camera_info if types.get(camera_info) == CAMERA_INFO else None)
+        requested_camera = requested.camera_topic or (camera_info if types.get(camera_info) == CAMERA_INFO else None)
         info = _one(path, types, requested_camera, "--camera-topic", (CAMERA_INFO,), "the camera (or --camera FILE)")
-    if not joints or requested.joints == NONE:
+    if not joints or requested.joints_topic == NONE:
         return Topics(image, info, None, None)
     return Topics(image, info, *_joint_topics(path, types, requested, arm))
 
@@ -141,11 +142,11 @@ def _joint_topics(
         arms = [name for name in arms if not _is_ecm(name)]
     together = [name for name in states if _ends(name, "joint_states")]
     what = f"the arm's joints (--arm, or {NONE})"
-    found = _one(path, types, requested.joints, "--joints-topic", (JOINT_STATE,), what, arms or together)
+    found = _one(path, types, requested.joints_topic, "--joints-topic", (JOINT_STATE,), what, arms or together)
     jaws = [name for name in states if name in _jaws_of(found)]
-    if requested.jaw == NONE or (requested.jaw is None and not jaws):
+    if requested.jaw_topic == NONE or (requested.jaw_topic is None and not jaws):
         return found, None
-    return found, _one(path, types, requested.jaw, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws)
+    return found, _one(path, types, requested.jaw_topic, "--jaw-topic", (JOINT_STATE,), "the jaw", jaws)
 
 
 def ecm_topic(types: Mapping[str, str], chosen: str | None) -> str | None:

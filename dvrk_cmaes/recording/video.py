@@ -1,14 +1,18 @@
-"""Reader of videos with OpenCV, and of folders of pictures, with camera and readings from separate files."""
+"""Readers of videos with OpenCV, and of folders of pictures, with camera and readings from separate files.
+
+A folder with the videos of a stereo endoscope has one for each eye, named left and right (``left.mp4``,
+``suturing_left.avi``), the cameras left.yaml and right.yaml or one camera.yaml, and joints.csv.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
@@ -18,8 +22,9 @@ from dvrk_cmaes.camera.files import Side, read_camera_file
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.frames.images import read_image
 from dvrk_cmaes.frames.session_folder import UNCALIBRATED, image_files
-from dvrk_cmaes.frames.video_frames import Layout, Window, eye_of, eye_window, open_capture
+from dvrk_cmaes.frames.video_frames import SUFFIXES, Window, eye_of, eye_window, open_capture
 from dvrk_cmaes.io.files import check_file
+from dvrk_cmaes.io.short_text import listed
 from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.recording.camera import read_camera_bytes
 from dvrk_cmaes.recording.messages import encode_png, looks_interlaced, of_fields
@@ -27,30 +32,18 @@ from dvrk_cmaes.recording.recording import Asked, ImageFile, RecordedImage, Reco
 
 _EXPECTED = "a video that OpenCV reads, or a ROS recording (.bag, .mcap, .db3 or a folder)"
 _RATE_TOLERANCE = 0.01
+_SIDES: Final[tuple[Side, ...]] = ("left", "right")
 _JUDGED = 30  # frames of which some show combs if the video is interlaced
 
 
-@dataclass(frozen=True)
-class Pictures:
-    """What the pictures of a video are: of one eye or both, of both fields or whole.
-
-    ``layout``, ``side`` and ``crop`` are as in `eye_window`. ``first_field`` is the one that comes first in
-    interlaced pictures.
-    """
-
-    layout: Layout | None = None
-    side: Side = "left"
-    first_field: Literal["top", "bottom"] | None = None
-    crop: Window | None = None
-
-    def window(self, path: Path, camera: Path, size: tuple[int, int]) -> Window:
-        """Return the part of pictures of a size that is the eye's; InputError if that does not fit the camera file."""
-        lens = read_camera_file(camera, side=self.side, size=size).camera
-        return eye_window(path, size, lens, self.layout, self.side, self.crop)
+def _window(path: Path, camera: Path, size: tuple[int, int], asked: Asked) -> Window:
+    """Return the part of pictures of a size that is the eye's; InputError if that does not fit the camera file."""
+    lens = read_camera_file(camera, side=asked.eye, size=size).camera
+    return eye_window(path, size, lens, asked.layout, asked.eye, asked.crop)
 
 
 @contextmanager
-def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Iterator[Recording]:
+def open_video(path: Path, asked: Asked) -> Iterator[Recording]:
     """Open a video; images are decoded during iteration.
 
     Parameters
@@ -58,9 +51,7 @@ def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Ite
     path
         The video.
     asked
-        Camera file, and file of time-stamped readings, which are both required, and the time of the first frame.
-    pictures
-        What its pictures are. Of interlaced ones, each field is an image of its own time.
+        Camera file, and file of time-stamped readings, which are both required, and what the pictures are.
 
     Raises
     ------
@@ -79,7 +70,7 @@ def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Ite
     with open_capture(path, expected=_EXPECTED) as capture:
         total = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        window = pictures.window(path, camera, size)
+        window = _window(path, camera, size, asked)
         notes = [
             f"camera: {camera}",
             *said,
@@ -87,21 +78,21 @@ def open_video(path: Path, asked: Asked, pictures: Pictures = Pictures()) -> Ite
         ]
         if window != (0, 0, *size):
             notes.append(f"images: {window[2]} x {window[3]} px at {window[0]}, {window[1]} of the video")
-        if pictures.first_field is not None:
-            notes.append(f"images: the fields of interlaced frames, {pictures.first_field} first")
+        if asked.first_field is not None:
+            notes.append(f"images: the fields of interlaced frames, {asked.first_field} first")
         images = _images(path, capture, round(asked.start * NANOSECONDS))
         rate = float(capture.get(cv2.CAP_PROP_FPS)) or 30.0
-        recorded = _of_eye(images, window, pictures.first_field, round(NANOSECONDS / rate / 2))
-        if pictures.first_field is None and _is_interlaced(path):
+        recorded = _of_eye(images, window, asked.first_field, round(NANOSECONDS / rate / 2))
+        if asked.first_field is None and _is_interlaced(path):
             notes.append("images: they look interlaced: --interlaced top or bottom makes an image of each field")
-        doubled = 1 if pictures.first_field is None else 2
+        doubled = 1 if asked.first_field is None else 2
         images_there = doubled * total if total > 0 else None
         names = asked.row_names(doubled * total)
-        yield Recording(path, recorded, images_there, lens, readings, tuple(notes), names=names)
+        yield Recording(path, recorded, images_there, lens, {"": readings}, tuple(notes), names=names)
 
 
 @contextmanager
-def open_pictures(path: Path, asked: Asked, pictures: Pictures) -> Iterator[Recording]:
+def open_pictures(path: Path, asked: Asked) -> Iterator[Recording]:
     """Open a folder of pictures, in the order of their names, one each second; arguments and errors as `open_video`.
 
     The readings may be missing.
@@ -113,14 +104,52 @@ def open_pictures(path: Path, asked: Asked, pictures: Pictures) -> Iterator[Reco
     if camera is None:
         raise InputError(f"{path}: --camera: a folder of pictures needs a camera file; got none; {UNCALIBRATED}")
     first = read_image(next(iter(files.values())))
-    window = pictures.window(path, camera, (first.shape[1], first.shape[0]))
+    window = _window(path, camera, (first.shape[1], first.shape[0]), asked)
     readings, _ = asked.given_readings()
     notes = (f"images: {len(files)} pictures, {window[2]} x {window[3]} px each", f"camera: {camera}")
     recorded = (
         RecordedImage(number, number * NANOSECONDS, lambda file=file: encode_png(eye_of(read_image(file), window)))  # type: ignore[misc]
         for number, file in enumerate(files.values())
     )
-    yield Recording(path, recorded, len(files), read_camera_bytes(camera), readings, notes)
+    yield Recording(path, recorded, len(files), read_camera_bytes(camera), {"": readings}, notes)
+
+
+def has_stereo_videos(path: Path) -> bool:
+    """Whether a folder has a video of each eye."""
+    return path.is_dir() and all(_videos(path, side) for side in _SIDES)
+
+
+@contextmanager
+def open_stereo_videos(path: Path, asked: Asked) -> Iterator[Recording]:
+    """Open the video of one eye; camera and joints as in ``open_video``, by default the folder's.
+
+    Raises
+    ------
+    InputError
+        The folder has no video of this eye or several, or as in ``open_video``.
+    """
+    side, videos = asked.eye, _videos(path, asked.eye)
+    if len(videos) != 1:
+        there = f"several: {listed(video.name for video in videos)}" if videos else "none"
+        raise InputError(f"{path}: expected one video of the {side} eye, got {there}")
+    camera = asked.camera or _first(path, f"{side}.yaml", "camera.yaml")
+    asked = replace(asked, camera=camera, joints=asked.joints or _first(path, "joints.csv"))
+    with open_video(videos[0], asked) as recording:
+        yield replace(recording, path=path, notes=(f"images: {videos[0].name}", *recording.notes))
+
+
+def _videos(path: Path, side: Side) -> list[Path]:
+    """List the videos whose names have a side's name as a word, e.g. ``left``, ``left_eye`` or ``PSM1-left``."""
+    return [
+        file
+        for file in sorted(path.iterdir())
+        if file.suffix.lower() in SUFFIXES and side in file.stem.lower().replace("-", "_").replace(".", "_").split("_")
+    ]
+
+
+def _first(path: Path, *names: str) -> Path | None:
+    """Return the first of some files that the folder has; None if it has none of them."""
+    return next((path / name for name in names if (path / name).exists()), None)
 
 
 def _images(path: Path, capture: Any, start: int) -> Iterator[tuple[int, Callable[[], NDArray[np.uint8]]]]:

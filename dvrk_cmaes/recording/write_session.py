@@ -31,8 +31,9 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS, TimedReadings, known_wh
 from dvrk_cmaes.joints.lag import LARGEST_SECONDS, Lag
 from dvrk_cmaes.joints.names import ECM_JOINTS
 from dvrk_cmaes.recording.given_masks import write_masks
-from dvrk_cmaes.recording.recording import Pairing, RecordedImage, Recording
+from dvrk_cmaes.recording.recording import RecordedImage, Recording
 
+_FARTHEST = NANOSECONDS // 100  # ns, between the images of a pair: less than half of the time between images
 _ARM = re.compile(r"(?<![A-Za-z0-9])PSM[1-3](?![A-Za-z0-9])")
 
 
@@ -134,8 +135,7 @@ def write_session(
     tools: list[ToolEntry] = []
     summaries: list[InterpolationSummary] = []
     warnings: tuple[str, ...] = ()
-    pairing: Pairing | None = None
-    names, times, size = list[str](), list[int](), (0, 0)
+    names, times, size, apart = list[str](), list[int](), (0, 0), list[int]()
     numbers, lag, said = count(), lag if recording.has_images else None, list[str]()
     if masks is not None and (recording.right is not None or not recording.has_images):
         raise InputError(f"{masks}: --masks: expected a recording with images of one eye")
@@ -143,16 +143,15 @@ def write_session(
         for name, data in recording.kept.items():
             write_bytes(folder / name, data)
         if recording.has_images:
-            pairing = None if recording.right is None else Pairing(recording.right.images)
             images = (image for image, _ in zip(recording.images, numbers, strict=False))
-            of, times, size = _write_images(folder / "images", recording, selection.of(images), pairing)
+            of, times, size, apart = _write_images(folder / "images", recording, selection.of(images))
             names = [recording.name(number) for number in of]
             said += [] if masks is None else [write_masks(masks, folder, names, of)]
             warnings = _check_times(recording.path, names, times)
             cells = zip(names, map(_seconds_text, times), strict=True)
             write_text(folder / "images.csv", csv_text(("frame", "time"), cells))
             cameras = _write_cameras(folder, recording)
-        for number, (name, readings) in enumerate((recording.arms or {"": recording.readings}).items()):
+        for number, (name, readings) in enumerate(recording.arms.items()):
             file, arm = f"joints_{name}.csv" if name else "joints.csv", name or _arm_of(readings)
             at = times if names or not readings else readings[0].times.tolist()
             if not at:
@@ -177,9 +176,9 @@ def write_session(
     drift = f", drifting by {lag.drift:+z.3g} s a second" if lag is not None and lag.drift else ""
     late = [f"readings of {seconds:g} s before each image{drift}"] if seconds else []
     notes = (*recording.notes, *said, *late)
-    if pairing is not None:
-        apart = f"images at most {1e3 * pairing.farthest / NANOSECONDS:.1f} ms after or before those of the left"
-        notes = (*notes, f"right eye: {len(names) - pairing.without} of {len(names)} frames, {apart}")
+    if recording.right is not None:
+        away = f"images at most {1e3 * max(apart) / NANOSECONDS:.1f} ms after or before those of the left"
+        notes = (*notes, f"right eye: {len(apart)} of {len(names)} frames, {away}")
     return ImportSummary(out, next(numbers), len(names), size, tolerance, tuple(summaries), notes, seconds, warnings)
 
 
@@ -238,26 +237,40 @@ def _write_cameras(folder: Path, recording: Recording) -> CameraEntry:
 
 
 def _write_images(
-    folder: Path, recording: Recording, images: Iterator[RecordedImage], pairing: Pairing | None
-) -> tuple[list[int], list[int], tuple[int, int]]:
-    """Write images as files; return their numbers and times, ns, and width and height.
+    folder: Path, recording: Recording, images: Iterator[RecordedImage]
+) -> tuple[list[int], list[int], tuple[int, int], list[int]]:
+    """Write images as files; return their numbers and times, ns, width and height, and how far pairs are apart, ns.
 
-    With a ``pairing``, those of the right eye are written beside them, into folders of both eyes.
+    Those of the right eye are written beside them, into folders of both eyes.
     """
-    numbers, times, sizes = list[int](), list[int](), dict[Path, tuple[int, int]]()
-    left = folder if pairing is None else folder / "left"
-    for image in images:
+    numbers, times, apart, sizes = list[int](), list[int](), list[int](), dict[Path, tuple[int, int]]()
+    both = recording.right is not None
+    left = folder / "left" if both else folder
+    for image, partner in _paired(images, iter(()) if recording.right is None else recording.right.images):
         numbers.append(image.number)
         times.append(image.time)
-        partner = None if pairing is None else pairing.partner(image.time)
+        apart += [] if partner is None else [abs(partner.time - image.time)]
         for own, to in ((image, left), (partner, folder / "right")):
             if own is not None:
                 _write_image(recording.path, own, to, recording.name(image.number), sizes)
     if not numbers:
         raise InputError(f"{recording.path}: expected images, got none (of those asked for)")
-    if pairing is not None and pairing.without == len(numbers):
+    if both and not apart:
         raise InputError(f"{recording.path}: expected images of the right eye within 10 ms of the left one's, got none")
-    return numbers, times, sizes[left]
+    return numbers, times, sizes[left], apart
+
+
+def _paired(
+    images: Iterator[RecordedImage], of_right: Iterator[RecordedImage]
+) -> Iterator[tuple[RecordedImage, RecordedImage | None]]:
+    """Yield images with that of the right eye taken within 10 ms, None if there is none."""
+    waiting: RecordedImage | None = None
+    for image in images:
+        if waiting is None or waiting.time < image.time - _FARTHEST:
+            waiting = next((own for own in of_right if own.time >= image.time - _FARTHEST), None)
+        near = waiting is not None and waiting.time <= image.time + _FARTHEST
+        yield image, waiting if near else None
+        waiting = None if near else waiting
 
 
 def _write_image(path: Path, image: RecordedImage, folder: Path, name: str, sizes: dict[Path, tuple[int, int]]) -> None:

@@ -225,7 +225,7 @@ def test_one_image_is_in_memory_at_a_time(tmp_path: Path) -> None:
 
     images = (RecordedImage(k, k, load) for k in range(20))
     camera = b"width: 64\nheight: 48\nK: [70, 0, 32, 0, 70, 24, 0, 0, 1]\nD: []\n"
-    recording = Recording(tmp_path / "r.bag", images, None, camera, (), ())
+    recording = Recording(tmp_path / "r.bag", images, None, camera, {"": ()}, ())
     summary = write_session(recording, tmp_path / "s", selection=ImageSelection(), tolerance=0.05)
     assert summary.frames == len(loaded) == 20
 

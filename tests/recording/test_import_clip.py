@@ -131,7 +131,8 @@ def test_wrong_clips_are_refused(refused: Refused, tmp_path: Path) -> None:
     assert refused(clip, "--arm", "PSM1") == (
         f"{clip}/image/left/1.png: expected a PNG or JPEG, got something else or a damaged file"
     )
-    assert refused(clip, "--arm", "PSM1", "--image-topic", "/left").startswith(f"{clip}: topics were asked for")
+    said = refused(clip, "--arm", "PSM1", "--image-topic", "/left")
+    assert said == f"{clip}: topics: expected a ROS recording with it, got a clip of SurgSync"
 
 
 @pytest.mark.parametrize(
@@ -201,7 +202,8 @@ def test_camera_readings_and_start_of_stereo_videos_may_be_given(imported: Impor
 def test_wrong_stereo_folders_are_refused(refused: Refused, tmp_path: Path) -> None:
     folder = stereo_folder(tmp_path / "videos")
     assert refused(folder, "--arm", "PSM1") == (
-        f"{folder}: --arm: expected a ROS recording, a clip of SurgSync or a folder of SurgPose"
+        f"{folder}: --arm: expected a LeRobot data set or a folder of SurgPose or an episode of SurgSync or a clip of "
+        "SurgSync or a ROS recording with it, got stereo videos"
     )
     write_video(folder / "left_2.avi")
     assert (

@@ -129,7 +129,7 @@ def test_text_as_time_is_refused_by_file_and_field(imported: Import, made: Path)
 
 def test_video_start_is_refused(imported: Import) -> None:
     said = imported("--arm", "PSM1", "--camera", "camera.yaml", "--video-start", "2").refusal
-    assert "expected none of --side both, --pose-of, --video-start and topics with a LeRobot data set" in said
+    assert "--video-start: expected stereo videos or a video with it, got a LeRobot data set" in said
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "foot", "middle"])

@@ -1,0 +1,83 @@
+"""The table of readers of recordings: how each kind is known, what opens it, and what can be asked of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from dvrk_cmaes.errors import InputError
+from dvrk_cmaes.frames.session_folder import is_session_layout
+from dvrk_cmaes.recording.bag import open_bag
+from dvrk_cmaes.recording.lerobot import is_lerobot, open_lerobot
+from dvrk_cmaes.recording.recording import Asked, Recording
+from dvrk_cmaes.recording.surgpose import is_surgpose, open_surgpose
+from dvrk_cmaes.recording.surgsync import is_packed, is_surgsync, open_packed, open_surgsync
+from dvrk_cmaes.recording.topics import is_bag
+from dvrk_cmaes.recording.video import has_stereo_videos, open_pictures, open_stereo_videos, open_video
+
+
+class Reader(NamedTuple):
+    """A kind of recordings: its name, whether a path is one, what opens it, and the options that it takes."""
+
+    name: str
+    knows: Callable[[Path], bool]
+    open: Callable[[Path, Asked], AbstractContextManager[Recording]]
+    takes: str
+
+
+READERS: Final = (
+    Reader("a LeRobot data set", is_lerobot, open_lerobot, "arms episode"),
+    Reader("a folder of SurgPose", is_surgpose, open_surgpose, "arms both"),
+    Reader("an episode of SurgSync", is_packed, open_packed, "arms both"),
+    Reader("a clip of SurgSync", is_surgsync, open_surgsync, "arms both"),
+    Reader("stereo videos", has_stereo_videos, open_stereo_videos, "both start"),
+    Reader("a ROS recording", is_bag, open_bag, "arms both topics"),
+    Reader("a folder of pictures", Path.is_dir, open_pictures, "both layout crop"),
+    Reader("a video", lambda path: True, open_video, "both start layout crop first_field"),
+)
+"""The first that knows a path opens it."""
+
+_OPTIONS: Final = {
+    "arms": "--arm",
+    "both": "--side both",
+    "start": "--video-start",
+    "layout": "--layout",
+    "crop": "--crop",
+    "first_field": "--interlaced",
+    "episode": "--episode",
+    "topics": "topics",
+}
+"""Fields of `Asked` that not every reader takes, and how they are asked for."""
+
+
+@contextmanager
+def open_recording(path: Path, asked: Asked) -> Iterator[Recording]:
+    """Open a recording of any kind, or the recordings of both eyes, the right one as ``right`` of the left one.
+
+    Raises
+    ------
+    InputError
+        The path is a session, an option is asked for that its kind does not take, or as the kind's reader.
+    """
+    reader = next(reader for reader in READERS if reader.knows(path))
+    if reader.open is open_pictures and is_session_layout(path):
+        raise InputError(f"{path}: expected a recording, got a session folder (masks or images): no import is needed")
+    for name, option in _OPTIONS.items():
+        if getattr(asked, name) != getattr(Asked(), name) and name not in reader.takes:
+            able = " or ".join(other.name for other in READERS if name in other.takes)
+            raise InputError(f"{path}: {option}: expected {able} with it, got {reader.name}")
+    if len(asked.arms) > 1 and reader.open is not open_bag:
+        raise InputError(f"{path}: --arm: expected one arm, but of a ROS recording, got {', '.join(asked.arms)}")
+    if not asked.both:
+        with reader.open(path, asked) as recording:
+            yield recording
+        return
+    if asked.camera is not None and reader.open not in (open_pictures, open_video):
+        raise InputError("--camera: expected none with --side both, whose cameras are those of the recording")
+    of_left, of_right = replace(asked, side="left"), replace(asked, side="right")
+    with reader.open(path, of_left) as left, reader.open(path, of_right) as right:
+        notes = tuple(f"right eye: {note}" for note in right.notes if note.startswith(("images:", "camera:")))
+        yield replace(left, right=right, notes=(*left.notes, *notes))
