@@ -208,14 +208,11 @@ def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) 
     InputError
         A file that cannot be read, or of a size that does not fit the others: names the file. No mask.
     """
-    if files.problem is not None:
-        raise InputError(files.problem)
-    rig = Rig.of(camera)
-    of_views = files.of_views(rig)
+    rig, of_views = _views(files, camera)
     if not any(own.mask is not None for own in of_views.values()):
         raise InputError(f"frame {files.name}: expected a mask, got {files.image or 'neither mask nor image'}")
     several = len(rig.views) > 1
-    read = [_read_view(of_views[view.name], view, blank=blank or several) for view in rig.views]
+    read = [_read_view(of_views[view.name], view, masked=True, blank=blank or several) for view in rig.views]
     views = tuple(view for view, _ in read)
     if several and not any(view.mask.any() for view in views):
         masks = ", ".join(str(own.mask) for own in of_views.values() if own.mask is not None)
@@ -225,52 +222,53 @@ def read_frame(files: FrameFiles, camera: Camera | Rig, *, blank: bool = False) 
     return FrameData(views, (*main, *others))
 
 
-def _read_view(files: FrameFiles, view: View, *, blank: bool) -> tuple[SeenView, tuple[str, ...]]:
-    """Read the files of a view, and notes on them; without a mask, that is empty and there is no image."""
-    if files.mask is None:
-        return replace(seen_by(view, None), given=True), files.notes
-    mask = mask_of(files, files.mask, blank=blank)
-    fitted, notes = _fit(view.camera, mask.shape, files.mask, "mask")
-    ignore = _ignored(files, mask.shape, "mask")
-    image = image_of(files)
-    if image is not None and abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
-        raise InputError(
-            f"{image_path(files)}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
-            f"got {_size(image.shape)}"
-        )
-    border = None if image is None else outside_view(image)
-    if border is not None and border.any():
-        border = cv2.resize(border.astype(np.uint8), mask.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.bool_)
-        ignore, notes = border if ignore is None else ignore | border, (*notes, IGNORED)
-    view = replace(view, camera=fitted)
-    return seen_by(view, mask, ignore=ignore, image=image, keypoints=_moved(files)), (*files.notes, *notes)
-
-
 def read_frame_image(files: FrameFiles, camera: Camera | Rig) -> FrameData:
     """Read a frame whose masks are to be found in its images; the intrinsics are rescaled to the images' sizes.
 
     The masks are not given yet. Of a rig, only the reference view must have an image. Errors as `read_frame`.
     """
-    if files.problem is not None:
-        raise InputError(files.problem)
-    rig = Rig.of(camera)
-    of_views = files.of_views(rig)
+    rig, of_views = _views(files, camera)
     if not files.has_image:
         expected = f"masks, or an image of the view {rig.names[0]}" if len(rig.views) > 1 else "a mask"
         neither = "neither" if len(rig.views) > 1 else "neither mask nor image"
         raise InputError(f"frame {files.name}: expected {expected}, got {neither}")
-    views, notes = [], files.notes
-    for view in rig.views:
-        own = of_views[view.name]
-        image, path = image_of(own), image_path(own)
-        if image is None:
-            views.append(seen_by(view, None))
-            continue
-        fitted, more = _fit(view.camera, image.shape, path, "image")
-        notes = notes if views else (*notes, *more)
-        ignore = _ignored(own, image.shape, "image")
-        views.append(seen_by(replace(view, camera=fitted), None, ignore=ignore, image=image, keypoints=_moved(own)))
-    return FrameData(tuple(views), notes)
+    read = [_read_view(of_views[view.name], view, masked=False, blank=False) for view in rig.views]
+    return FrameData(tuple(view for view, _ in read), read[0][1])
+
+
+def _views(files: FrameFiles, camera: Camera | Rig) -> tuple[Rig, dict[str, FrameFiles]]:
+    """Return the rig and the files of its views; InputError for a frame that cannot be used."""
+    if files.problem is not None:
+        raise InputError(files.problem)
+    rig = Rig.of(camera)
+    return rig, files.of_views(rig)
+
+
+def _read_view(files: FrameFiles, view: View, *, masked: bool, blank: bool) -> tuple[SeenView, tuple[str, ...]]:
+    """Read the files of a view, and notes on them: of its mask and image, or of its image alone.
+
+    A view without a mask, or without an image where that is read alone, is empty.
+    """
+    mask = mask_of(files, files.mask, blank=blank) if masked and files.mask is not None else None
+    image = None if masked and mask is None else image_of(files)
+    seen = image if mask is None else mask
+    if seen is None:
+        return replace(seen_by(view, None), given=masked), files.notes
+    what, path = ("image", image_path(files)) if mask is None else ("mask", files.mask)
+    fitted, notes = _fit(view.camera, seen.shape, path, what)
+    ignore = _ignored(files, seen.shape, what)
+    if mask is not None and image is not None:
+        if abs(image.shape[1] * mask.shape[0] / (image.shape[0] * mask.shape[1]) - 1) > 0.005:
+            raise InputError(
+                f"{image_path(files)}: expected the mask's size {_size(mask.shape)}, or one of that aspect, "
+                f"got {_size(image.shape)}"
+            )
+        border = outside_view(image)
+        if border.any():
+            small = cv2.resize(border.astype(np.uint8), mask.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+            ignore, notes = np.asarray(small if ignore is None else ignore | small), (*notes, IGNORED)
+    view = replace(view, camera=fitted)
+    return seen_by(view, mask, ignore=ignore, image=image, keypoints=_moved(files)), (*files.notes, *notes)
 
 
 def image_path(files: FrameFiles) -> Path | None:

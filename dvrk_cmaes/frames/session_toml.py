@@ -24,6 +24,7 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar
 
@@ -147,26 +148,13 @@ def session_toml(camera: CameraEntry, tools: Sequence[ToolEntry]) -> str:
 
 
 def _entries(table: CameraEntry | ToolEntry) -> Iterator[str]:
-    """Yield the lines of a table, without the entries that have no value."""
+    """Yield the lines of a table, without the entries that have no value; texts of TOML have the escapes of JSON."""
+    quoted = partial(json.dumps, ensure_ascii=False, default=str)
     for name, value in vars(table).items():
         if isinstance(value, dict) and value:
-            inside = ", ".join(f"{key} = {_quoted(folder)}" for key, folder in value.items())
-            yield f"{name} = {{{inside}}}"
-        elif isinstance(value, bool) and value:
-            yield f"{name} = true"
-        elif isinstance(value, int) and not isinstance(value, bool):
-            yield f"{name} = {value}"
-        elif isinstance(value, str | Path):
-            yield f"{name} = {_quoted(value)}"
-        elif name == "label" and isinstance(value, tuple) and len(value) == 1:
-            yield f"{name} = {json.dumps(value[0])}"
-        elif isinstance(value, tuple) and value:
-            yield f"{name} = {json.dumps(value, ensure_ascii=False)}"
-
-
-def _quoted(value: str | Path) -> str:
-    """Return a text as a basic string of TOML, whose escapes are those of JSON."""
-    return json.dumps(str(value), ensure_ascii=False)
+            yield f"{name} = {{{', '.join(f'{key} = {quoted(folder)}' for key, folder in value.items())}}}"
+        elif value not in (None, False, (), {}):
+            yield f"{name} = {quoted(value[0] if name == 'label' and len(value) == 1 else value)}"
 
 
 def _check_keys(begin: str, table: object, known: Sequence[str]) -> None:

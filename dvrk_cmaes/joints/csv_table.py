@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Final
 
@@ -32,14 +32,8 @@ from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.csv_file import Rows, read_csv_rows
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.joints.names import (
-    ARM_ORDER,
-    IN_ORDER,
-    joint_reading,
-    joints_by_count,
-    joints_of_arm,
-    without_positions,
-)
+from dvrk_cmaes.joints.joint_state import file_of_messages
+from dvrk_cmaes.joints.names import ARM_ORDER, joint_reading, joints_of_arm
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 from dvrk_cmaes.joints.times import parse_time, parse_times, time_column
 
@@ -58,26 +52,56 @@ _WITHOUT_NAME: Final = re.compile(r"|Unnamed: \d+")
 
 
 def usual(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
-    """Return header and rows of a table with the names, units and cells that `csv_table` reads; others as they are."""
-    if "%time" in header:
-        header, rows = _renamed(header, rows, _of_rostopic)
-    elif "__time" in header:
-        header, rows = _renamed(header, rows, _of_plotjuggler)
-    header, rows = _renamed(header, rows, lambda name: None if _WITHOUT_NAME.fullmatch(name) else name)
-    header, rows = _one_time(header, rows)
-    header, rows = _with_frames(header, rows)
-    return _in_radians_and_metres(header, rows)
+    """Return header and rows of a table with the names, units and cells that `csv_table` reads; others as they are.
 
-
-def _renamed(header: Sequence[str], rows: Rows, new: Callable[[str], str | None]) -> tuple[list[str], Rows]:
-    """Return a table with other names of its columns, without those for which there is none."""
-    names = {name: new(name) for name in header}
-    if all(name == other for name, other in names.items()):
+    Columns that are not read, and those without a name, are left out. A column of images' files is taken for that of
+    frames, without the files' folders and suffixes. A column of seconds and one of nanoseconds are joined. Columns
+    whose names have a unit are converted, of which that of a time stays at the end of its name.
+    """
+    rename = _of_rostopic if "%time" in header else _of_plotjuggler if "__time" in header else str
+    names = {old: new for old in header if (new := rename(old)) is not None and not _WITHOUT_NAME.fullmatch(new)}
+    split = _split_time(names, rows)
+    frame = next((old for old, new in names.items() if new == "frame"), None)
+    frame = frame or next((old for old, new in names.items() if new.lower() in _FRAMES), None)
+    factors = {}
+    for old, new in names.items():
+        if old == frame:
+            names[old] = "frame"
+        elif (match := _UNIT.fullmatch(new)) is not None:
+            short = match[2].lower().removesuffix("rees").removesuffix("ree")
+            factor = (_LENGTHS if match[1].endswith("insertion") else _ANGLES).get(short)
+            if match[1].lower() in _TIMES:
+                names[old] = f"{match[1]}_{short}"
+            elif factor is not None:
+                names[old], factors[old] = match[1], factor
+    files = [] if frame is None else [_PICTURE.fullmatch(cells[frame]) for _, cells in rows]
+    stems = [PurePath(match[1].replace("\\", "/")).name for match in files if match is not None]
+    if split is None and not factors and len(stems) < len(rows) and list(names.values()) == list(header):
         return list(header), rows
-    kept = [(name, other) for name, other in names.items() if other is not None]
-    return [other for _, other in kept], [
-        (where, {other: cells[name] for name, other in kept}) for where, cells in rows
-    ]
+    found: Rows = []
+    for k, (where, cells) in enumerate(rows):
+        own = {new: _times(cells[old], factors.get(old, 1.0)) for old, new in names.items() if old not in (split or ())}
+        if frame is not None and len(stems) == len(rows):
+            own["frame"] = stems[k]
+        time = {} if split is None else {"time": f"{cells[split[0]]}.{cells[split[1]]:0>9}"}
+        found.append((where, {**time, **own}))
+    kept = [new for old, new in names.items() if old not in (split or ())]
+    return [*([] if split is None else ["time"]), *kept], found
+
+
+def _split_time(names: Mapping[str, str], rows: Rows) -> tuple[str, str] | None:
+    """Return the columns of the seconds and of the nanoseconds of a time; None with a column of times, or without."""
+    columns = {new: old for old, new in names.items()}
+    if any(name.lower() in _TIMES for name in columns):
+        return None
+    for name, seconds in columns.items():
+        match = _SECONDS.fullmatch(name)
+        rest = None if match is None else next((columns[match[1] + e] for e in _REST if match[1] + e in columns), None)
+        if rest is not None and all(
+            cells[seconds].isdecimal() and cells[rest].isdecimal() and len(cells[rest]) <= 9 for _, cells in rows
+        ):
+            return seconds, rest
+    return None
 
 
 def _of_rostopic(name: str) -> str | None:
@@ -93,56 +117,6 @@ def _of_plotjuggler(name: str) -> str | None:
         arm = plotted[1] or ""
         return f"{arm}_{plotted[2]}" if arm.upper().startswith(("PSM", "ECM", "MTM")) else plotted[2]
     return "time" if name == "__time" else None if _PLOTTED_BESIDE.fullmatch(name) else name
-
-
-def _one_time(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
-    """Join a column of seconds and one of nanoseconds, where there is no column of times."""
-    if any(name.lower() in _TIMES for name in header):
-        return list(header), rows
-    for name in header:
-        match = _SECONDS.fullmatch(name)
-        rest = None if match is None else next((match[1] + end for end in _REST if match[1] + end in header), None)
-        if rest is None:
-            continue
-        others = [other for other in header if other not in (name, rest)]
-        whole = [cells[name].isdecimal() and cells[rest].isdecimal() and len(cells[rest]) <= 9 for _, cells in rows]
-        if all(whole):
-            joined = (f"{cells[name]}.{cells[rest]:0>9}" for _, cells in rows)
-            return ["time", *others], [
-                (where, {"time": time, **{other: cells[other] for other in others}})
-                for time, (where, cells) in zip(joined, rows, strict=True)
-            ]
-    return list(header), rows
-
-
-def _with_frames(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
-    """Take the column of images' files for that of frames, and leave the folders and suffixes of files out."""
-    column = "frame" if "frame" in header else next((name for name in header if name.lower() in _FRAMES), None)
-    if column is None:
-        return list(header), rows
-    header, rows = _renamed(header, rows, lambda name: "frame" if name == column else name)
-    pictures = [_PICTURE.fullmatch(cells["frame"]) for _, cells in rows]
-    if not all(pictures):
-        return header, rows
-    stems = [PurePath(match[1].replace("\\", "/")).name for match in pictures if match is not None]
-    return header, [(where, {**cells, "frame": stem}) for stem, (where, cells) in zip(stems, rows, strict=True)]
-
-
-def _in_radians_and_metres(header: Sequence[str], rows: Rows) -> tuple[list[str], Rows]:
-    """Convert columns whose names have a unit, of which that of a time stays at the end of its name."""
-    units = {name: match for name in header if (match := _UNIT.fullmatch(name)) is not None}
-    names, factors = {}, {}
-    for name, match in units.items():
-        short = match[2].lower().removesuffix("rees").removesuffix("ree")
-        factor = (_LENGTHS if match[1].endswith("insertion") else _ANGLES).get(short)
-        if match[1].lower() in _TIMES:
-            names[name] = f"{match[1]}_{short}"
-        elif factor is not None:
-            names[name], factors[name] = match[1], factor
-    converted = [
-        (where, {name: _times(cell, factors.get(name, 1.0)) for name, cell in cells.items()}) for where, cells in rows
-    ]
-    return _renamed(header, converted if factors else rows, lambda name: names.get(name, name))
 
 
 def _times(cell: str, factor: float) -> str:
@@ -352,25 +326,11 @@ def _topic_table(
     columns = [name for name in header if _POSITION.fullmatch(name)]
     if not columns:
         raise InputError(f"{path}: header: expected columns position.0, ..., got {listed(header)}")
-    found: dict[str, JointRow] = {}
-    for count, (where, cells) in enumerate(rows):
+    messages = []
+    for where, cells in rows:
         filled = [name for name in columns if cells[name]]
-        if not filled:
-            continue
         stated = [cells.get(name.replace("position", "name"), "") for name in filled]
-        if any(stated):
-            places = joints_of_arm(where, stated, names, arm)
-        else:
-            places = {joint: place for place, joint in enumerate(joints_by_count(f"{where}: position", len(filled)))}
-        values = {joint: cells[filled[place]] for joint, place in places.items()}
-        found[f"message {count + 1}"] = JointRow(where, values, _timestamp(where, cells["timestamp"]))
-    if not found:
-        raise InputError(
-            f"{path}: expected a row for each message, got {'none with positions' if rows else 'a header only'}"
-        )
-    notes = [] if any(name.startswith("name.") for name in header) else [IN_ORDER]
-    if len(found) < len(rows):
-        notes.append(without_positions(len(rows) - len(found)))
-    topic = comments.get("topic")
-    described = f"JointState topic {topic or ''}".rstrip() + " (data_collection CSV)"
-    return JointFile.of(path, described, found, "message", tuple(notes))
+        time = _timestamp(where, cells["timestamp"]) if filled else None
+        messages.append((where, stated if any(stated) else [], [cells[name] for name in filled], time))
+    described = f"JointState topic {comments.get('topic') or ''}".rstrip() + " (data_collection CSV)"
+    return file_of_messages(path, described, messages, names, arm)

@@ -17,7 +17,7 @@ from dvrk_cmaes.joints.interpolation import NANOSECONDS
 from dvrk_cmaes.joints.names import IN_ORDER, joints_by_count, joints_of_arm, without_positions
 from dvrk_cmaes.joints.rows import JointFile, JointRow
 
-EXPECTED = "joint readings (JointState messages as YAML)"
+EXPECTED = "joint readings (JointState messages)"
 
 _POSITION = re.compile(r"^position:", re.MULTILINE)
 
@@ -28,7 +28,7 @@ def is_joint_state(text: str) -> bool:
 
 
 def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None = None) -> JointFile:
-    """Read all messages of a file; those without positions, as before an arm is up, are skipped.
+    """Read all messages of a file, as `file_of_messages`; arguments and errors as there.
 
     Parameters
     ----------
@@ -36,6 +36,40 @@ def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None
         The file's path, for messages.
     text
         The file's content.
+    names, arm
+        As of `file_of_messages`.
+    """
+    messages = []
+    for count, message in enumerate(yaml_documents(path, text, expected=EXPECTED)):
+        where = f"{path}: message {count + 1}"
+        values, stated = message.get("position"), message.get("name") or []
+        if not isinstance(values, list):
+            raise InputError(f"{where}: position: expected a list of numbers, got {shown(values)}")
+        if values and stated and (not isinstance(stated, list) or len(stated) != len(values)):
+            raise InputError(
+                f"{where}: name: expected {len(values)} different names, one for each position, got {shown(stated)}"
+            )
+        messages.append((where, [str(name) for name in stated], values, _stamp(where, message.get("header"))))
+    return file_of_messages(path, "JointState messages (YAML)", messages, names, arm)
+
+
+def file_of_messages(
+    path: str,
+    kind: str,
+    messages: Sequence[tuple[str, Sequence[str], Sequence[object], int | None]],
+    names: Sequence[str],
+    arm: str | None = None,
+) -> JointFile:
+    """Return a file of messages, without those that have no positions, as before an arm is up.
+
+    Two messages with different joints, as the arm's and the jaw's, are one row.
+
+    Parameters
+    ----------
+    path, kind
+        The file's path and the name of its format.
+    messages
+        The beginning of error messages, the stated names, if any, the positions, and the time, ns, of each.
     names
         Names of the joints that are accepted.
     arm
@@ -47,38 +81,21 @@ def read_joint_state(path: str, text: str, names: Sequence[str], arm: str | None
         A message is not valid; the error names the file, the message, the field and what was expected.
     """
     rows: dict[str, JointRow] = {}
-    unnamed, skipped = False, 0
-    for count, message in enumerate(yaml_documents(path, text, expected=EXPECTED)):
-        where = f"{path}: message {count + 1}"
-        values, stated = message.get("position"), message.get("name") or []
-        if not isinstance(values, list):
-            raise InputError(f"{where}: position: expected a list of numbers, got {shown(values)}")
-        if not values:
-            skipped += 1
-            continue
-        unnamed |= not stated
-        if stated:
-            cells = _cells(where, stated, values, names, arm)
-        else:
-            cells = dict(zip(joints_by_count(f"{where}: position", len(values)), values, strict=True))
-        rows[f"message {count + 1}"] = JointRow(where, cells, _stamp(where, message.get("header")))
+    for count, (where, stated, values, time) in enumerate(messages):
+        if values:
+            in_order = [] if stated else joints_by_count(f"{where}: position", len(values))
+            places = joints_of_arm(f"{where}: name", stated or in_order, names, arm)
+            rows[f"message {count + 1}"] = JointRow(where, {name: values[k] for name, k in places.items()}, time)
+    skipped = len(messages) - len(rows)
     if not rows:
         raise InputError(f"{path}: expected {EXPECTED}, got {f'{skipped} without positions' if skipped else 'none'}")
-    rows = _merged(rows)
-    notes = [IN_ORDER] if unnamed else []
-    if skipped:
-        notes.append(without_positions(skipped))
-    return JointFile.of(path, "JointState messages (YAML)", rows, "message", tuple(notes))
-
-
-def _cells(where: str, stated: Any, values: list[Any], names: Sequence[str], arm: str | None) -> dict[str, object]:
-    """Return the positions of a message by joint."""
-    if not isinstance(stated, list) or len(stated) != len(values):
-        raise InputError(
-            f"{where}: name: expected {len(values)} different names, one for each position, got {shown(stated)}"
-        )
-    places = joints_of_arm(f"{where}: name", [str(name) for name in stated], names, arm)
-    return {joint: values[place] for joint, place in places.items()}
+    unnamed = any(values and not stated for _, stated, values, _ in messages)
+    notes = [*([IN_ORDER] if unnamed else []), *([without_positions(skipped)] if skipped else [])]
+    if len(rows) == 2:
+        first, second = rows.values()
+        if not set(first.cells) & set(second.cells):
+            rows = {"both": JointRow(first.where, {**first.cells, **second.cells}, first.time)}
+    return JointFile.of(path, kind, rows, "message", tuple(notes))
 
 
 def _stamp(where: str, header: Any) -> int | None:
@@ -91,13 +108,3 @@ def _stamp(where: str, header: Any) -> int | None:
         if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**32:
             raise InputError(f"{where}: header.stamp: expected whole seconds and nanoseconds, got {shown(stamp)}")
     return (seconds * NANOSECONDS + rest) or None
-
-
-def _merged(rows: dict[str, JointRow]) -> dict[str, JointRow]:
-    """Merge two messages with different joints (the arm's and the jaw's) into one row."""
-    if len(rows) != 2:
-        return rows
-    first, second = rows.values()
-    if set(first.cells) & set(second.cells):
-        return rows
-    return {"messages 1 and 2": JointRow(first.where, {**first.cells, **second.cells}, first.time)}

@@ -11,18 +11,17 @@ from __future__ import annotations
 from configparser import ConfigParser, SectionProxy
 from configparser import Error as IniError
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
+from dvrk_cmaes.camera import Camera
 from dvrk_cmaes.camera.fields import Side, as_number, take_length
+from dvrk_cmaes.camera.ros import camera_info_text
 from dvrk_cmaes.camera.stereo import pose_of_storage
 from dvrk_cmaes.errors import InputError
-from dvrk_cmaes.geometry import Float64
 from dvrk_cmaes.io.files import read_text
 from dvrk_cmaes.io.short_text import listed, shown
-from dvrk_cmaes.io.yaml_file import yaml_text
-from dvrk_cmaes.recording.camera import with_pose
 
 _EXPECTED: Final = "a calibration of a stereo endoscope (INI with StereoLeft and StereoRight)"
 _LARGEST: Final = 100_000  # bytes
@@ -50,39 +49,24 @@ def read_stereo_ini(path: Path, side: Side) -> tuple[bytes, tuple[str, ...]]:
     for name in _SECTIONS.values():
         if not ini.has_section(name):
             raise InputError(f"{path}: {name}: expected this section, got {listed(ini.sections()) or 'none'}")
-    camera = _camera(path, ini[_SECTIONS[side]], side)
-    if side == "left":
-        return yaml_text(camera).encode(), ()
-    pose, notes = _pose(path, ini[_SECTIONS[side]])
-    return with_pose(camera, pose), notes
-
-
-def _camera(path: Path, section: SectionProxy, side: Side) -> dict[str, Any]:
-    """Return the camera of a section as a document in the format of ROS' camera_calibration."""
+    section = ini[_SECTIONS[side]]
     where = f"{path}: {section.name}"
-    width, height = (take_length(where, key, section.get(key)) for key in ("res_x", "res_y"))
-    fx, fy, cx, cy = (_number(where, section, key) for key in ("fc_x", "fc_y", "cc_x", "cc_y"))
+    size = [take_length(where, key, section.get(key)) for key in ("res_x", "res_y")]
+    focal = [_number(where, section, key) for key in ("fc_x", "fc_y", "cc_x", "cc_y")]
     keys = [f"kc_{k}" for k in range(_COEFFICIENTS)]
-    distortion = [_number(where, section, key) for key in keys if key in section or key in keys[:_REQUIRED]]
-    distortion += [0.0] * (_COEFFICIENTS - len(distortion))
-    rational = any(distortion[_REQUIRED:])
-    distortion = distortion if rational else distortion[:_REQUIRED]
-    return {
-        "image_width": width,
-        "image_height": height,
-        "camera_name": side,
-        "camera_matrix": {"rows": 3, "cols": 3, "data": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]},
-        "distortion_model": "rational_polynomial" if rational else "plumb_bob",
-        "distortion_coefficients": {"rows": 1, "cols": len(distortion), "data": distortion},
-    }
-
-
-def _pose(path: Path, section: SectionProxy) -> tuple[Float64, tuple[str, ...]]:
-    """Return ``right_from_left`` (4, 4), m, of the right eye's section, and notes on its unit."""
-    where = f"{path}: {section.name}"
-    rotation = [_number(where, section, f"R_{k}") for k in range(9)]
-    translation = [_number(where, section, f"T_{k}") for k in range(3)]
-    return pose_of_storage(where, {"R": rotation, "T": translation}, rectified=False)
+    lens = [_number(where, section, key) for key in keys if key in section or key in keys[:_REQUIRED]]
+    rational = any(lens[_REQUIRED:])
+    distortion = (*lens, *(0.0,) * (_COEFFICIENTS - len(lens)))[: _COEFFICIENTS if rational else _REQUIRED]
+    model = "rational_polynomial" if rational else "plumb_bob"
+    try:
+        camera = Camera(size[0], size[1], focal[0], focal[1], focal[2], focal[3], distortion, model)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    if side == "left":
+        return camera_info_text(camera, side).encode(), ()
+    stated = {name: [_number(where, section, f"{name}_{k}") for k in range(n)] for name, n in (("R", 9), ("T", 3))}
+    pose, notes = pose_of_storage(where, stated, rectified=False)
+    return camera_info_text(camera, side, right_from_left=pose).encode(), notes
 
 
 def _number(where: str, section: SectionProxy, key: str) -> float:

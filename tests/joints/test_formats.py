@@ -91,7 +91,7 @@ def test_gap_beyond_tolerance_is_refused(tmp_path: Path) -> None:
         (
             "velocity: []",
             "velocity: [",
-            "expected joint readings (JointState messages as YAML), got no valid YAML (line ",
+            "expected joint readings (JointState messages), got no valid YAML (line ",
         ),
     ],
 )
@@ -113,7 +113,7 @@ def test_unusable_message_is_refused_with_field(tmp_path: Path, old: str, new: s
         ),
         ("position.0,position.1", "p.0,p.1", "header: expected columns position.0, ..., got timestamp, effort.0"),
         ("1755000000000000000", "soon", "line 2: time: expected a finite number of seconds, got 'soon'"),
-        (",wrist_pitch,", ",wrist_pich,", "line 2: unknown joint 'wrist_pich'; expected one of wrist_pitch"),
+        (",wrist_pitch,", ",wrist_pich,", "line 2: name: unknown joint 'wrist_pich'; expected one of wrist_pitch"),
     ],
 )
 def test_unusable_recording_is_refused(tmp_path: Path, old: str, new: str, expected: str) -> None:
