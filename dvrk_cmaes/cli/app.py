@@ -83,6 +83,7 @@ _REMOVED: Final[tuple[tuple[Sequence[str], Sequence[str], str], ...]] = (
         ("--instrument-candidates",),
         "a calibration with each --instrument, and compare their leave-one-out",
     ),
+    (("compare",), ("--picture",), "--out, whose page has the curves"),
     (("live",), ("--rehearse",), "`dvrk-cmaes track --causal`"),
     (
         ("export",),

@@ -30,7 +30,7 @@ from dvrk_cmaes.cli.options import (
     ReadingOptions,
     check_range,
 )
-from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, warn
+from dvrk_cmaes.cli.terminal import DOUBTFUL, INTERRUPTED, STATUS_STYLES, Line, note, table_lines, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.runs.agreement import ArmInSession
 
-_DOUBT = STATUS_STYLES["doubtful"].removeprefix("bold ")  # style of a line about a part
 _MOST_LISTED = 10
 _LEAST_KEYFRAMES = 3
 _FIRST_FRAMES = 30  # at most, from which a camera without a file is found first
@@ -299,57 +298,22 @@ def _lines(solved: SolvedSession, out: Path) -> Iterator[Line]:
     """Yield the lines of a calibration: base, offsets, frames left out, leave-one-out errors, and the files written."""
     import numpy as np
 
-    from dvrk_cmaes.geometry import in_parent, log_rotation
+    from dvrk_cmaes.report.tables import calibration_lines, calibration_tables
 
     calibration = solved.calibration
-    base = calibration.camera_from_base
-    std = np.sqrt(np.diag(in_parent(base, calibration.covariance)))
-    position, axis_angle = base[:3, 3] * 1e3, np.degrees(log_rotation(base[:3, :3]))
-    std_position, std_rotation = std[:3] * 1e3, np.degrees(std[3:6])
     for doubt in calibration.doubts:
         yield Line(f"doubtful: {doubt}", STATUS_STYLES["doubtful"])
-    yield Line(
-        "arm's base in the camera (x right, y down, z forward); its origin is the remote centre of motion", "bold"
-    )
-    yield Line(f"  position, mm    {_numbers(position)}   std {_numbers(std_position, 2)}")
-    yield Line(f"  axis-angle, deg {_numbers(axis_angle)}   std {_numbers(std_rotation, 2)}")
-    yield Line("offsets: true = reading + offset", "bold")
-    for (name, offset), deviation in zip(calibration.offsets.items(), std[6:], strict=True):
-        if name == "insertion":
-            yield Line(f"  {name:<12s} {offset * 1e3:>+8.2f} mm    std {deviation * 1e3:.2f}")
-        else:
-            yield Line(f"  {name:<12s} {np.degrees(offset):>+8.2f} deg   std {np.degrees(deviation):.2f}")
-    if calibration.cables is not None:
-        yield Line("cables: what they add to the offsets", "bold")
-        for text in calibration.cables.in_words():
-            yield Line(f"  {text}")
-    yield from map(Line, calibration.in_words())
-    for text in calibration.untold:
-        yield Line(f"  not determined by this session: {text}", _DOUBT)
-    for name, reason in list(calibration.left_out.items())[:_MOST_LISTED]:
-        yield Line(f"left out: {name}: {reason}", _DOUBT)
-    if len(calibration.left_out) > _MOST_LISTED:
-        yield Line(f"... and {len(calibration.left_out) - _MOST_LISTED} more")
-    alone = list(calibration.leave_one_out.values())
-    if alone:
-        iou, off = np.mean([pair[0] for pair in alone]), np.median([pair[1] for pair in alone])
-        yield Line(
-            f"{len(calibration.frames)} frames; each predicted by the others, without its image: "
-            f"mean IoU {iou:.3f}, contour {off:.1f} px median"
-        )
-    for eye, frames in calibration.leave_one_out_of_views.items():
-        pairs = np.array(list(frames.values()))
-        yield Line(f"  {eye} eye: mean IoU {pairs[:, 0].mean():.3f}, contour {np.median(pairs[:, 1]):.1f} px median")
-    doubtful = {name: result for name, result in solved.results.items() if result.status == "doubtful"}
-    for name, result in list(doubtful.items())[:_MOST_LISTED]:
-        yield Line(f"doubtful: {name}: {'; '.join(result.reasons)}", _DOUBT)
+    for table in calibration_tables(calibration):
+        yield from table_lines(table, _MOST_LISTED)
+    yield from map(Line, calibration_lines(calibration))
+    views = {"": calibration.leave_one_out, **calibration.leave_one_out_of_views}
+    for eye, pairs in ((eye, np.array(list(frames.values()))) for eye, frames in views.items() if frames):
+        of_all = f"{len(calibration.frames)} frames; each predicted by the others, without its image"
+        what = f"  {eye} eye" if eye else of_all
+        yield Line(f"{what}: mean IoU {pairs[:, 0].mean():.3f}, contour {np.median(pairs[:, 1]):.1f} px median")
+    doubtful = [result for result in solved.results.values() if result.status == "doubtful"]
+    for result in doubtful[:_MOST_LISTED]:
+        yield Line(f"doubtful: {result.frame}: {'; '.join(result.reasons)}", "yellow")
     if doubtful:
         yield Line(f"{len(doubtful)} of {len(solved.results)} frames are doubtful", STATUS_STYLES["doubtful"])
     yield Line(f"written: {out / 'session.json'}   frames: {out / 'frames'}   page: {out / 'report.html'}")
-
-
-def _numbers(values: object, digits: int = 2) -> str:
-    """Format numbers with a number of decimals, separated by spaces."""
-    import numpy as np
-
-    return " ".join(f"{value:>9.{digits}f}" if digits == 2 else f"{value:.{digits}f}" for value in np.asarray(values))

@@ -28,7 +28,6 @@ def compare(
     points: Path | None = None,
     instrument: UrdfOptions = DEFAULT_URDF,
     out: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
-    picture: Annotated[Path | None, Parameter(group=OUTPUT)] = None,
     json: Annotated[Flag, Parameter(group=OUTPUT)] = False,
 ) -> int:
     """Compare two or more sets of poses of the same frames, by frame and in sum, without estimating again.
@@ -67,8 +66,6 @@ def compare(
         The instrument, for the tips of sets that do not state them.
     out
         Folder for compare.csv, one row a frame, and compare.html, a page with plots and the overlays that differ most.
-    picture
-        File for a figure of the differences over the frames: .svg.
     json
         Print only the comparison, as JSON, on stdout.
     """
@@ -76,14 +73,11 @@ def compare(
     from dvrk_cmaes.evaluate.comparison import compare_sets
     from dvrk_cmaes.io.atomic import write_text
     from dvrk_cmaes.io.output import LONG, check_files, output
-    from dvrk_cmaes.report.compare_page import PAGE, draw_comparison, write_compare_page
-    from dvrk_cmaes.report.curves import check_svg_path
+    from dvrk_cmaes.report.compare_page import PAGE, write_compare_page
     from dvrk_cmaes.results.paths import check_writable
 
     if frames < 0:
         raise InputError(f"--frames: expected a whole number of at least 0, got {frames}")
-    if picture is not None:
-        check_svg_path(picture)
     if out is not None:
         check_writable(out)
         check_files(out, "compare", (_TABLE, PAGE))
@@ -96,8 +90,8 @@ def compare(
     sets = [read_compared_set(path) for path in results]
     of_labels = None if labels is None else label_table(sets, labels, points, loaded)
     if len(sets) == 1 and of_labels is not None:
-        if out is not None or picture is not None:
-            raise InputError("--out, --picture: expected at least two sets of poses, got one")
+        if out is not None:
+            raise InputError("--out: expected at least two sets of poses, got one")
         answer({"labels": of_labels.to_dict()}, of_labels.lines(), json=json)
         return 0
     found = compare_sets(sets, loaded)
@@ -106,9 +100,6 @@ def compare(
         with output(out, "compare", wait=LONG):
             write_text(out / _TABLE, _csv_text(found))
             written += [out / _TABLE, write_compare_page(out, found)]
-    if picture is not None:
-        write_text(picture, draw_comparison(found))
-        written.append(picture)
     more = {} if of_labels is None else {"labels": of_labels.to_dict()}
     tables = [
         [] if of_labels is None else of_labels.lines(),

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from dvrk_cmaes.cli.describe import describe
 from dvrk_cmaes.cli.options import (
     DEFAULT_CALIBRATION,
     DEFAULT_FRAME_CAMERA,
@@ -32,16 +31,17 @@ from dvrk_cmaes.cli.options import (
     joint_files,
     parse_pixel,
 )
-from dvrk_cmaes.cli.terminal import answer, exit_code, note, warn
+from dvrk_cmaes.cli.terminal import STATUS_STYLES, Line, answer, exit_code, note, table_lines, warn
 from dvrk_cmaes.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from dvrk_cmaes.frames.frame import FrameFiles
     from dvrk_cmaes.joints.lag import Lag
     from dvrk_cmaes.joints.reading import FrameReadings
     from dvrk_cmaes.joints.rows import ReadAs
+    from dvrk_cmaes.results.result import Result
 
 _Hyphens = Parameter(allow_leading_hyphen=True)
 
@@ -250,5 +250,19 @@ def estimate(
     result, written = run_frame(files, data, body, solved_as, out)
     for text in dict.fromkeys((*result.remarks, *result.warnings)):
         warn(text)
-    answer(result.to_dict(), describe(result, written), json=json)
+    answer(result.to_dict(), _lines(result, written), json=json)
     return exit_code([result.status])
+
+
+def _lines(result: Result, written: Sequence[Path]) -> Iterator[Line]:
+    """Yield the lines of a result: accuracy, status, reasons, fit, pose, joints, alternatives and the files written."""
+    from dvrk_cmaes.report.tables import result_lines, result_tables
+
+    accuracy, *fit = result_lines(result)
+    yield Line(f"{result.frame}: {accuracy}, {result.status}", STATUS_STYLES[result.status])
+    yield from (Line(f"  {text}", "yellow") for text in result.reasons)
+    yield from (Line(f"  {text}") for text in (*fit, *(f"not used: {text}" for text in result.unused)))
+    for table in result_tables(result):
+        yield from table_lines(table)
+    yield Line(f"{result.seconds:.2f} s, {result.evaluations} silhouettes")
+    yield from (Line(f"written: {path}") for path in written)

@@ -91,11 +91,14 @@ def show(lines: Iterable[Line]) -> None:
         console.print(Text(escaped(line.text), style=line.style))
 
 
-def table_lines(table: Table) -> Iterator[Line]:
-    """Yield the lines of a table, the heading in bold."""
-    head, *rows = table.lines()
-    yield Line(head, "bold")
-    yield from map(Line, rows)
+def table_lines(table: Table, most: int | None = None) -> Iterator[Line]:
+    """Yield the lines of a table that has rows, the heading in bold; at most some of them."""
+    if table.rows:
+        head, *rows = table.lines()
+        yield Line(head, "bold")
+        yield from map(Line, rows[:most])
+        if most is not None and len(rows) > most:
+            yield Line(f"... and {len(rows) - most} more")
 
 
 def answer(document: Any, lines: Iterable[Line], *, json: bool) -> None:

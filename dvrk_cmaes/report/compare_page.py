@@ -11,7 +11,7 @@ import numpy as np
 from dvrk_cmaes.errors import InputError
 from dvrk_cmaes.evaluate.comparison import Comparison
 from dvrk_cmaes.frames.images import read_image
-from dvrk_cmaes.report.curves import Chart, Curve, chart_svg, stacked
+from dvrk_cmaes.report.curves import Chart, Curve
 from dvrk_cmaes.report.template import Entry, KeyFigure, Page, Part, Picture, webp, write
 from dvrk_cmaes.results.paths import check_frame_name, overlay_path
 
@@ -80,12 +80,6 @@ def comparison_charts(comparison: Comparison) -> list[Chart]:
         Chart(f"Tips from {reference}", "frame", "mm", curves(sizes), names=frames, least=0.1),
         Chart("Overlap", "frame", "IoU", curves(overlaps), names=frames, least=0.02),
     ]
-
-
-def draw_comparison(comparison: Comparison) -> str:
-    """Draw the charts of a comparison below each other, as SVG."""
-    drawn = [[chart_svg(chart)] for chart in comparison_charts(comparison) if chart.known]
-    return stacked(drawn, 680, 330)
 
 
 def _entry(comparison: Comparison, frame: str, place: int) -> Entry:

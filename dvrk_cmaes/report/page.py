@@ -7,9 +7,7 @@ together does not, since each frame's own mask was used to solve it.
 
 from __future__ import annotations
 
-import json
 import math
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any, Final
@@ -17,9 +15,9 @@ from typing import Any, Final
 import numpy as np
 
 from dvrk_cmaes.calibration.document import SessionCalibration
-from dvrk_cmaes.geometry import Float64, in_parent, log_rotation, rotation_angle
 from dvrk_cmaes.io.table import Table, fixed
 from dvrk_cmaes.report.curves import Chart, Curve
+from dvrk_cmaes.report.tables import calibration_lines, calibration_tables, result_lines, result_tables
 from dvrk_cmaes.report.template import (
     Entry,
     KeyFigure,
@@ -84,7 +82,7 @@ def session_page(folder: ResultsFolder) -> Page:
     pictures = Pictures(folder.folder)
     documents = {path.stem: path.relative_to(folder.folder).as_posix() for path in result_paths(folder.folder)}
     entries = _entries(folder, calibration, documents, pictures)
-    parts = [] if calibration is None else list(_calibration_parts(folder, calibration, documents, pictures))
+    parts = [] if calibration is None else list(_calibration_parts(folder, calibration))
     name = f"{PurePath(session).name} · " if isinstance(session, str) else ""
     instruments = ", ".join(sorted({result.instrument for result in results} - {""}))
     version = results[0].version
@@ -97,7 +95,7 @@ def session_page(folder: ResultsFolder) -> Page:
         notes=[*notes, *(f"In every frame: {text}" for text in common_warnings(results))],
         figures=list(session_figures(solved, summary)),
         reasons=counted_reasons(result.reasons for result in results),
-        parts=[*parts, Part("Curves", charts=session_charts(results)), _settings(results)],
+        parts=[*parts, Part("Curves", charts=session_charts(results))],
         entries=entries,
     )
 
@@ -187,16 +185,6 @@ def _correction(result: Result, joint: str) -> float:
     return result.joints.get(joint, math.nan) - result.readings.get(joint, math.nan)
 
 
-def _settings(results: Sequence[Result]) -> Part:
-    """Return what the results were computed with."""
-    made = Counter((r.version, r.instrument, r.seed, json.dumps(r.config, sort_keys=True)) for r in results)
-    rows = [(str(count), *map(str, kind[:3])) for kind, count in made.most_common()]
-    notes = ["The settings are in the JSON of each result."]
-    if len(rows) > 1:
-        notes.append("The results were computed with different settings, a row for each: compare them with care.")
-    return Part("Settings", notes=notes, tables=[Table(("frames", "version", "instrument", "seed"), rows)])
-
-
 # frames
 
 
@@ -222,7 +210,7 @@ def _entries(
                 list(_lines(result, calibration)),
                 result.reasons,
                 [*result.warnings, *(f"not used: {text}" for text in result.unused)],
-                list(_tables(result)) if place < _MOST_DETAILS else (),
+                list(result_tables(result)) if place < _MOST_DETAILS else (),
                 documents.get(result.frame, ""),
             )
         )
@@ -231,12 +219,7 @@ def _entries(
 
 def _lines(result: Result, calibration: SessionCalibration | None) -> Iterator[str]:
     """Yield what an entry says of a frame."""
-    if result.expected_error is not None:
-        yield result.expected_error.in_words
-    quality = result.quality
-    yield "no pose" if quality is None else f"IoU {quality.iou:.3f}, outline {quality.contour_px_95:.1f} px at 95 %"
-    if result.mode_probability is not None:
-        yield f"right mode: {result.mode_probability:.0%}"
+    yield from result_lines(result)
     if calibration is not None:
         if result.frame in calibration.left_out:
             yield f"left out of the calibration: {calibration.left_out[result.frame]}"
@@ -245,105 +228,24 @@ def _lines(result: Result, calibration: SessionCalibration | None) -> Iterator[s
             yield f"predicted by the others: IoU {iou:.3f}, outline {contour:.1f} px"
 
 
-def _tables(result: Result) -> Iterator[Table]:
-    """Yield the tables of a frame: pose, joints and other modes."""
-    rows: list[Sequence[str]] = []
-    if result.camera_from_root is not None:
-        rows += _pose_rows(result.root_link, result.camera_from_root, _std(result.covariance_in_camera()))
-        rows += [(f"tip {k}, mm", *_three(1e3 * tip)) for k, tip in enumerate(result.tips, start=1)]
-    if result.camera_from_base is not None:
-        rows += _pose_rows("arm's base (RCM)", result.camera_from_base)
-    if rows:
-        yield Table(("pose in the camera", "x", "y", "z"), rows)
-    std = result.std_joints_deg or {}
-    joints = []
-    for name in dict.fromkeys([*result.joints, *result.readings]):
-        factor, unit = (1e3, "mm") if name.endswith("insertion") else (180 / math.pi, "deg")
-        found, read = result.joints.get(name, math.nan), result.readings.get(name, math.nan)
-        cells = fixed(factor * found, 2), fixed(std.get(name), 2), fixed(factor * read, 2)
-        joints.append((f"{name}, {unit}", *cells, fixed(factor * (found - read), 2, sign=True)))
-    if joints:
-        yield Table(("joints", "found", "std", "read", "found - read"), joints)
-    if result.alternatives:
-        others = []
-        for other in result.alternatives:
-            apart = turned = math.nan
-            if result.camera_from_root is not None:
-                apart = 1e3 * float(np.linalg.norm(other.camera_from_root[:3, 3] - result.camera_from_root[:3, 3]))
-                turned = math.degrees(float(rotation_angle(other.camera_from_root, result.camera_from_root)))
-            cells = f"{other.iou:.4f}", f"{other.loss:.4g}", fixed(other.reading_distance_deg, 1)
-            others.append((other.relation, *cells, fixed(apart, 1), fixed(turned, 1)))
-        yield Table(("other mode", "IoU", "loss", "from readings, deg", "apart, mm", "turned, deg"), others)
-
-
-def _pose_rows(
-    name: str, pose: Float64, std: Float64 | None = None, axes: str = "the camera's axes"
-) -> Iterator[Sequence[str]]:
-    """Yield the rows of a pose (4, 4), and of its standard deviations (6,), m and rad, along and about some axes."""
-    yield f"{name}: position, mm", *_three(1e3 * pose[:3, 3])
-    if std is not None:
-        yield f"std along {axes}, mm", *_three(1e3 * std[:3])
-    yield f"{name}: axis-angle, deg", *_three(np.degrees(log_rotation(pose[:3, :3])))
-    if std is not None:
-        yield f"std about {axes}, deg", *_three(np.degrees(std[3:6]))
-
-
-def _std(covariance: Float64 | None) -> Float64 | None:
-    """Return the standard deviations of a covariance; None without one."""
-    return None if covariance is None else np.sqrt(np.diag(covariance))
-
-
-def _three(values: Float64) -> tuple[str, ...]:
-    return tuple(fixed(float(value), 2) for value in values)
-
-
 # the calibration
 
 
-def _calibration_parts(
-    folder: ResultsFolder, found: SessionCalibration, documents: Mapping[str, str], pictures: Pictures
-) -> Iterator[Part]:
+def _calibration_parts(folder: ResultsFolder, found: SessionCalibration) -> Iterator[Part]:
     """Yield what the page says of a calibration: base and offsets, and each frame as the others predict it."""
-    std, base = np.sqrt(np.diag(found.covariance)), found.camera_from_base
-    rows = list(_pose_rows("arm's base (RCM)", base, _std(in_parent(base, found.covariance))))
-    moves = found.endoscope
-    if moves is not None:
-        for stand in moves.bases:
-            rows += _pose_rows(f"frames {stand.first} to {stand.last}", stand.camera_from_base)
-        for name, pose, deviations in (
-            ("camera in the endoscope's tip", moves.tip_from_camera, moves.std_tip_from_camera),
-            ("arm's base in that of the endoscope's arm", moves.ecm_from_base, moves.std_ecm_from_base),
-        ):
-            if pose is not None:
-                rows += _pose_rows(name, pose, np.array(deviations), "its own axes")
-    offsets = []
-    for (name, offset), of_offset in zip(found.offsets.items(), std[6:].tolist(), strict=True):
-        factor, unit = (1e3, "mm") if name == "insertion" else (180 / math.pi, "deg")
-        values = fixed(factor * of_offset, 2), fixed(factor * found.spreads.get(name, 0.0), 2)
-        offsets.append((f"{name}, {unit}", fixed(factor * offset, 2, sign=True), *values))
     note = f"One place of the arm's base and one offset a joint, from {len(found.frames)} frames solved together."
     if (folder.folder / ALONE / "report.html").is_file():
         note += f" The same frames, each solved by itself: {ALONE}/report.html."
-    cables = () if found.cables is None else found.cables.in_words()
     yield Part(
         f"Calibration: {found.status}",
         figures=list(_calibration_figures(found)),
-        notes=[note, *found.in_words(), *cables, *(f"Not determined by this session: {text}" for text in found.untold)],
-        tables=[
-            Table(("arm's base in the camera", "x", "y", "z"), rows),
-            Table(("true = read + offset", "offset", "std", "std between frames"), offsets),
-            Table(("left out", "why"), list(found.left_out.items()), frames=True),
-        ],
-        charts=[_lag_chart(found), *_cable_charts(folder, found)],
+        notes=[note, *calibration_lines(found)],
+        tables=list(calibration_tables(found)),
+        charts=[_lag_chart(found)],
     )
     predictions = sorted((iou, name, px) for name, (iou, px) in found.leave_one_out.items() if name in folder.frames)
     if not predictions:
         return
-    shown: list[Picture] = []
-    for iou, name, px in predictions[:_MOST_PREDICTIONS]:
-        if name in documents:
-            caption = f"{name}: IoU {iou:.3f}, {px:.1f} px"
-            shown += pictures.of(left_out_path(folder.folder, name), caption, widest=480)
     table = []
     for iou, name, px in predictions:
         result = folder.frames[name]
@@ -352,10 +254,9 @@ def _calibration_parts(
     yield Part(
         "Leave one out: each frame as the others predict it, the worst first",
         notes=[
-            "Its image has no part in its prediction, only its readings have: a check that needs no truth. Yellow: the "
-            "mask; pink: the prediction."
+            "Its image has no part in its prediction, only its readings have: a check that needs no truth. In the "
+            "pictures with the frames the mask is yellow, the prediction pink."
         ],
-        pictures=shown,
         tables=[Table(("frame", "IoU", "outline, median px", "IoU solved together", "status"), table, frames=True)],
     )
 
@@ -389,21 +290,3 @@ def _lag_chart(found: SessionCalibration) -> Chart | None:
     return Chart(
         "How late the images are", f"lag, {unit}", "disagreement", [Curve("", curve.lags, curve.misfit)], note=note
     )
-
-
-def _cable_charts(folder: ResultsFolder, found: SessionCalibration) -> Iterator[Chart]:
-    """Yield charts of the joints' errors, as they were found and as the other frames predict them."""
-    cables = found.cables
-    if cables is None:
-        return
-    for index, joint in enumerate(cables.joints):
-        read, errors = [], []
-        for name, corrections in cables.corrections.items():
-            result = folder.frames.get(name)
-            if result is not None and not math.isnan(off := _correction(result, joint)):
-                read.append(math.degrees(result.readings[joint]))
-                errors.append((math.degrees(off), math.degrees(found.offsets[joint] + corrections[index])))
-        if read:
-            x, (measured, predicted) = np.array(read), np.array(errors).T
-            curves = [Curve("found", x, measured, True), Curve("predicted by the other frames", x, predicted, True)]
-            yield Chart(f"Cables: {joint}", f"reading of {joint}, deg", "error, deg", curves, least=1.0)

@@ -190,10 +190,6 @@ def _figures(recording: FollowedRecording, events: Sequence[TrackEvent]) -> Iter
         worst = int(np.nanargmin(overlaps))
         note = f"lowest {overlaps[worst]:.3f} ({rows[worst]['frame']})"
         yield KeyFigure("Overlap (IoU), median", f"{np.nanmedian(overlaps):.3f}", note)
-    edges = _column(rows, "residual_px")
-    if np.isfinite(edges).any():
-        note = "standard deviation of the edges that were used, in half of the frames at most this"
-        yield KeyFigure("Edges to outline, median", f"{np.nanmedian(edges):.1f} px", note)
     spread = _column(rows, "std", "tip_mm")
     if np.isfinite(spread).any():
         note = f"95 % of the frames within {np.nanpercentile(spread, 95):.2f} mm"
@@ -232,12 +228,7 @@ def track_charts(recording: FollowedRecording) -> list[Chart]:
     ]
     tips = 1e3 * np.array([np.mean(row["tips"], axis=0) if row["tips"] else [np.nan] * 3 for row in rows])
     middle = np.nanmedian(tips, axis=0) if np.isfinite(tips).any() else np.zeros(3)
-    steps = np.diff(times)
-    moved = np.divide(
-        np.linalg.norm(np.diff(tips, axis=0), axis=1), steps, out=np.full(len(steps), np.nan), where=steps > 0
-    )
     overlaps = np.full(len(rows), np.nan) if recording.overlaps is None else recording.overlaps
-    base = [(name, _column(rows, "base", key)) for name, key in (("keyframes", "keyframes"), ("solved", "solved"))]
     return [
         Chart("Joints", across, "deg", [*found, *read], "Found, and faintly as the robot read them.", seeks=True),
         chart(
@@ -247,17 +238,13 @@ def track_charts(recording: FollowedRecording) -> list[Chart]:
             "True = reading + offset, as it was known at the time.",
         ),
         chart("Overlap of mask and pose", "IoU", [("", overlaps)], least=0.02),
-        chart("Edges to outline", "px", [("", _column(rows, "residual_px"))], "Std of the edges that were used."),
         chart(
             "Tips in the camera",
             "mm from the median",
             [(axis, tips[:, k] - middle[k]) for k, axis in enumerate("xyz")],
             "Mean of the tips: x right, y down, z forward.",
         ),
-        chart("Speed of the tips", "mm/s" if recording.timed else "mm a frame", [("", np.append(np.nan, moved))]),
         chart("Standard deviation of the tips", "mm", [("", _column(rows, "std", "tip_mm"))]),
-        chart("Keyframes", "number", base),
-        chart("Error of the tips that the last solution leaves", "mm", [("", _column(rows, "base", "tip_mm"))]),
     ]
 
 

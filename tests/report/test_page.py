@@ -153,9 +153,8 @@ def test_doubts_of_a_calibration_come_first_and_what_it_cannot_tell_is_said(tmp_
         "left out of the calibration: its mask is of another arm",
         "Calibration: doubtful Frames used",
         "images are 2.00 frames (0.080 s) later than the readings, std 0.10 frames; taken out of the",
-        "Not determined by this session: offset of <b>roll</b>",
+        "not determined by this session: offset of <b>roll</b>",
         "How late the images are",
-        "Cables: wrist_pitch",
         "Leave one out: each frame as the others predict it, the worst first Its image",
     )
     places = [text.index(part) for part in order]
