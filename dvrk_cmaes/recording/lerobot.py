@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -39,15 +38,6 @@ def is_lerobot(path: Path) -> bool:
     return (path / "meta" / "info.json").is_file() and (path / "data").is_dir()
 
 
-@dataclass(frozen=True)
-class _Episode:
-    """Where an episode is: its table, and its video, of which it begins at ``start`` s."""
-
-    table: Path
-    video: Path
-    start: float
-
-
 @contextmanager
 def open_lerobot(path: Path, asked: Asked) -> Iterator[Recording]:
     """Open an episode of a data set; readings are read at once, images during iteration.
@@ -72,35 +62,33 @@ def open_lerobot(path: Path, asked: Asked) -> Iterator[Recording]:
     file = path / "meta" / "info.json"
     info = read_json_object(file, expected="a LeRobot data set's info.json")
     key = _video_key(file, info, asked.eye)
-    where = _place(path, file, info, key, episode)
-    columns = read_columns(where.table, _ROWS if asked.joints is not None else (*_ROWS, _STATE))
+    table, video, start = _place(path, file, info, key, episode)
+    columns = read_columns(table, _ROWS if asked.joints is not None else (*_ROWS, _STATE))
     own = [k for k, number in enumerate(columns["episode_index"]) if number == episode]
-    seconds = {k: _number(where.table, "timestamp", columns["timestamp"][k], least=0.0) for k in own}
+    seconds = {k: _number(table, "timestamp", columns["timestamp"][k], least=0.0) for k in own}
     at = {k: round(second * NANOSECONDS) for k, second in seconds.items()}
     rows = sorted(at, key=at.__getitem__)
     times = [at[k] for k in rows]
     if not times or any(later <= before for before, later in pairwise(times)):
-        raise InputError(
-            f"{where.table}: timestamp: expected increasing times of episode {episode}, got others or none"
-        )
+        raise InputError(f"{table}: timestamp: expected increasing times of episode {episode}, got others or none")
     readings, _ = asked.given_readings()
     said: tuple[str, ...] = (f"{asked.joints}",)
     if asked.joints is None:
         names, said = _fields(file, info, asked.arm)
-        readings = (_readings(where.table, names, times, [columns[_STATE][k] for k in rows], said[0]),)
-    check_file(where.video, expected=EXPECTED)
-    with open_capture(where.video) as capture:
+        readings = (_readings(table, names, times, [columns[_STATE][k] for k in rows], said[0]),)
+    check_file(video, expected=EXPECTED)
+    with open_capture(video) as capture:
         fps = _number(file, "fps", info.get("fps"))
-        check_rate(where.video, capture, fps, "as fps in info.json")
-        first = round(where.start * fps)
+        check_rate(video, capture, fps, "as fps in info.json")
+        first = round(start * fps)
         notes = (
-            f"episode {episode}: {where.table.relative_to(path)}, {where.video.relative_to(path)} from image {first}",
+            f"episode {episode}: {table.relative_to(path)}, {video.relative_to(path)} from image {first}",
             f"camera: {camera}",
             *said,
             "times: timestamp",
         )
         count, numbered = first + len(times), dict(enumerate(times, start=first))
-        images = frames_at(where.video, capture, numbered, count, " by the readings", first)
+        images = frames_at(video, capture, numbered, count, " by the readings", first)
         yield Recording(path, images, len(times), read_camera_bytes(camera), {"": readings}, notes)
 
 
@@ -116,20 +104,16 @@ def _video_key(file: Path, info: Mapping[str, Any], side: Side) -> str:
     return str(chosen[0])
 
 
-def _place(path: Path, file: Path, info: Mapping[str, Any], key: str, episode: int) -> _Episode:
-    """Find an episode by the paths in info.json, and in v3 by the tables of episodes."""
+def _place(path: Path, file: Path, info: Mapping[str, Any], key: str, episode: int) -> tuple[Path, Path, float]:
+    """Find the table and the video of an episode, which begins there at a time, s.
 
-    def placed(of_data: Mapping[str, Any], of_video: Mapping[str, Any], start: float) -> _Episode:
-        table, video = (
-            _formatted(path, file, info, name, own) for name, own in (("data_path", of_data), ("video_path", of_video))
-        )
-        return _Episode(table, video, start)
-
+    Their paths are stated in info.json, and in v3 by the tables of episodes.
+    """
     version = info.get("codebase_version")
     if version == "v2.1":
         size = int(_number(file, "chunks_size", info.get("chunks_size", 1000)))
-        of_both: dict[str, Any] = {"episode_index": episode, "episode_chunk": episode // size, "video_key": key}
-        return placed(of_both, of_both, 0.0)
+        both: dict[str, Any] = {"episode_index": episode, "episode_chunk": episode // size, "video_key": key}
+        return _formatted(path, file, info, "data_path", both), _formatted(path, file, info, "video_path", both), 0.0
     if version != "v3.0":
         raise InputError(f"{file}: codebase_version: expected v2.1 or v3.0, got {shown(version)}")
     data, video = ("data/chunk_index", "data/file_index"), f"videos/{key}/"
@@ -140,7 +124,11 @@ def _place(path: Path, file: Path, info: Mapping[str, Any], key: str, episode: i
             row = {name: columns[name][columns["episode_index"].index(episode)] for name in names}
             of_data = {"chunk_index": row[data[0]], "file_index": row[data[1]]}
             of_video = {"chunk_index": row[names[3]], "file_index": row[names[4]], "video_key": key}
-            return placed(of_data, of_video, _number(table, names[5], row[names[5]], least=0.0))
+            places = (
+                _formatted(path, file, info, "data_path", of_data),
+                _formatted(path, file, info, "video_path", of_video),
+            )
+            return *places, _number(table, names[5], row[names[5]], least=0.0)
     raise InputError(f"{path}/meta/episodes: expected episode {episode}, got none")
 
 

@@ -28,7 +28,7 @@ it), so that a field is searched for by its name, at the outermost level first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -346,11 +346,13 @@ def open_surgsync(path: Path, asked: Asked) -> Iterator[Recording]:
     readings, said = asked.given_readings()
     notes += said
     if chosen is not None:
-        readings = _readings_of_clip(path / "kinematic" / chosen, times)
+        of_images = {number: frame.image for number, frame in times.items()}
+        readings = _readings_of_clip(path / "kinematic" / chosen, read_positions, of_images, times)
         notes += [f"{' '.join(series.joints)}: kinematic/{chosen}" for series in readings]
         if (folder := path / "kinematic" / ECM).is_dir() and chosen != ECM:
             try:
-                readings = (*readings, _ecm_readings(folder, path / "time_syn", side, times))
+                of_ecm = {number: read_times(path / "time_syn" / f"{number}.json", side, ECM) for number in images}
+                readings = (*readings, *_readings_of_clip(folder, read_ecm, of_images, of_ecm))
                 notes.append(f"{' '.join(ECM_JOINTS)}: kinematic/{ECM}")
             except InputError as error:
                 notes.append(f"the endoscope's arm is not read: {error}")
@@ -413,38 +415,18 @@ def chosen_arm(path: Path, arms: Sequence[str], arm: str | None, what: str) -> s
     return arm or patient_side[0]
 
 
-def _readings_of_clip(folder: Path, times: Mapping[int, FrameTimes]) -> tuple[TimedReadings, ...]:
-    """Read the readings of all frames: a series of the arm's joints and one of the jaw, at the times of the images."""
-    rows = _rows(folder, times, read_positions)
-    first = next(iter(rows.values()))
-    arm, jaw = tuple(name for name in first if name != "jaw"), tuple(name for name in first if name == "jaw")
-    images = {number: frame.image for number, frame in times.items()}
-    taken = {
-        number: (frame.arm or frame.image, frame.jaw or frame.arm or frame.image) for number, frame in times.items()
-    }
-    return tuple(
-        at_images(str(folder), joints, rows, images, {number: moments[part] for number, moments in taken.items()})
-        for part, joints in enumerate((arm, jaw))
-        if joints
-    )
-
-
-def _rows(
-    folder: Path, numbers: Iterable[int], read: Callable[[Path], dict[str, float]]
-) -> dict[int, dict[str, float]]:
-    """Read the files of some frames; InputError if there are none."""
-    rows = {number: read(file) for number in numbers if (file := folder / f"{number}.json").is_file()}
+def _readings_of_clip(
+    folder: Path, read: Callable[[Path], dict[str, float]], images: Mapping[int, int], times: Mapping[int, FrameTimes]
+) -> tuple[TimedReadings, ...]:
+    """Read the readings of an arm in all frames, at the images' times, ns: those of its joints and those of the jaw."""
+    rows = {number: read(file) for number in images if (file := folder / f"{number}.json").is_file()}
     if not rows:
         raise InputError(f"{folder}: expected readings N.json of the images' numbers, got none")
-    return rows
-
-
-def _ecm_readings(folder: Path, syn: Path, side: Side, times: Mapping[int, FrameTimes]) -> TimedReadings:
-    """Read the readings of the endoscope's arm of all frames, at the times of the images."""
-    rows = _rows(folder, times, read_ecm)
-    images = {number: frame.image for number, frame in times.items()}
-    taken = {number: read_times(syn / f"{number}.json", side, ECM).arm or images[number] for number in rows}
-    return at_images(str(folder), ECM_JOINTS, rows, images, taken)
+    of_arm = {number: times[number].arm or image for number, image in images.items()}
+    of_jaw = {number: times[number].jaw or moment for number, moment in of_arm.items()}
+    first = next(iter(rows.values()))
+    parts = (tuple(name for name in first if name != "jaw"), of_arm), (tuple({"jaw"} & {*first}), of_jaw)
+    return tuple(at_images(str(folder), joints, rows, images, taken) for joints, taken in parts if joints)
 
 
 def at_images(

@@ -6,13 +6,13 @@ A folder with the videos of a stereo endoscope has one for each eye, named left 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -80,9 +80,7 @@ def open_video(path: Path, asked: Asked) -> Iterator[Recording]:
             notes.append(f"images: {window[2]} x {window[3]} px at {window[0]}, {window[1]} of the video")
         if asked.first_field is not None:
             notes.append(f"images: the fields of interlaced frames, {asked.first_field} first")
-        images = _images(path, capture, round(asked.start * NANOSECONDS))
-        rate = float(capture.get(cv2.CAP_PROP_FPS)) or 30.0
-        recorded = _of_eye(images, window, asked.first_field, round(NANOSECONDS / rate / 2))
+        recorded = _images(path, capture, window, asked)
         if asked.first_field is None and _is_interlaced(path):
             notes.append("images: they look interlaced: --interlaced top or bottom makes an image of each field")
         doubled = 1 if asked.first_field is None else 2
@@ -132,8 +130,9 @@ def open_stereo_videos(path: Path, asked: Asked) -> Iterator[Recording]:
     if len(videos) != 1:
         there = f"several: {listed(video.name for video in videos)}" if videos else "none"
         raise InputError(f"{path}: expected one video of the {side} eye, got {there}")
-    camera = asked.camera or _first(path, f"{side}.yaml", "camera.yaml")
-    asked = replace(asked, camera=camera, joints=asked.joints or _first(path, "joints.csv"))
+    usual = [[path / name for name in names] for names in ((f"{side}.yaml", "camera.yaml"), ("joints.csv",))]
+    camera, joints = (next((file for file in files if file.exists()), None) for files in usual)
+    asked = replace(asked, camera=asked.camera or camera, joints=asked.joints or joints)
     with open_video(videos[0], asked) as recording:
         yield replace(recording, path=path, notes=(f"images: {videos[0].name}", *recording.notes))
 
@@ -147,36 +146,28 @@ def _videos(path: Path, side: Side) -> list[Path]:
     ]
 
 
-def _first(path: Path, *names: str) -> Path | None:
-    """Return the first of some files that the folder has; None if it has none of them."""
-    return next((path / name for name in names if (path / name).exists()), None)
-
-
-def _images(path: Path, capture: Any, start: int) -> Iterator[tuple[int, Callable[[], NDArray[np.uint8]]]]:
-    """Yield the presentation times of a video's frames plus ``start``, ns, with a function that decodes the frame."""
-    number, before = 0, -1
-    while capture.grab():
+def _images(path: Path, capture: Any, window: Window, asked: Asked) -> Iterator[RecordedImage]:
+    """Yield the images of one eye; of interlaced frames, each field at its own time, half a frame apart."""
+    before, numbers, start = -1, count(), round(asked.start * NANOSECONDS)
+    half = round(NANOSECONDS / (float(capture.get(cv2.CAP_PROP_FPS)) or 30.0) / 2)
+    for number in count():
+        if not capture.grab():
+            return
         time = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         if time <= before:
             raise InputError(f"{path}: frame {number}: expected a later time than {before / NANOSECONDS:g} s, got none")
-        yield start + time, lambda number=number: decoded_pixels(path, capture, number)  # type: ignore[misc]
-        number, before = number + 1, time
-
-
-def _of_eye(
-    images: Iterator[tuple[int, Callable[[], NDArray[np.uint8]]]],
-    window: Window,
-    first_field: Literal["top", "bottom"] | None,
-    half: int,
-) -> Iterator[RecordedImage]:
-    """Yield the images of one eye; of interlaced frames, each field at its own time, ``half`` ns apart."""
-    numbers = count()
-    for time, pixels in images:
-        if first_field is None:
-            yield RecordedImage(next(numbers), time, lambda pixels=pixels: encode_png(eye_of(pixels(), window)))  # type: ignore[misc]
+        before = time
+        if asked.first_field is None:
+            load = partial(_of_eye, path, capture, number, window)
+            yield RecordedImage(next(numbers), start + time, load)
             continue
-        for k, field in enumerate(of_fields(pixels(), first_field)):
-            yield RecordedImage(next(numbers), time + k * half, partial(encode_png, eye_of(field, window)))
+        for k, field in enumerate(of_fields(decoded_pixels(path, capture, number), asked.first_field)):
+            yield RecordedImage(next(numbers), start + time + k * half, partial(encode_png, eye_of(field, window)))
+
+
+def _of_eye(path: Path, capture: Any, number: int, window: Window) -> ImageFile:
+    """Decode the frame last grabbed from a capture, and encode an eye's part of it as PNG."""
+    return encode_png(eye_of(decoded_pixels(path, capture, number), window))
 
 
 def _is_interlaced(path: Path) -> bool:
